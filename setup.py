@@ -1,0 +1,95 @@
+"""Build of the compiled kernels; everything else is in pyproject.toml.
+
+Two environment variables change the build:
+
+PHOTONRELAX_BOUNDSCHECK=1
+    Kernels check every array access (slow; for tests).
+PHOTONRELAX_OPENMP=0
+    Build without OpenMP even where the compiler has it: kernels run on one thread.
+"""
+
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from Cython.Build import cythonize
+from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
+from setuptools.errors import CompileError, LinkError
+
+BOUNDS_CHECK = os.environ.get("PHOTONRELAX_BOUNDSCHECK", "0") == "1"
+WANT_OPENMP = os.environ.get("PHOTONRELAX_OPENMP", "1") != "0"
+OPENMP_FLAGS = {
+    "msvc": (["/openmp"], []),
+    "unix": (["-fopenmp"], ["-fopenmp"]),
+}
+# Contraction into fused multiply-adds would make results depend on the processor.
+UNIX_FLAGS = ["-O3", "-ffp-contract=off"]
+PROBE = "#include <omp.h>\nint main(void) { return omp_get_max_threads() < 1; }\n"
+
+
+class BuildKernels(build_ext):
+    """Compile with OpenMP where the compiler has it, and say so where it has not."""
+
+    def build_extensions(self):
+        kind = self.compiler.compiler_type
+        compile_flags, link_flags = self._openmp_flags(kind)
+        for extension in self.extensions:
+            extension.extra_compile_args = compile_flags + (UNIX_FLAGS if kind == "unix" else [])
+            extension.extra_link_args = link_flags
+        super().build_extensions()
+
+    def _openmp_flags(self, kind):
+        flags = OPENMP_FLAGS.get(kind, ([], []))
+        if WANT_OPENMP and self._can_link(*flags):
+            return flags
+        why = "the compiler cannot link it" if WANT_OPENMP else "PHOTONRELAX_OPENMP=0"
+        self.warn(f"photonrelax is built WITHOUT OpenMP ({why}): kernels will use one thread")
+        return [], []
+
+    def _can_link(self, compile_flags, link_flags):
+        with tempfile.TemporaryDirectory() as folder:
+            source = Path(folder, "probe.c")
+            source.write_text(PROBE)
+            try:
+                objects = self.compiler.compile(
+                    [str(source)], output_dir=folder, extra_postargs=compile_flags
+                )
+                self.compiler.link_executable(
+                    objects, str(Path(folder, "probe")), extra_postargs=link_flags
+                )
+            except (CompileError, LinkError):
+                return False
+        return True
+
+
+def kernels():
+    """Return one extension per ``_ext/*.pyx``."""
+    folder = Path("src/photonrelax/_ext")
+    return [
+        Extension(
+            f"photonrelax._ext.{source.stem}",
+            [str(source)],
+            include_dirs=[np.get_include()],
+            define_macros=[("NPY_NO_DEPRECATED_API", "NPY_2_0_API_VERSION")],
+        )
+        for source in sorted(folder.glob("*.pyx"))
+    ]
+
+
+setup(
+    cmdclass={"build_ext": BuildKernels},
+    ext_modules=cythonize(
+        kernels(),
+        # Checked and plain builds keep apart, or one would reuse the other's C.
+        build_dir="build/checked" if BOUNDS_CHECK else "build/plain",
+        compiler_directives={
+            "language_level": 3,
+            "boundscheck": BOUNDS_CHECK,
+            "wraparound": False,
+            "initializedcheck": False,
+            "cdivision": True,
+        },
+    ),
+)

@@ -1,0 +1,172 @@
+"""The one door to the kernels: dtype, shape, contiguity, finiteness, thread count.
+
+Kernels trust what they are given, so every array a user passes comes through here first.
+"""
+
+from __future__ import annotations
+
+import operator
+import os
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+Shape = Sequence[int | None]
+
+
+def float_array(
+    value: ArrayLike, name: str, shape: Shape | None = None, *, finite: bool = True
+) -> Floats:
+    """Return `value` as a C-contiguous float64 array of the given shape.
+
+    Parameters
+    ----------
+    value : array_like
+        What the caller gave; copied only if its type or layout differ.
+    name : str
+        The argument's name, for messages.
+    shape : sequence of int or None, optional
+        Required shape, None for an axis of any length; None for any shape at all.
+    finite : bool
+        Refuse NaN and infinities.
+
+    Raises
+    ------
+    TypeError
+        If the values are not real numbers.
+    ValueError
+        If the shape is wrong or, with `finite`, a value is NaN or infinite.
+    """
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind not in "fiub":
+            raise TypeError(f"dtype is {array.dtype}")
+        array = np.ascontiguousarray(array, dtype=np.float64).reshape(array.shape)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name} should be an array of real numbers: {error}") from None
+    if shape is not None:
+        _check_shape(array.shape, name, shape)
+    if finite and not np.isfinite(array).all():
+        bad = int(np.flatnonzero(~np.isfinite(array).ravel())[0])
+        raise ValueError(
+            f"{name} should be finite, but flat element {bad} of shape {array.shape} "
+            f"is {array.ravel()[bad]}"
+        )
+    return array
+
+
+def int_array(
+    value: ArrayLike, name: str, shape: Shape | None = None, dtype: type = np.int64
+) -> NDArray:
+    """Return `value` as a C-contiguous integer array of the given shape and dtype.
+
+    Raises
+    ------
+    TypeError
+        If the values are not integers.
+    ValueError
+        If the shape is wrong or a value does not fit `dtype`.
+    """
+    array = np.asarray(value)
+    if array.dtype.kind not in "iub" and array.size:
+        raise TypeError(f"{name} should be an array of integers, but its dtype is {array.dtype}")
+    if shape is not None:
+        _check_shape(array.shape, name, shape)
+    converted = np.ascontiguousarray(array, dtype=dtype).reshape(array.shape)
+    if not np.array_equal(converted, array):
+        raise ValueError(f"{name} should fit {np.dtype(dtype).name}, but some values do not")
+    return converted
+
+
+def rgb(value: ArrayLike, name: str, *, low: float = 0.0, high: float = np.inf) -> Floats:
+    """Return a colour as three floats in [low, high]; one number stands for all channels.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is not one or three real numbers in the range.
+    """
+    array = float_array(value, name)
+    if array.shape not in ((), (3,)):
+        raise ValueError(f"{name} should be one number or three, but its shape is {array.shape}")
+    array = np.ascontiguousarray(np.broadcast_to(array, (3,)))
+    if (array < low).any() or (array > high).any():
+        raise ValueError(f"{name} should lie in [{low}, {high}], but is {array.tolist()}")
+    return array
+
+
+def unit_vectors(value: ArrayLike, name: str, shape: Shape) -> Floats:
+    """Return vectors scaled to unit length.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `float_array`, and if a vector has no length.
+    """
+    array = float_array(value, name, shape)
+    # Scaling by the largest component first keeps tiny and huge vectors from under- or overflowing.
+    largest = np.abs(array).max(axis=-1, keepdims=True, initial=0.0)
+    if (largest == 0.0).any():
+        bad = int(np.flatnonzero(largest.ravel() == 0.0)[0])
+        raise ValueError(f"{name} should hold directions, but vector {bad} is zero")
+    array = array / largest
+    return np.ascontiguousarray(array / np.linalg.norm(array, axis=-1, keepdims=True))
+
+
+def positive(value: float, name: str, *, allow_inf: bool = False) -> float:
+    """Return `value` as a float greater than zero.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is not a positive real number.
+    """
+    number = float(float_array(value, name, (), finite=False))
+    if not number > 0.0 or (np.isinf(number) and not allow_inf):
+        raise ValueError(f"{name} should be a positive number, but is {number}")
+    return number
+
+
+def count(value: int, name: str, *, low: int = 1) -> int:
+    """Return `value` as an int of at least `low`.
+
+    Raises
+    ------
+    TypeError
+        If it is not an integer.
+    ValueError
+        If it is less than `low`.
+    """
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise TypeError(f"{name} should be an integer, but is {value!r}") from None
+    if number < low:
+        raise ValueError(f"{name} should be at least {low}, but is {number}")
+    return number
+
+
+def thread_count(n_threads: int | None) -> int:
+    """Return the number of threads to use; None means every core this process may use.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is neither None nor an integer of at least one.
+    """
+    if n_threads is None:
+        if hasattr(os, "sched_getaffinity"):
+            return len(os.sched_getaffinity(0))
+        return os.cpu_count() or 1
+    return count(n_threads, "n_threads")
+
+
+def _check_shape(actual: tuple[int, ...], name: str, wanted: Shape) -> None:
+    matches = len(actual) == len(wanted) and all(
+        w is None or w == a for a, w in zip(actual, wanted, strict=True)
+    )
+    if not matches:
+        letters = ", ".join("n" if w is None else str(w) for w in wanted)
+        raise ValueError(f"{name} should have shape ({letters}), but has {actual}")
