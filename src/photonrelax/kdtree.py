@@ -1,0 +1,230 @@
+"""The validated face of the k-d tree: exact neighbours near on some axes, in range on others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _arrays
+from ._arrays import Floats
+from ._ext import kdtree as _kdtree
+
+# Squared distances must stay finite.
+_LARGEST_EXTENT = 1e150
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """Neighbours found by a query, nearest first, ties in the order of their ids.
+
+    Attributes
+    ----------
+    ids : (m, k) intp array
+        Row numbers of the tree's points; empty slots hold n, the number of points.
+    distance : (m, k) float array
+        Euclidean distance over the metric axes; empty slots hold infinity.
+    """
+
+    ids: NDArray[np.intp]
+    distance: Floats
+
+
+class KDTree:
+    """k-d tree whose first axes carry the distance and whose other axes limit the search.
+
+    Parameters
+    ----------
+    points : (n, d) array_like
+        Coordinates, finite; n may be zero and points may coincide. Copied.
+    n_metric : int
+        The first `n_metric` axes carry the Euclidean metric; the rest are range axes, used
+        only through `half_range` and `range_radius`.
+    n_threads : int, optional
+        Threads for building; all available by default. The tree does not depend on it.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `points` is not a finite (n, d) array with d >= n_metric >= 1, or spans more than
+        1e150, where squared distances overflow.
+
+    Notes
+    -----
+    Searching a high-dimensional tree in its lower axes while limiting the others to a range is
+    the query of SJ13 §4.2. It is exact: the ids are those of a brute-force search.
+    """
+
+    def __init__(
+        self, points: ArrayLike, n_metric: int = 3, *, n_threads: int | None = None
+    ) -> None:
+        array = _arrays.float_array(points, "points", (None, None))
+        self.n_metric = _arrays.count(n_metric, "n_metric")
+        self.n_points, self.n_axes = array.shape
+        if self.n_axes < self.n_metric:
+            raise ValueError(
+                f"points should have at least n_metric = {self.n_metric} axes, "
+                f"but have {self.n_axes}"
+            )
+        scale = _axis_scale(array, self.n_metric)
+        self._tree = _kdtree.Tree(array, self.n_metric, scale, _arrays.thread_count(n_threads))
+
+    def __len__(self) -> int:
+        return self.n_points
+
+    def query(
+        self,
+        queries: ArrayLike,
+        k: int,
+        *,
+        half_range: ArrayLike | None = None,
+        range_radius: ArrayLike | None = None,
+        exclude_self: bool = False,
+        n_threads: int | None = None,
+    ) -> Neighbours:
+        """Find the k nearest points of each query among those in its range.
+
+        Parameters
+        ----------
+        queries : (m, d) array_like
+            Where to search. With neither range given, (m, n_metric) will do.
+        k : int
+            Neighbours wanted; may exceed the number of points.
+        half_range : scalar, (d - n_metric,) or (m, d - n_metric) array_like, optional
+            Half-widths of the interval allowed on each range axis, bounds included. Infinite
+            leaves an axis open.
+        range_radius : scalar or (m,) array_like, optional
+            Radius of the ball allowed over the range axes, bound included (SJ13 Eq. 1).
+        exclude_self : bool
+            Leave point i out of the neighbours of query i; there must be as many queries as
+            points.
+        n_threads : int, optional
+            Threads; all available by default. The result does not depend on it.
+
+        Returns
+        -------
+        Neighbours
+            Ids and distances, each (m, k).
+
+        Raises
+        ------
+        TypeError, ValueError
+            If a shape is wrong, a value is NaN or a range negative, or a range is given to a
+            tree that has no range axes.
+        """
+        array = _arrays.float_array(queries, "queries", (None, None))
+        array = self._check_queries(array, half_range is not None or range_radius is not None)
+        if exclude_self and len(array) != self.n_points:
+            raise ValueError(
+                f"exclude_self leaves point i out of query i, so it needs {self.n_points} "
+                f"queries, but there are {len(array)}"
+            )
+        return self._query(
+            array,
+            np.arange(len(array)),
+            k,
+            half_range=half_range,
+            range_radius=range_radius,
+            exclude_self=exclude_self,
+            n_threads=n_threads,
+        )
+
+    def query_self(
+        self,
+        k: int,
+        *,
+        half_range: ArrayLike | None = None,
+        range_radius: ArrayLike | None = None,
+        exclude_self: bool = False,
+        n_threads: int | None = None,
+    ) -> Neighbours:
+        """Find the k nearest points of each of the tree's own points; see `query`."""
+        if self.n_axes == self.n_metric and (half_range is not None or range_radius is not None):
+            raise ValueError(self._no_range_axes())
+        # In leaf order one query finds most of its points where the last one left the cache.
+        return self._query(
+            np.asarray(self._tree.points),
+            np.asarray(self._tree.ids),
+            k,
+            half_range=half_range,
+            range_radius=range_radius,
+            exclude_self=exclude_self,
+            n_threads=n_threads,
+        )
+
+    def _query(
+        self,
+        queries: Floats,
+        rows: NDArray[np.intp],
+        k: int,
+        *,
+        half_range: ArrayLike | None,
+        range_radius: ArrayLike | None,
+        exclude_self: bool,
+        n_threads: int | None,
+    ) -> Neighbours:
+        """Search for checked queries, each answered in its row."""
+        ids, distance = self._tree.query(
+            queries,
+            rows,
+            _arrays.count(k, "k"),
+            half_range=_ranges(
+                half_range, "half_range", (len(queries), self.n_axes - self.n_metric)
+            ),
+            range_radius=_ranges(range_radius, "range_radius", (len(queries),)),
+            exclude_self=exclude_self,
+            n_threads=_arrays.thread_count(n_threads),
+        )
+        return Neighbours(ids, distance)
+
+    def _no_range_axes(self) -> str:
+        return f"the tree has no range axes: all its {self.n_axes} carry the metric"
+
+    def _check_queries(self, queries: Floats, ranged: bool) -> Floats:
+        if ranged and self.n_axes == self.n_metric:
+            raise ValueError(self._no_range_axes())
+        if queries.shape[1] == self.n_axes:
+            return queries
+        if queries.shape[1] == self.n_metric and not ranged:
+            padded = np.zeros((len(queries), self.n_axes))
+            padded[:, : self.n_metric] = queries
+            return padded
+        raise ValueError(
+            f"queries should have the tree's {self.n_axes} axes, but have {queries.shape[1]}"
+        )
+
+
+def _ranges(value: ArrayLike | None, name: str, shape: tuple[int, ...]) -> Floats | None:
+    if value is None:
+        return None
+    array = _arrays.float_array(value, name, finite=False)
+    try:
+        array = np.ascontiguousarray(np.broadcast_to(array, shape))
+    except ValueError:
+        raise ValueError(
+            f"{name} should be a number or broadcast to shape {shape}, but has {array.shape}"
+        ) from None
+    if not (array >= 0.0).all():
+        raise ValueError(f"{name} should hold no negative number and no NaN")
+    return array
+
+
+def _axis_scale(points: Floats, n_metric: int) -> Floats:
+    """Return what makes extents on the metric and on the range axes comparable.
+
+    Photons are a sheet over the coordinates they left their emitter with. Splitting mostly on
+    those keeps leaves compact in both, because light carries neighbours to neighbours, whereas
+    photons near in space may come from anywhere. Hence the larger weight of the range axes.
+    """
+    extent = np.ptp(points, axis=0) if len(points) else np.zeros(points.shape[1])
+    if (extent > _LARGEST_EXTENT).any():
+        raise ValueError(
+            f"points should span at most {_LARGEST_EXTENT:g}, but span {extent.max():g}"
+        )
+    scale = np.zeros(points.shape[1])
+    for axes, weight in ((slice(0, n_metric), 1.0), (slice(n_metric, None), 4.0)):
+        largest = extent[axes].max(initial=0.0)
+        if largest > 0.0:
+            scale[axes] = weight / largest
+    return scale
