@@ -234,7 +234,8 @@ class Camera:
         """
         sight = np.subtract(self.target, self.origin)
         if not sight.any():
-            raise ValueError(f"target should differ from origin, but both are {self.target}")
+            both = np.asarray(self.target)
+            raise ValueError(f"target should differ from origin, but both are {both}")
         forward = unit_vectors(sight, "target - origin", (3,))
         up = np.asarray(self.up)
         right = np.cross(forward, up)
