@@ -1,0 +1,205 @@
+"""Images of several layers, as EXR and PNG: the only file that knows OpenEXR."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ._arrays import Floats, float_array
+from ._files import whole_file
+
+# Channels of the layers with three values per pixel; of the others, the layer's name and R, G, B.
+_CHANNELS = {"radiance": ("R", "G", "B"), "N": ("N.X", "N.Y", "N.Z")}
+# Layers in which inf is a value: a depth where nothing is seen.
+_MAY_BE_INFINITE = ("Z",)
+_LARGEST = float(np.finfo(np.float32).max)
+# Attributes of the file format, which metadata must not overwrite.
+_RESERVED = frozenset(
+    [
+        *("channels", "chunkCount", "compression", "dataWindow", "displayWindow", "lineOrder"),
+        *("name", "pixelAspectRatio", "screenWindowCenter", "screenWindowWidth", "tiles"),
+        *("type", "version", "view"),
+    ]
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """Named layers of one picture.
+
+    Parameters
+    ----------
+    layers : mapping of str to (height, width) or (height, width, 3)
+        Row 0 is at the top. ``radiance`` is the picture, W/(m² sr); ``N`` holds normals; ``Z`` is
+        depth, m, inf where nothing is seen. Everywhere else values are finite.
+    metadata : mapping of str to str
+        Written into the header of EXR files.
+    stats : dict
+        Times and counts of the stages that made the picture; not written.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a layer is not numbers, has another size than the others, or holds NaN or values that
+        float32 cannot; if metadata are not text.
+    """
+
+    layers: Mapping[str, ArrayLike]
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    stats: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        layers = {name: _checked_layer(name, layer) for name, layer in self.layers.items()}
+        if not layers:
+            raise ValueError("layers should not be empty")
+        sizes = {name: layer.shape[:2] for name, layer in layers.items()}
+        if len(set(sizes.values())) > 1:
+            raise ValueError(f"layers should be of one size, but are {sizes}")
+        object.__setattr__(self, "layers", layers)
+        object.__setattr__(self, "metadata", _checked_metadata(self.metadata))
+
+    def write_exr(self, path: str | os.PathLike[str]) -> None:
+        """Write all layers as one part of an EXR file: float32, ZIP, whole or not at all.
+
+        ``radiance`` becomes the channels R, G, B; ``N`` becomes N.X, N.Y, N.Z; another layer
+        becomes NAME.R, NAME.G, NAME.B, or the channel NAME if it has one value per pixel.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the folder does not exist.
+        """
+        import OpenEXR
+
+        header = {
+            **self.metadata,
+            "compression": OpenEXR.ZIP_COMPRESSION,
+            "type": OpenEXR.scanlineimage,
+        }
+        with whole_file(path) as partial:
+            OpenEXR.File(header, self._channels()).write(str(partial))
+
+    def write_png(self, path: str | os.PathLike[str], exposure: float = 0.0) -> None:
+        """Write ``radiance`` times 2^exposure as an 8-bit sRGB picture, whole or not at all.
+
+        Raises
+        ------
+        ValueError
+            If there is no ``radiance``.
+        FileNotFoundError
+            If the folder does not exist.
+        """
+        from PIL import Image as Picture
+
+        if "radiance" not in self.layers:
+            raise ValueError(f"layers should include radiance, but are {sorted(self.layers)}")
+        exposure = float(float_array(exposure, "exposure", ()))
+        display = srgb(np.asarray(self.layers["radiance"]) * 2.0**exposure)
+        with whole_file(path) as partial:
+            Picture.fromarray(np.rint(255.0 * display).astype(np.uint8)).save(partial, "PNG")
+
+    def _channels(self) -> dict[str, NDArray[np.float32]]:
+        channels = {}
+        for name, layer in self.layers.items():
+            values = np.asarray(layer, dtype=np.float32)
+            if values.ndim == 2:
+                channels[name] = np.ascontiguousarray(values)
+            else:
+                for i, channel in enumerate(_channel_names(name)):
+                    # OpenEXR writes other layouts wrong, and silently.
+                    channels[channel] = np.ascontiguousarray(values[..., i])
+        return channels
+
+
+def read_exr(path: str | os.PathLike[str]) -> Image:
+    """Read an EXR file of one part, by the channel names of `Image.write_exr`.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is not an EXR file.
+    """
+    import OpenEXR
+
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"there is no file {path}")
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            # Closing the file empties its header.
+            header = dict(file.header())
+            pixels = {name: channel.pixels for name, channel in file.channels().items()}
+    except RuntimeError as error:
+        raise ValueError(f"{path} is not an EXR file: {error}") from None
+    metadata = {k: v for k, v in header.items() if isinstance(v, str) and k not in _RESERVED}
+    return Image(_group(pixels), metadata)
+
+
+def srgb(linear: ArrayLike) -> Floats:
+    """Return display values of linear ones clipped to [0, 1] (IEC 61966-2-1)."""
+    linear = np.clip(float_array(linear, "linear"), 0.0, 1.0)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def _channel_names(layer: str) -> tuple[str, ...]:
+    return _CHANNELS.get(layer, tuple(f"{layer}.{c}" for c in "RGB"))
+
+
+def _group(channels: dict[str, NDArray]) -> dict[str, NDArray]:
+    """Join channels into the layers they came from; a channel alone is a layer of its own."""
+    layers = {}
+    left = dict(channels)
+    for name in _triple_names(channels):
+        layers[name] = np.stack([left.pop(c) for c in _channel_names(name)], axis=-1)
+    return layers | left
+
+
+def _triple_names(channels: Iterable[str]) -> list[str]:
+    present = set(channels)
+    candidates = [*_CHANNELS, *(c[:-2] for c in present if c.endswith(".R"))]
+    return [name for name in candidates if present.issuperset(_channel_names(name))]
+
+
+def _checked_layer(name: str, layer: ArrayLike) -> Floats:
+    if not isinstance(name, str) or not name:
+        raise TypeError(f"names of layers should be text, but one is {name!r}")
+    values = float_array(layer, f"layer {name}", finite=False)
+    if values.ndim not in (2, 3) or values.shape[2:] not in ((), (3,)) or values.size == 0:
+        raise ValueError(
+            f"layer {name} should have shape (height, width) or (height, width, 3), "
+            f"but has {values.shape}"
+        )
+    if name in _CHANNELS and values.ndim == 2:
+        raise ValueError(f"layer {name} should have three values per pixel, but has one")
+    _check_values(name, values)
+    return values
+
+
+def _check_values(name: str, values: Floats) -> None:
+    bad = ~(np.abs(values) <= _LARGEST)
+    if name in _MAY_BE_INFINITE:
+        bad &= values != np.inf
+    if bad.any():
+        row, column = np.argwhere(bad)[0][:2]
+        raise ValueError(
+            f"layer {name} should hold finite float32 values, but {bad.sum()} are not: "
+            f"the first, at row {row} and column {column}, is {values[bad][0]}"
+        )
+
+
+def _checked_metadata(metadata: Mapping[str, str]) -> dict[str, str]:
+    for key, value in metadata.items():
+        if not isinstance(key, str) or not isinstance(value, str):
+            raise TypeError(f"metadata should be text, but {key!r} is {value!r}")
+        if not key or key in _RESERVED:
+            raise ValueError(
+                f"metadata should not use {key!r}, a name EXR files keep for themselves"
+            )
+    return dict(metadata)

@@ -1,0 +1,157 @@
+"""EXR and PNG files: what an independent reader finds in them."""
+
+import os
+
+import numpy as np
+import OpenImageIO
+import pytest
+from PIL import Image as Picture
+
+import photonrelax as pr
+from photonrelax._files import whole_file
+from photonrelax.image import read_exr, srgb
+
+HEIGHT, WIDTH = 5, 7
+
+
+@pytest.fixture
+def layers():
+    rng = np.random.default_rng(1)
+    depth = rng.uniform(1, 9, (HEIGHT, WIDTH))
+    depth[0] = np.inf
+    return {
+        "radiance": rng.uniform(0, 5, (HEIGHT, WIDTH, 3)),
+        "caustic": rng.uniform(0, 5, (HEIGHT, WIDTH, 3)),
+        "N": rng.uniform(-1, 1, (HEIGHT, WIDTH, 3)),
+        "Z": depth,
+        "photons.constraint": rng.uniform(0, 1, (HEIGHT, WIDTH)),
+        "photons.emitter": rng.uniform(0, 1, (HEIGHT, WIDTH, 3)),
+    }
+
+
+def test_openimageio_reads_every_channel_and_the_metadata(layers, tmp_path):
+    # Numbers beyond 32 bits survive as text.
+    image = pr.Image(layers, {"seed": str(2**40), "method": "parameterised β"})
+    image.write_exr(tmp_path / "image.exr")
+    buffer = OpenImageIO.ImageBuf(str(tmp_path / "image.exr"))
+    spec = buffer.spec()
+    expected = {
+        "R": layers["radiance"][..., 0],
+        "G": layers["radiance"][..., 1],
+        "B": layers["radiance"][..., 2],
+        "caustic.R": layers["caustic"][..., 0],
+        "caustic.B": layers["caustic"][..., 2],
+        "N.X": layers["N"][..., 0],
+        "N.Y": layers["N"][..., 1],
+        "N.Z": layers["N"][..., 2],
+        "Z": layers["Z"],
+        "photons.constraint": layers["photons.constraint"],
+        "photons.emitter.G": layers["photons.emitter"][..., 1],
+    }
+    assert (spec.height, spec.width, spec.nchannels) == (HEIGHT, WIDTH, 14)
+    assert str(spec.format) == "float"
+    assert spec.getattribute("compression") == "zip"
+    assert spec.getattribute("seed") == str(2**40)
+    assert spec.getattribute("method") == "parameterised β"
+    pixels = buffer.get_pixels(OpenImageIO.FLOAT)
+    for name, values in expected.items():
+        channel = pixels[..., spec.channelnames.index(name)]
+        np.testing.assert_array_equal(channel, values.astype(np.float32), err_msg=name)
+
+
+def test_read_exr_gives_back_what_was_written(layers, tmp_path):
+    pr.Image(layers, {"seed": "7"}).write_exr(tmp_path / "image.exr")
+    image = read_exr(tmp_path / "image.exr")
+    assert image.metadata == {"seed": "7"}
+    assert set(image.layers) == set(layers)
+    for name, values in layers.items():
+        np.testing.assert_array_equal(image.layers[name], values.astype(np.float32), err_msg=name)
+
+
+def test_layers_in_another_memory_order_are_written_right(layers, tmp_path):
+    radiance = np.asfortranarray(layers["radiance"])
+    flipped = layers["Z"][::-1, ::-1]
+    pr.Image({"radiance": radiance, "Z": flipped}).write_exr(tmp_path / "image.exr")
+    pixels = OpenImageIO.ImageBuf(str(tmp_path / "image.exr")).get_pixels(OpenImageIO.FLOAT)
+    np.testing.assert_array_equal(pixels[..., :3], radiance.astype(np.float32))
+    np.testing.assert_array_equal(pixels[..., 3], flipped.astype(np.float32))
+
+
+def test_png_is_exposed_and_encoded_for_srgb_displays(tmp_path):
+    radiance = np.zeros((1, 4, 3))
+    radiance[0, :, 0] = [0.0, 0.25 * 0.21586, 0.25, 100.0]
+    radiance[0, 2, 1] = 0.25 * 0.002
+    pr.Image({"radiance": radiance}).write_png(tmp_path / "image.png", exposure=2.0)
+    with Picture.open(tmp_path / "image.png") as picture:
+        pixels = np.asarray(picture)
+    assert pixels.shape == (1, 4, 3)
+    # Linear 0.21586 is 128 on the sRGB scale; 0.002 lies on its linear piece.
+    np.testing.assert_array_equal(pixels[0, :, 0], [0, 128, 255, 255])
+    assert pixels[0, 2, 1] == round(255 * 12.92 * 0.002)
+
+
+def test_srgb_is_continuous_and_increasing():
+    values = srgb(np.linspace(0, 1, 100_001))
+    steps = np.diff(values)
+    assert steps.min() > 0
+    assert steps.max() < 1.3e-4 + 1e-6
+    np.testing.assert_allclose(srgb([-1.0, 0.0, 2.0]), [0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"caustic": np.full((HEIGHT, WIDTH, 3), np.nan)}, ValueError, "layer caustic .* nan"),
+        ({"caustic": np.full((HEIGHT, WIDTH, 3), np.inf)}, ValueError, "layer caustic .* inf"),
+        ({"caustic": np.full((HEIGHT, WIDTH, 3), 1e39)}, ValueError, "float32"),
+        ({"Z": np.full((HEIGHT, WIDTH), -np.inf)}, ValueError, "layer Z"),
+        ({"Z": np.zeros((WIDTH, HEIGHT))}, ValueError, "one size"),
+        ({"albedo": np.zeros((HEIGHT, WIDTH, 4))}, ValueError, "layer albedo"),
+        ({"radiance": np.zeros((HEIGHT, WIDTH))}, ValueError, "layer radiance"),
+        ({"albedo": "white"}, TypeError, "layer albedo"),
+    ],
+)
+def test_what_is_no_layer_is_refused_by_name(layers, change, error, message):
+    with pytest.raises(error, match=message):
+        pr.Image(layers | change)
+
+
+@pytest.mark.parametrize(("metadata", "error"), [({"n": 3}, TypeError), ({"type": ""}, ValueError)])
+def test_metadata_are_text_under_free_names(layers, metadata, error):
+    with pytest.raises(error, match="metadata"):
+        pr.Image(layers, metadata)
+
+
+def test_empty_images_and_pictures_without_radiance_are_refused(layers, tmp_path):
+    with pytest.raises(ValueError, match="empty"):
+        pr.Image({})
+    with pytest.raises(ValueError, match="radiance"):
+        pr.Image({"Z": layers["Z"]}).write_png(tmp_path / "image.png")
+
+
+def test_reading_what_is_no_exr_file_fails_clearly(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"nothing\.exr"):
+        read_exr(tmp_path / "nothing.exr")
+    (tmp_path / "text.exr").write_text("no picture")
+    with pytest.raises(ValueError, match=r"text\.exr is not an EXR file"):
+        read_exr(tmp_path / "text.exr")
+
+
+def test_files_are_whole_or_not_there(tmp_path):
+    path = tmp_path / "file"
+    path.write_text("old")
+
+    def interrupted():
+        with whole_file(path) as partial:
+            partial.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert path.read_text() == "old"
+    with whole_file(path) as partial:
+        partial.write_text("new")
+    assert path.read_text() == "new"
+    assert os.listdir(tmp_path) == ["file"]
+    with pytest.raises(FileNotFoundError, match="no folder"), whole_file(tmp_path / "no" / "file"):
+        pass
