@@ -6,7 +6,6 @@ A map may come from any renderer: only position, normal and flux are required.
 from __future__ import annotations
 
 import os
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import Floats, count, float_array, int_array, unit_vectors
+from ._files import whole_file
 
 Ints = NDArray[np.int64]
 
@@ -283,18 +283,8 @@ def _ledger_from(arrays: Mapping[str, NDArray]) -> EnergyLedger:
 
 
 def _write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
-    handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, **arrays)
-        # mkstemp makes private files; a photon map is as readable as any other new file.
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(partial, 0o666 & ~umask)
-        os.replace(partial, path)
-    except BaseException:
-        os.unlink(partial)
-        raise
+    with whole_file(path) as partial, partial.open("wb") as file:
+        np.savez(file, **arrays)
 
 
 def _read_npz(path: Path) -> dict[str, NDArray]:
