@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
+Rows = slice | NDArray[np.intp]
 Shape = Sequence[int | None]
 
 

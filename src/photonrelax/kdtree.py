@@ -50,6 +50,13 @@ class KDTree:
         If `points` is not a finite (n, d) array with d >= n_metric >= 1, or spans more than
         1e150, where squared distances overflow.
 
+    Attributes
+    ----------
+    n_points, n_axes, n_metric : int
+        n, d and how many axes carry the metric.
+    kernel
+        The compiled tree, for the kernels that search it themselves.
+
     Notes
     -----
     Searching a high-dimensional tree in its lower axes while limiting the others to a range is
@@ -68,7 +75,7 @@ class KDTree:
                 f"but have {self.n_axes}"
             )
         scale = _axis_scale(array, self.n_metric)
-        self._tree = _kdtree.Tree(array, self.n_metric, scale, _arrays.thread_count(n_threads))
+        self.kernel = _kdtree.Tree(array, self.n_metric, scale, _arrays.thread_count(n_threads))
 
     def __len__(self) -> int:
         return self.n_points
@@ -144,8 +151,8 @@ class KDTree:
             raise ValueError(self._no_range_axes())
         # In leaf order one query finds most of its points where the last one left the cache.
         return self._query(
-            np.asarray(self._tree.points),
-            np.asarray(self._tree.ids),
+            np.asarray(self.kernel.points),
+            np.asarray(self.kernel.ids),
             k,
             half_range=half_range,
             range_radius=range_radius,
@@ -165,7 +172,7 @@ class KDTree:
         n_threads: int | None,
     ) -> Neighbours:
         """Search for checked queries, each answered in its row."""
-        ids, distance = self._tree.query(
+        ids, distance = self.kernel.query(
             queries,
             rows,
             _arrays.count(k, "k"),

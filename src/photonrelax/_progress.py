@@ -1,0 +1,34 @@
+"""How long loops report progress, and give Ctrl-C a chance, without slowing the kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+# Called as ``progress(stage, done, total)``, from the thread that called the stage.
+Progress = Callable[[str, int, int], None]
+
+# Rows a kernel is given at a time.
+CHUNK = 65536
+
+
+class Reporter:
+    """Count finished work of one stage and tell whoever listens."""
+
+    def __init__(self, progress: Progress | None, stage: str, total: int) -> None:
+        self._progress = progress
+        self._stage = stage
+        self._total = total
+        self._done = 0
+
+    def advance(self, amount: int) -> None:
+        """Count `amount` as done."""
+        self._done += amount
+        if self._progress is not None:
+            self._progress(self._stage, self._done, self._total)
+
+    def chunks(self, n: int) -> Iterator[tuple[int, int]]:
+        """Yield (first, end) of consecutive chunks of n rows, counting each when it is done."""
+        for first in range(0, n, CHUNK):
+            end = min(first + CHUNK, n)
+            yield first, end
+            self.advance(end - first)

@@ -1,0 +1,251 @@
+"""Structure around each photon: PCA, noise attenuation, constraint basis (SJ13 §4.2–4.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _arrays
+from ._arrays import Floats
+from ._ext import structure as _structure
+from ._ext.structure import (
+    anisotropy_to_gradient,
+    constraint,
+    isotropic_mean,
+    isotropic_sd,
+    noise_attenuation,
+)
+from ._progress import Progress, Reporter
+from .kdtree import KDTree
+from .photonmap import PhotonMap
+
+__all__ = [
+    "Structure",
+    "StructureSettings",
+    "anisotropy_to_gradient",
+    "constraint",
+    "detect_structure",
+    "emitter_groups",
+    "emitter_range",
+    "isotropic_mean",
+    "isotropic_sd",
+    "noise_attenuation",
+    "photon_tree",
+    "principal_components",
+]
+
+@dataclass(frozen=True)
+class StructureSettings:
+    """How structure is detected.
+
+    Attributes
+    ----------
+    k : int
+        Photons in a neighbourhood, the photon itself among them (K_c = 50, SJ13 §5).
+    range_scale : float
+        Size of the range allowed over the emitter coordinates (β = 3, SJ13 Eq. 1).
+    """
+
+    k: int = 50
+    range_scale: float = 3.0
+
+    def __post_init__(self) -> None:
+        _arrays.count(self.k, "StructureSettings.k", low=4)
+        _arrays.positive(self.range_scale, "StructureSettings.range_scale", allow_inf=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Structure of a photon map; row i belongs to photon i.
+
+    Attributes
+    ----------
+    eigenvalues : (n, 2) float array
+        Variances of the neighbourhood in the tangent plane over radius², larger first; 1/4 both
+        where photons are evenly spread. Zero where fewer than four photons are in range or all
+        are at one point.
+    constraint : (n,) float array
+        3π/4·M·Φ in [0, 1]: 0 leaves the photon free, 1 keeps it from moving along ``basis[:, 1]``
+        (SJ13 Eq. 7). Zero where structure cannot be told.
+    basis : (n, 2, 3) float array
+        Unit vectors in the tangent plane: the direction in which the photon is free, along the
+        structure, and the one in which it is constrained, across it.
+    radius : (n,) float array
+        Distance to the farthest neighbour, m.
+    n_found : (n,) int32 array
+        Photons in the neighbourhood; fewer than asked for where the range holds fewer.
+    emitter_range : (n,) float array or None
+        Radius allowed over the emitter coordinates (SJ13 Eq. 1); None in a map without them.
+    """
+
+    eigenvalues: Floats
+    constraint: Floats
+    basis: Floats
+    radius: Floats
+    n_found: NDArray[np.int32]
+    emitter_range: Floats | None
+
+    def __len__(self) -> int:
+        return len(self.constraint)
+
+    def subset(self, rows: _arrays.Rows) -> Structure:
+        """Return the structure of some of the photons."""
+        return Structure(
+            **{
+                field.name: _rows(getattr(self, field.name), rows)
+                for field in fields(self)
+            }
+        )
+
+
+def detect_structure(
+    photons: PhotonMap,
+    settings: StructureSettings | None = None,
+    *,
+    n_threads: int | None = None,
+    progress: Progress | None = None,
+) -> Structure:
+    """Find in which direction, and how strongly, each photon must be kept from moving.
+
+    Each photon's k nearest photons in space are gathered among those of its emitter whose emitter
+    coordinates lie within a range of its own; the principal components of their positions in its
+    tangent plane tell an edge or a filament from evenly spread light (SJ13 §4.2–4.3, Algorithm 1
+    lines 2–9).
+
+    Parameters
+    ----------
+    photons : PhotonMap
+        Photons, n of them. Without emitter coordinates the search is limited by space alone.
+    settings : StructureSettings, optional
+        Defaults are the paper's.
+    n_threads : int, optional
+        Threads; all available by default. The result does not depend on it.
+    progress : callable, optional
+        Called as ``progress("structure", done, n)``.
+
+    Returns
+    -------
+    Structure
+        One row a photon.
+
+    Raises
+    ------
+    ValueError
+        If the map has emitter coordinates but no emitter density, or the other way round.
+    """
+    settings = settings or StructureSettings()
+    threads = _arrays.thread_count(n_threads)
+    ranges = emitter_range(photons, settings)
+    report = Reporter(progress, "structure", len(photons))
+    groups = emitter_groups(photons)
+    parts = [
+        _detect_group(photons.subset(rows), _rows(ranges, rows), settings.k, threads, report)
+        for rows in groups
+    ]
+    return parts[0] if len(parts) == 1 else _merge(parts, groups, ranges)
+
+
+def emitter_groups(photons: PhotonMap) -> list[_arrays.Rows]:
+    """Return which rows belong to each emitter: photons of different emitters never mix."""
+    if photons.emitter_id is None or len(photons) == 0:
+        return [slice(None)]
+    present = np.unique(photons.emitter_id)
+    if len(present) == 1:
+        return [slice(None)]
+    return [np.flatnonzero(photons.emitter_id == emitter) for emitter in present]
+
+
+def emitter_range(photons: PhotonMap, settings: StructureSettings) -> Floats | None:
+    """Return r_θφ = β √(K_c / (π ρ_θφ)) for each photon (SJ13 Eq. 1), None without coordinates.
+
+    In the chart of `emitter_coords`: m on an emitter plane; for points, the length of the chord
+    between unit vectors, whose ball cuts a cap of exactly π r² from the sphere of directions.
+
+    Raises
+    ------
+    ValueError
+        If one of coordinates and density is missing, or a density is zero.
+    """
+    coords, density = photons.emitter_coords, photons.emitter_density
+    if (coords is None) != (density is None):
+        given, missing = ("emitter_coords", "emitter_density")[:: 1 if density is None else -1]
+        raise ValueError(
+            f"photons have {given} but no {missing}: give both, or neither to work in space alone"
+        )
+    if density is None:
+        return None
+    if (density <= 0.0).any():
+        raise ValueError(f"emitter_density should be positive, but its least is {density.min()}")
+    return settings.range_scale * np.sqrt(settings.k / (np.pi * density))
+
+
+def photon_tree(
+    position: Floats, emitter_coords: Floats | None = None, *, n_threads: int | None = None
+) -> KDTree:
+    """Return the tree over space, and over the emitter coordinates as range axes if given."""
+    points = position if emitter_coords is None else np.hstack([position, emitter_coords])
+    return KDTree(points, n_metric=3, n_threads=n_threads)
+
+
+def principal_components(offsets: Floats, *, n_threads: int | None = None) -> tuple[Floats, Floats]:
+    """Return the principal components of sets of points in a plane (SJ13 §4.3.1).
+
+    Parameters
+    ----------
+    offsets : (n, k, 2) array_like
+        n sets of k points.
+
+    Returns
+    -------
+    eigenvalues : (n, 2) float array
+        Of the covariance about the mean with divisor k, larger first.
+    vectors : (n, 2) float array
+        Unit eigenvector of the larger; the other is perpendicular.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `offsets` is not a finite (n, k, 2) array with k >= 1.
+    """
+    array = _arrays.float_array(offsets, "offsets", (None, None, 2))
+    _arrays.count(array.shape[1], "k, the second axis of offsets,")
+    return _structure.principal_components(array, _arrays.thread_count(n_threads))
+
+
+def _rows(array: NDArray | None, rows: _arrays.Rows) -> NDArray | None:
+    return None if array is None else array[rows]
+
+
+def _detect_group(
+    photons: PhotonMap, ranges: Floats | None, k: int, n_threads: int, report: Reporter
+) -> Structure:
+    n = len(photons)
+    result = Structure(
+        eigenvalues=np.empty((n, 2)),
+        constraint=np.empty(n),
+        basis=np.empty((n, 2, 3)),
+        radius=np.empty(n),
+        n_found=np.empty(n, dtype=np.int32),
+        emitter_range=ranges,
+    )
+    coords = None if ranges is None else photons.emitter_coords
+    tree = photon_tree(photons.position, coords, n_threads=n_threads)
+    for first, end in report.chunks(n):
+        _structure.detect(tree.kernel, first, end, photons.normal, result, k, n_threads)
+    return result
+
+
+def _merge(
+    parts: list[Structure], groups: list[_arrays.Rows], ranges: Floats | None
+) -> Structure:
+    """Put the rows of each emitter's structure where its photons are."""
+    n = sum(len(part) for part in parts)
+    merged = {}
+    for field in ("eigenvalues", "constraint", "basis", "radius", "n_found"):
+        example = getattr(parts[0], field)
+        merged[field] = np.empty((n, *example.shape[1:]), dtype=example.dtype)
+        for part, rows in zip(parts, groups, strict=True):
+            merged[field][rows] = getattr(part, field)
+    return Structure(**merged, emitter_range=ranges)
