@@ -46,7 +46,7 @@ class RelaxSettings:
     n_iterations: tuple[int, int] = (7, 7)
     k: int = 16
     step: float = 1.0
-    largest_step: float = 0.25
+    largest_step: float = 0.1
 
     def __post_init__(self) -> None:
         if len(self.n_iterations) != 2:
