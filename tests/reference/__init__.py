@@ -1,0 +1,1 @@
+"""Irradiance known without photonrelax: closed forms, quadrature and direct deposits."""
