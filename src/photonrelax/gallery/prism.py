@@ -1,0 +1,121 @@
+"""A glass prism lit from behind by a strong point light, after SJ13 Fig. 6."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .._arrays import Floats
+from ..scene import Camera, Dielectric, Diffuse, PointEmitter, Scene, SceneObject
+from ._shapes import Field, floor, level_set, make_mesh
+
+if TYPE_CHECKING:
+    import trimesh
+
+_LIGHT = np.array([-3.0, 0.0, 2.5])
+# How the prism stands: leaning away from the light, then turned about the vertical, degrees.
+_LEAN, _TURN = 8.0, 15.0
+# Directions and phases of the ripples that polishing by hand leaves: no two alike.
+_DIRECTIONS = np.array(
+    [[-0.36, -0.10, 0.93], [0.37, -0.93, 0.0], [-0.36, 0.09, -0.93], [0.15, 0.15, 0.98]]
+)
+_PHASES = np.array([2.70, 4.95, 6.18, 2.32])
+
+
+def prism(
+    *,
+    inradius: float = 0.4,
+    height: float = 1.4,
+    bevel: float = 0.03,
+    ripple: float = 0.0022,
+    ripple_length: float = 0.28,
+    ior: float = 1.5,
+    power: float = 400.0,
+    subdivisions: int = 7,
+    pixels: int = 600,
+) -> Scene:
+    """Return an upright triangular prism and a close-up of the light it throws on the floor.
+
+    The faces are slightly rippled, so every way through the glass (two refractions, and internal
+    reflections between them) lays a folded sheet of its own on the floor. A screen with a window
+    before the prism keeps all other light away.
+
+    Parameters
+    ----------
+    inradius, height : float
+        Of the prism, m.
+    bevel : float
+        Width over which faces round into one another, m.
+    ripple, ripple_length : float
+        Amplitude and wavelength of the ripples, m.
+    ior : float
+        Index of refraction of the glass.
+    power : float
+        Of the point light, W.
+    subdivisions : int
+        Fineness of the mesh; each step quadruples its faces, 7 makes 327,680.
+    pixels : int
+        Width and height of the picture.
+    """
+    field = _rippled_prism(inradius, height, bevel, ripple, 2 * np.pi / ripple_length)
+    # Outside the triangle, whose corners are at twice its inradius, and the two ends.
+    reach = np.array([3 * inradius, 3 * inradius, height])
+    glass = _stand(level_set(field, reach, subdivisions))
+    return Scene(
+        [
+            floor(20.0),
+            SceneObject(glass, Dielectric(ior), "prism", smooth=True),
+            SceneObject(_screen(glass), Diffuse(0.2), "screen"),
+        ],
+        [PointEmitter(_LIGHT, power)],
+        Camera((2.6, 1.5, 2.8), (1.2, 0.72, 0.0), vertical_fov=31.0, width=pixels, height=pixels),
+        name="prism",
+    )
+
+
+def _rippled_prism(
+    inradius: float, height: float, bevel: float, ripple: float, wavenumber: float
+) -> Field:
+    """Return the smooth maximum of the distances to five planes, plus plane waves."""
+    azimuth = 2 * np.pi * np.arange(3) / 3 - np.pi / 6
+    sides = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros(3)])
+    normals = np.vstack([sides, [[0, 0, 1], [0, 0, -1]]])
+    offsets = np.array([inradius] * 3 + [height / 2] * 2)
+    waves = wavenumber * _DIRECTIONS
+
+    def field(points: Floats) -> tuple[Floats, Floats]:
+        distance = points @ normals.T - offsets
+        nearest = distance.max(axis=1, keepdims=True)
+        share = np.exp((distance - nearest) / bevel)
+        total = share.sum(axis=1, keepdims=True)
+        phase = points @ waves.T + _PHASES
+        value = nearest[:, 0] + bevel * np.log(total[:, 0]) + ripple * np.sin(phase).sum(axis=1)
+        return value, share / total @ normals + ripple * np.cos(phase) @ waves
+
+    return field
+
+
+def _stand(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return a mesh leaned, turned and set down a hair above the floor."""
+    from trimesh.transformations import rotation_matrix
+
+    lean = rotation_matrix(np.radians(_LEAN), [0, 1, 0])
+    turn = rotation_matrix(np.radians(_TURN), [0, 0, 1])
+    rotation = (turn @ lean)[:3, :3]
+    vertices = mesh.vertices @ rotation.T
+    vertices[:, 2] += 1e-3 - vertices[:, 2].min()
+    return make_mesh(vertices, mesh.faces, mesh.vertex_normals @ rotation.T)
+
+
+def _screen(glass: trimesh.Trimesh, margin: float = 0.05) -> trimesh.Trimesh:
+    """Return an upright screen with a window just smaller than the glass seen from the light."""
+    x = glass.vertices[:, 0].min() - 0.1
+    seen = glass.vertices - _LIGHT
+    on_screen = _LIGHT[1:] + seen[:, 1:] * ((x - _LIGHT[0]) / seen[:, :1])
+    (left, bottom), (right, top) = on_screen.min(axis=0) + margin, on_screen.max(axis=0) - margin
+    outer = [(-4.0, 0.0), (4.0, 0.0), (4.0, 3.0), (-4.0, 3.0)]
+    inner = [(left, bottom), (right, bottom), (right, top), (left, top)]
+    vertices = np.array([(x, y, z) for y, z in outer + inner])
+    faces = [f for i in range(4) for f in ((i, (i + 1) % 4, 4 + i), ((i + 1) % 4, 4 + (i + 1) % 4, 4 + i))]
+    return make_mesh(vertices, np.array(faces))

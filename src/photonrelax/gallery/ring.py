@@ -1,0 +1,88 @@
+"""A metal ring on the floor in slanting sunlight: the cardioid of SSO08 Fig. 6."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._arrays import Floats
+from ..scene import Camera, CollimatedEmitter, Mirror, Scene, SceneObject
+from ._shapes import floor, grid_faces, join
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+def ring(
+    *,
+    radius: float = 1.0,
+    thickness: float = 0.04,
+    height: float = 0.5,
+    gap: float = 1e-3,
+    elevation: float = 35.0,
+    reflectance: float = 0.95,
+    irradiance: float = 2.0,
+    sections: int = 1024,
+    pixels: int = 600,
+) -> Scene:
+    """Return a polished ring around the origin; light comes over its rim from -x.
+
+    Parameters
+    ----------
+    radius, thickness, height : float
+        Inner radius, width of the rim and height of the wall, m.
+    gap : float
+        Between the ring and the floor, so that they share no face, m.
+    elevation : float
+        Of the light above the horizon, degrees.
+    reflectance : float
+        Of the metal.
+    irradiance : float
+        Of the light, on a plane facing it, W/m².
+    sections : int
+        Facets around the ring; normals are those of the true cylinder.
+    pixels : int
+        Width and height of the picture.
+    """
+    metal = _tube(radius, radius + thickness, gap, gap + height, sections)
+    down = np.radians(elevation)
+    eye, target = radius * np.array([[0.0, -2.2, 3.6], [0.0, -0.02, 0.0]])
+    return Scene(
+        [
+            floor(20.0 * radius),
+            SceneObject(metal, Mirror(reflectance), "ring", smooth=True),
+        ],
+        [CollimatedEmitter((np.cos(down), 0.0, -np.sin(down)), irradiance)],
+        Camera(eye, target, vertical_fov=36.0, width=pixels, height=pixels),
+        name="ring",
+    )
+
+
+def _tube(
+    inner: float, outer: float, bottom: float, top: float, sections: int
+) -> trimesh.Trimesh:
+    """Return a tube of four bands that share no vertices, so that its edges stay sharp."""
+    return join(
+        [
+            _band((inner, top), (inner, bottom), (-1.0, 0.0), sections),
+            _band((inner, bottom), (outer, bottom), (0.0, -1.0), sections),
+            _band((outer, bottom), (outer, top), (1.0, 0.0), sections),
+            _band((outer, top), (inner, top), (0.0, 1.0), sections),
+        ]
+    )
+
+
+def _band(
+    start: tuple[float, float], end: tuple[float, float], normal: tuple[float, float], sections: int
+) -> tuple[Floats, Floats, NDArray[np.intp]]:
+    """Return what a segment in the plane of (distance from the axis, height) sweeps out."""
+    azimuth = np.linspace(0.0, 2 * np.pi, sections + 1)
+    spin = np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+
+    def sweep(point: tuple[float, float]) -> Floats:
+        return np.column_stack([point[0] * spin, np.full(len(spin), point[1])])
+
+    vertices = np.concatenate([sweep(start), sweep(end)])
+    return vertices, np.tile(sweep(normal), (2, 1)), grid_faces(2, sections + 1)
