@@ -33,7 +33,9 @@ def floor(half_size: float, albedo: float = 0.8) -> SceneObject:
     """Return a square diffuse floor at z = 0 around the origin."""
     s = half_size
     corners = np.array([[-s, -s, 0.0], [s, -s, 0.0], [s, s, 0.0], [-s, s, 0.0]])
-    return SceneObject(make_mesh(corners, np.array([[0, 1, 2], [0, 2, 3]])), Diffuse(albedo), "floor")
+    return SceneObject(
+        make_mesh(corners, np.array([[0, 1, 2], [0, 2, 3]])), Diffuse(albedo), "floor"
+    )
 
 
 def grid_faces(rows: int, columns: int) -> NDArray[np.intp]:

@@ -117,5 +117,9 @@ def _screen(glass: trimesh.Trimesh, margin: float = 0.05) -> trimesh.Trimesh:
     outer = [(-4.0, 0.0), (4.0, 0.0), (4.0, 3.0), (-4.0, 3.0)]
     inner = [(left, bottom), (right, bottom), (right, top), (left, top)]
     vertices = np.array([(x, y, z) for y, z in outer + inner])
-    faces = [f for i in range(4) for f in ((i, (i + 1) % 4, 4 + i), ((i + 1) % 4, 4 + (i + 1) % 4, 4 + i))]
+    faces = [
+        f
+        for i in range(4)
+        for f in ((i, (i + 1) % 4, 4 + i), ((i + 1) % 4, 4 + (i + 1) % 4, 4 + i))
+    ]
     return make_mesh(vertices, np.array(faces))

@@ -21,9 +21,9 @@ def ring(
     thickness: float = 0.04,
     height: float = 0.5,
     gap: float = 1e-3,
-    elevation: float = 35.0,
+    elevation: float = 28.0,
     reflectance: float = 0.95,
-    irradiance: float = 2.0,
+    irradiance: float = 2.5,
     sections: int = 1024,
     pixels: int = 600,
 ) -> Scene:
@@ -60,9 +60,7 @@ def ring(
     )
 
 
-def _tube(
-    inner: float, outer: float, bottom: float, top: float, sections: int
-) -> trimesh.Trimesh:
+def _tube(inner: float, outer: float, bottom: float, top: float, sections: int) -> trimesh.Trimesh:
     """Return a tube of four bands that share no vertices, so that its edges stay sharp."""
     return join(
         [

@@ -29,7 +29,7 @@ def ripples(
     *,
     half_size: float = 1.0,
     thickness: float = 0.2,
-    amplitude: float = 0.02,
+    amplitude: float = 0.06,
     gap: float = 1.2,
     ior: float = 1.33,
     irradiance: float = 1.5,
@@ -60,14 +60,14 @@ def ripples(
             f"amplitude should be less than thickness, {thickness}, but is {amplitude}"
         )
     slab = _wavy_slab(half_size, gap, gap + thickness, amplitude, resolution)
-    eye = np.array([0.0, -1.7 * half_size, 0.9 * gap])
+    eye = np.array([0.0, -2.1 * half_size, 0.9 * gap])
     return Scene(
         [
             floor(20.0 * half_size),
             SceneObject(slab, Dielectric(ior), "slab", smooth=True),
         ],
         [CollimatedEmitter((0.0, 0.0, -1.0), irradiance)],
-        Camera(eye, (0.0, -0.1 * half_size, 0.0), vertical_fov=50.0, width=pixels, height=pixels),
+        Camera(eye, (0.0, -0.15 * half_size, 0.0), vertical_fov=46.0, width=pixels, height=pixels),
         name="ripples",
     )
 

@@ -13,7 +13,7 @@ def sphere(
     radius: float = 1.0,
     gap: float = 0.2,
     ior: float = 1.5,
-    irradiance: float = 1.0,
+    irradiance: float = 0.8,
     floor_half_size: float = 20.0,
     subdivisions: int = 7,
     pixels: int = 600,
@@ -46,7 +46,7 @@ def sphere(
     normals = np.asarray(ball.vertices)
     centre = np.array([0.0, 0.0, radius + gap])
     glass = make_mesh(centre + radius * normals, np.asarray(ball.faces), normals)
-    eye, target = radius * np.array([[0.0, -5.0, 3.2], [0.0, 0.0, 0.6]])
+    eye, target = radius * np.array([[0.0, -5.6, 2.0], [0.0, 0.0, 0.7]])
     return Scene(
         [
             floor(floor_half_size),
