@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from types import UnionType
 from typing import TYPE_CHECKING
 
@@ -304,7 +305,7 @@ class Scene:
             i for i, item in enumerate(self.objects) if not isinstance(item.material, Diffuse)
         )
 
-    @property
+    @cached_property
     def scale(self) -> float:
         """Length of the diagonal of the box around all objects, m."""
         low, high = self._bounds(range(len(self.objects)))
