@@ -75,7 +75,7 @@ def int_array(
         raise TypeError(f"{name} should be an array of integers, but its dtype is {array.dtype}")
     if shape is not None:
         _check_shape(array.shape, name, shape)
-    converted = np.ascontiguousarray(array, dtype=dtype).reshape(array.shape)
+    converted: NDArray = np.ascontiguousarray(array, dtype=dtype).reshape(array.shape)
     if not np.array_equal(converted, array):
         raise ValueError(f"{name} should fit {np.dtype(dtype).name}, but some values do not")
     return converted

@@ -24,7 +24,7 @@ KERNELS = {
     "cone": _estimate.CONE,
     "epanechnikov": _estimate.EPANECHNIKOV,
 }
-_WELL_SPACED_BIAS = {"constant": (0.45, -1.0), "cone": (0.42, -1.5), "epanechnikov": (0.57, -1.5)}
+_WELL_SPACED_BIAS = {"constant": (0.43, -1.0), "cone": (0.45, -1.5), "epanechnikov": (0.57, -1.5)}
 # Photons on a face turned by more than 60° from the point's light another surface; this is the
 # length of the chord between unit normals at that angle.
 _NORMAL_RANGE = 1.0
@@ -193,8 +193,9 @@ def well_spaced_bias(k: int, kernel: str) -> float:
     """Return the mean k-nearest estimate of a uniform field from evenly spaced photons over truth.
 
     For independent photons it is one, whatever the kernel. Evenly spaced photons number k − 1/2,
-    not k − 1, within the distance to the k-th, and are missing from its rim. The constants are
-    fitted to uniform fields of Halton and relaxed photons, for k from 4 to 100.
+    not k − 1, within the distance to the k-th, and are missing from its rim. The constants lie
+    between those fitted to uniform fields of Halton and of relaxed photons, which they bring to
+    within 0.3 % of the truth for k of 15 and more.
     """
     factor, exponent = _WELL_SPACED_BIAS[kernel]
     return 1.0 - factor * k**exponent
@@ -210,8 +211,15 @@ def automatic_gather_radius(tree: KDTree, k: int, *, n_threads: int | None = Non
     """
     step = max(len(tree) // _SAMPLE, 1)
     sample = np.asarray(tree.kernel.points)[::step]
-    nearest = tree.query(sample[:, : tree.n_metric], min(k, len(tree)), n_threads=n_threads)
-    radius = float(np.quantile(nearest.distance[:, -1], _SHARE))
+    nearest = tree.query(
+        sample,
+        min(k, len(tree)),
+        range_radius=_NORMAL_RANGE if tree.n_axes > tree.n_metric else None,
+        n_threads=n_threads,
+    )
+    # Where fewer than k photons face the same way, the farthest of them counts.
+    farthest = np.where(np.isfinite(nearest.distance), nearest.distance, 0.0).max(axis=1)
+    radius = float(np.quantile(farthest, _SHARE))
     if radius == 0.0:
         raise ValueError(
             f"no gather radius follows from {len(tree)} photons that coincide: give gather_radius"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,7 @@ __all__ = [
     "photon_tree",
     "principal_components",
 ]
+
 
 @dataclass(frozen=True)
 class StructureSettings:
@@ -92,12 +94,10 @@ class Structure:
 
     def subset(self, rows: _arrays.Rows) -> Structure:
         """Return the structure of some of the photons."""
-        return Structure(
-            **{
-                field.name: _rows(getattr(self, field.name), rows)
-                for field in fields(self)
-            }
-        )
+        chosen: dict[str, Any] = {
+            field.name: _rows(getattr(self, field.name), rows) for field in fields(self)
+        }
+        return Structure(**chosen)
 
 
 def detect_structure(
@@ -237,9 +237,7 @@ def _detect_group(
     return result
 
 
-def _merge(
-    parts: list[Structure], groups: list[_arrays.Rows], ranges: Floats | None
-) -> Structure:
+def _merge(parts: list[Structure], groups: list[_arrays.Rows], ranges: Floats | None) -> Structure:
     """Put the rows of each emitter's structure where its photons are."""
     n = sum(len(part) for part in parts)
     merged = {}

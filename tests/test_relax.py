@@ -1,0 +1,214 @@
+"""Relaxation: the force by definition, what it keeps, and what it makes even."""
+
+import numpy as np
+import pytest
+import trimesh
+from conftest import flat_map, uniform_map, unit_square
+
+import photonrelax as pr
+
+
+def relaxed(photons, scene=None, n_threads=None, **settings):
+    found = pr.detect_structure(photons, n_threads=n_threads)
+    return pr.relax(photons, found, pr.RelaxSettings(**settings), scene=scene, n_threads=n_threads)
+
+
+def force(photons, i, ids):
+    """SJ13 Eq. 8 over the given neighbours, the photon itself and the farthest among them."""
+    offsets = photons.position[i] - photons.position[ids]
+    distance = np.linalg.norm(offsets, axis=1)
+    others = distance > 0
+    weight = distance.max() / distance[others] - 1
+    return (offsets[others] * weight[:, np.newaxis]).sum(axis=0) / len(ids)
+
+
+@pytest.mark.parametrize("stage", ["constrained", "collapsed"])
+def test_one_iteration_equals_its_definition(stage):
+    uv = unit_square(1500, "random", seed=4)
+    photons = flat_map(np.column_stack([(2 * uv[:, 0] - 1) ** 2, uv[:, 1]]), 1500, coords=uv)
+    found = pr.detect_structure(photons)
+    iterations = (1, 0) if stage == "constrained" else (0, 1)
+    settings = pr.RelaxSettings(n_iterations=iterations, k=12, step=0.7, largest_step=np.inf)
+    moved = pr.relax(photons, found, settings).position
+    for i in range(0, 1500, 29):
+        gap = np.linalg.norm(photons.emitter_coords - photons.emitter_coords[i], axis=1)
+        allowed = (
+            np.flatnonzero(gap <= found.emitter_range[i]) if iterations[0] else np.arange(1500)
+        )
+        distance = np.linalg.norm(photons.position[allowed] - photons.position[i], axis=1)
+        f = force(photons, i, allowed[np.argsort(distance)[:12]])
+        u, v = found.basis[i]
+        constrained = u * (u @ f) + (1 - found.constraint[i]) * v * (v @ f)  # Eq. 9
+        np.testing.assert_allclose(
+            moved[i], photons.position[i] + 0.7 * constrained, rtol=0, atol=1e-14
+        )
+
+
+def test_neither_flux_nor_input_changes():
+    photons = uniform_map(5000, "random")
+    before = photons.position.tobytes()
+    after = relaxed(photons)
+    assert photons.position.tobytes() == before
+    assert after.position.tobytes() != before
+    assert after.flux.tobytes() == photons.flux.tobytes()
+    assert after.well_spaced
+
+
+@pytest.mark.parametrize(
+    ("kind", "before", "after"), [("random", 0.32, 0.12), ("halton", 0.08, 0.03)]
+)
+def test_uniform_light_becomes_even(kind, before, after, interior):
+    """Noise at k = 15 falls from 32 % to 12 %, or from 8 % to 3 %; the mean stays true."""
+    photons = uniform_map(400_000, kind)
+    points, normals = interior
+    estimates = [
+        pr.estimate_irradiance(m, points, normals)[:, 0] for m in (photons, relaxed(photons))
+    ]
+    noise = [e.std() / e.mean() for e in estimates]
+    assert noise[0] == pytest.approx(before, abs=0.02)
+    assert noise[1] <= after
+    assert estimates[1].mean() == pytest.approx(1.0, rel=3e-3)
+
+
+def test_the_constraint_keeps_an_edge():
+    """Unconstrained, light flows out of a disc; constrained, by a fraction of photon spacing."""
+    xy = unit_square(60_000, "random")
+    xy = xy[np.linalg.norm(xy - 0.5, axis=1) < 0.3]
+    photons = flat_map(xy, 60_000)
+    found = pr.detect_structure(photons)
+    free = pr.Structure(**{**vars(found), "constraint": np.zeros(len(photons))})
+    spacing = 60_000**-0.5
+    outer = [
+        np.quantile(np.linalg.norm(m.position[:, :2] - 0.5, axis=1), 0.99)
+        for m in (photons, pr.relax(photons, found), pr.relax(photons, free))
+    ]
+    assert outer[1] - outer[0] < 0.25 * spacing
+    assert outer[2] - outer[0] > spacing
+
+
+def test_strays_cannot_fly_off():
+    """A lone pair far from a dense patch: repelled by all of it, but never by leaps."""
+    xy = np.concatenate([0.01 * unit_square(500, "random"), [[0.5, 0.5], [0.5, 0.51]]])
+    photons = flat_map(xy, 500).replace(emitter_coords=None, emitter_density=None)
+    found = pr.detect_structure(photons)
+    moved = pr.relax(photons, found, pr.RelaxSettings((0, 50))).position
+    travelled = np.linalg.norm(moved - photons.position, axis=1)
+    assert travelled.max() <= 50 * 0.1 * found.radius.max()
+    assert travelled[:500].max() < 0.05
+
+
+def test_too_few_in_range_and_coincident_photons_stay():
+    three = flat_map(unit_square(3, "random"), 3)
+    np.testing.assert_array_equal(relaxed(three).position, three.position)
+    coincident = flat_map(np.full((40, 2), 0.25), 40)
+    np.testing.assert_array_equal(relaxed(coincident).position, coincident.position)
+
+
+def test_no_iterations_change_nothing():
+    photons = uniform_map(100, "random")
+    assert relaxed(photons, n_iterations=(0, 0)) is photons
+
+
+@pytest.mark.parametrize("n_threads", [2, 7])
+def test_same_bytes_for_every_number_of_threads(n_threads):
+    photons = uniform_map(20_000, "random")
+    one, many = relaxed(photons, n_threads=1), relaxed(photons, n_threads=n_threads)
+    assert one.position.tobytes() == many.position.tobytes()
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(1e-4, 0), (1e4, 0), (1, 1e4)])
+def test_neither_unit_nor_origin_matter(scale, shift):
+    photons = uniform_map(3000, "random")
+    other = photons.replace(position=photons.position * scale + [shift, -shift, shift])
+    a, b = relaxed(photons).position, (relaxed(other).position - [shift, -shift, shift]) / scale
+    np.testing.assert_allclose(a, b, atol=1e-7)
+
+
+def test_rotation_turns_the_result_with_it():
+    photons = uniform_map(3000, "random")
+    rotation = trimesh.transformations.rotation_matrix(0.7, [1, 2, 3])[:3, :3]
+    turned = photons.replace(
+        position=photons.position @ rotation.T, normal=photons.normal @ rotation.T
+    )
+    np.testing.assert_allclose(
+        relaxed(turned).position, relaxed(photons).position @ rotation.T, atol=1e-6
+    )
+
+
+def sphere_map(n, radius, mesh):
+    """Photons scattered over part of a tessellated sphere, each on its face."""
+    rng = np.random.default_rng(8)
+    position, face = trimesh.sample.sample_surface(mesh, n, seed=int(rng.integers(1000)))
+    return pr.PhotonMap(
+        position, mesh.face_normals[face], np.ones(n) / n, object_id=np.zeros(n, dtype=int)
+    )
+
+
+def test_photons_stay_on_a_curved_surface():
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=2.0)
+    scene = pr.Scene(
+        [pr.SceneObject(mesh, pr.Diffuse())], [pr.CollimatedEmitter(direction=(0, 0, -1))]
+    )
+    photons = sphere_map(4000, 2.0, mesh)
+    after = relaxed(photons, scene)
+    moved = np.linalg.norm(after.position - photons.position, axis=1)
+    assert np.median(moved) > 0.01
+    _, distance, face = trimesh.proximity.closest_point(mesh, after.position)
+    assert distance.max() < 1e-6 * scene.scale
+    alignment = np.einsum("ij,ij->i", after.normal, mesh.face_normals[face])
+    assert np.median(alignment) == pytest.approx(1.0)
+    # Spread evenly: distances to the nearest photon vary far less than before.
+    spacing = [pr.KDTree(m.position).query_self(2).distance[:, 1] for m in (photons, after)]
+    assert spacing[1].std() / spacing[1].mean() < 0.5 * spacing[0].std() / spacing[0].mean()
+
+
+def test_moves_that_leave_the_surface_are_not_made():
+    floor = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+    scene = pr.Scene(
+        [pr.SceneObject(floor, pr.Diffuse())], [pr.CollimatedEmitter(direction=(0, 0, -1))]
+    )
+    photons = uniform_map(5000, "random").replace(object_id=np.zeros(5000, dtype=int))
+    kept, free = relaxed(photons, scene).position, relaxed(photons).position
+    assert kept[:, :2].min() >= 0.0
+    assert kept[:, :2].max() <= 1.0
+    assert (kept[:, 2] == 0.0).all()
+    assert free[:, :2].min() < 0.0
+
+
+def test_emitters_are_relaxed_apart():
+    first, second = uniform_map(3000, "random", 1), uniform_map(2000, "random", 2)
+    fields = ("position", "normal", "flux", "emitter_coords", "emitter_density")
+    both = pr.PhotonMap(
+        **{f: np.concatenate([getattr(first, f), getattr(second, f)]) for f in fields},
+        emitter_id=np.repeat([0, 1], [3000, 2000]),
+    )
+    apart = np.concatenate([relaxed(m).position for m in (first, second)])
+    np.testing.assert_array_equal(relaxed(both).position, apart)
+
+
+def test_bad_input_is_refused():
+    photons = uniform_map(100, "random")
+    found = pr.detect_structure(photons)
+    scene = pr.Scene(
+        [pr.SceneObject(trimesh.creation.box(), pr.Diffuse())],
+        [pr.CollimatedEmitter(direction=(0, 0, -1))],
+    )
+    with pytest.raises(ValueError, match="structure should be of these 50 photons, but is of 100"):
+        pr.relax(photons.subset(slice(50)), found)
+    with pytest.raises(ValueError, match="should have an object_id"):
+        pr.relax(photons, found, scene=scene)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"n_iterations": (1, 2, 3)}, "n_iterations should be two numbers"),
+        ({"n_iterations": (-1, 2)}, "n_iterations should be at least 0"),
+        ({"k": 2}, "k should be at least 4"),
+        ({"step": np.nan}, "step should be"),
+        ({"largest_step": 0}, "largest_step should be a positive"),
+    ],
+)
+def test_bad_settings_are_refused(fields, message):
+    with pytest.raises(ValueError, match=message):
+        pr.RelaxSettings(**fields)
