@@ -1,6 +1,5 @@
 """The command line: what it parses, prints, writes and returns."""
 
-import json
 import subprocess
 import sys
 
@@ -10,7 +9,6 @@ import pytest
 import photonrelax as pr
 from photonrelax import cli, gallery
 from photonrelax._text import describe_photons, stage_table
-from photonrelax.image import read_exr
 
 HEAVY = ("scipy", "trimesh", "matplotlib", "OpenEXR", "tqdm")
 
