@@ -128,16 +128,15 @@ def test_photons_on_faces_turned_away_are_not_counted():
     assert (pr.estimate_irradiance(top, points, -normals) == 0.0).all()
 
 
-def test_average_of_what_photons_carry():
-    """Weighted with flux: left photons carry 1, right ones 5."""
+def test_densities_of_what_photons_carry(interior):
+    """Flux doubled is density doubled; any number of channels."""
     photons = uniform_map(10_000, "random")
-    right = photons.position[:, :1] > 0.5
     field = pr.IrradianceField(photons)
-    points, normals = plane(np.array([[0.25, 0.5], [0.75, 0.5], [9.0, 9.0]]))
-    averages = field.average(np.where(right, 5.0, 1.0), points, normals)
-    np.testing.assert_allclose(averages[:, 0], [1.0, 5.0, 0.0])
-    mixed = field.average(np.where(right, 5.0, 1.0), *plane(np.array([[0.5, 0.5]])))
-    assert 1.0 < mixed[0, 0] < 5.0
+    values = np.hstack([photons.flux, 2 * photons.flux[:, :1], np.zeros((10_000, 1))])
+    found = field.densities(values)(*interior)
+    np.testing.assert_array_equal(found[:, :3], field(*interior))
+    np.testing.assert_allclose(found[:, 3], 2 * found[:, 0])
+    assert (found[:, 4] == 0.0).all()
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1e4])
@@ -194,7 +193,7 @@ def test_bad_input_is_refused():
     with pytest.raises(ValueError, match="points should be finite"):
         pr.estimate_irradiance(photons, points + np.nan, normals)
     with pytest.raises(ValueError, match=r"values should have shape \(100, n\)"):
-        pr.IrradianceField(photons).average(np.zeros((3, 1)), points, normals)
+        pr.IrradianceField(photons).densities(np.zeros((3, 1)))
 
 
 @pytest.mark.parametrize(

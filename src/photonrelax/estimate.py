@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -75,13 +76,15 @@ class IrradianceField:
     settings : GatherSettings, optional
     structure : Structure, optional
         What was found for these photons on the way, for those who want to look at it.
+    seconds : dict, optional
+        How long each stage of the preparation took.
     n_threads : int, optional
         Threads; all available by default. Results do not depend on it.
 
     Attributes
     ----------
-    photons, settings, structure
-        As given; `settings.gather_radius` holds the radius in use, NaN for an empty map.
+    photons, settings, structure, seconds
+        As given; `settings.gather_radius` holds the radius in use, None for an empty map.
 
     Raises
     ------
@@ -95,12 +98,15 @@ class IrradianceField:
         settings: GatherSettings | None = None,
         *,
         structure: Structure | None = None,
+        seconds: dict[str, float] | None = None,
         n_threads: int | None = None,
     ) -> None:
         settings = settings or GatherSettings()
         self.photons = photons
         self.structure = structure
+        self.seconds = seconds or {}
         self._n_threads = _arrays.thread_count(n_threads)
+        # One way up for all photons, as on a plane, makes the axes of the normal superfluous.
         self._flat = bool((photons.normal == photons.normal[:1]).all())
         points = photons.position if self._flat else np.hstack([photons.position, photons.normal])
         self._tree = KDTree(points, n_metric=3, n_threads=self._n_threads)
@@ -125,68 +131,71 @@ class IrradianceField:
         -------
         (m, 3) float array
             W/m².
-        """
-        return self._densities(self.photons.flux, points, normals, progress)
 
-    def average(
-        self,
-        values: ArrayLike,
-        points: ArrayLike,
-        normals: ArrayLike,
-        *,
-        progress: Progress | None = None,
-    ) -> Floats:
-        """Return the mean of values photons carry, weighted as their flux is in the irradiance.
+        Raises
+        ------
+        TypeError, ValueError
+            If a shape is wrong, a value is not finite or a normal is zero.
+        """
+        return self.densities(self.photons.flux)(points, normals, progress=progress)
+
+    def densities(self, values: ArrayLike) -> Densities:
+        """Return what estimates, per area, anything else that photons carry.
 
         Parameters
         ----------
         values : (n, c) array_like
             One row a photon.
-        points, normals : (m, 3) array_like
-            As for the irradiance.
-        progress : callable, optional
-            Called as ``progress("estimate", done, m)``.
 
         Returns
         -------
-        (m, c) float array
-            Zero where no photon is in reach.
+        Densities
+            Called as ``densities(points, normals)``, like the field itself; gives (m, c).
+
+        Raises
+        ------
+        TypeError, ValueError
+            If `values` does not have a row for each photon.
         """
         array = _arrays.float_array(values, "values", (len(self.photons), None))
-        flux = self.photons.flux.mean(axis=1, keepdims=True)
-        sums = self._densities(np.hstack([flux, flux * array]), points, normals, progress)
-        total = sums[:, :1]
-        return np.divide(sums[:, 1:], total, out=np.zeros_like(sums[:, 1:]), where=total > 0.0)
+        return Densities(self, array)
 
-    def _densities(
-        self, values: Floats, points: ArrayLike, normals: ArrayLike, progress: Progress | None
-    ) -> Floats:
-        """Return the estimated values per area, (m, c), of photons that carry `values` (n, c)."""
-        points = _arrays.float_array(points, "points", (None, 3))
-        normals = _arrays.unit_vectors(normals, "normals", (len(points), 3))
-        densities = np.zeros((len(points), values.shape[1]))
-        if len(self.photons) == 0:
-            return densities
-        queries = points if self._flat else np.hstack([points, normals])
-        photons = self._gather(values)
-        for first, end in Reporter(progress, "estimate", len(points)).chunks(len(points)):
-            photons.densities(queries, first, end, densities, self._n_threads)
-        if self._flat:
-            turned = np.linalg.norm(normals - self.photons.normal[0], axis=1) > _NORMAL_RANGE
-            densities[turned] = 0.0
-        return densities
 
-    def _gather(self, values: Floats) -> _estimate.Gather:
-        k, kernel = self.settings.k, self.settings.kernel
-        return _estimate.Gather(
-            self._tree.kernel,
-            values[np.asarray(self._tree.kernel.ids)],
+class Densities:
+    """Estimates per area of values that the photons of a field carry; see `densities` there."""
+
+    def __init__(self, field: IrradianceField, values: Floats) -> None:
+        self._field = field
+        self._n_channels = values.shape[1]
+        k, kernel = field.settings.k, field.settings.kernel
+        radius = field.settings.gather_radius
+        self._kernel = _estimate.Gather(
+            field._tree.kernel,
+            values[np.asarray(field._tree.kernel.ids)],
             k,
             KERNELS[kernel],
-            radius=self.settings.gather_radius,
-            normal_range=-1.0 if self._flat else _NORMAL_RANGE,
-            nearest_scale=1.0 / well_spaced_bias(k, kernel) if self.photons.well_spaced else 1.0,
+            radius=np.inf if radius is None else radius,
+            normal_range=-1.0 if field._flat else _NORMAL_RANGE,
+            nearest_scale=1.0 / well_spaced_bias(k, kernel) if field.photons.well_spaced else 1.0,
         )
+
+    def __call__(
+        self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
+    ) -> Floats:
+        """Return the estimates (m, c) at points (m, 3) on surfaces with the given normals."""
+        points = _arrays.float_array(points, "points", (None, 3))
+        normals = _arrays.unit_vectors(normals, "normals", (len(points), 3))
+        out = np.zeros((len(points), self._n_channels))
+        photons, flat = self._field.photons, self._field._flat
+        if len(photons) == 0:
+            return out
+        queries = points if flat else np.hstack([points, normals])
+        for first, end in Reporter(progress, "estimate", len(points)).chunks(len(points)):
+            self._kernel.densities(queries, first, end, out, self._field._n_threads)
+        if flat:
+            turned = np.linalg.norm(normals - photons.normal[0], axis=1) > _NORMAL_RANGE
+            out[turned] = 0.0
+        return out
 
 
 def well_spaced_bias(k: int, kernel: str) -> float:
@@ -303,11 +312,14 @@ def irradiance_field(
     check_method(method)
     if method == "standard":
         return IrradianceField(photons, gather, n_threads=n_threads)
+    started = perf_counter()
     found = detect_structure(photons, structure, n_threads=n_threads, progress=progress)
+    detected = perf_counter()
     relaxed = relax_photons(
         photons, found, relax, scene=scene, n_threads=n_threads, progress=progress
     )
-    return IrradianceField(relaxed, gather, structure=found, n_threads=n_threads)
+    seconds = {"structure": detected - started, "relax": perf_counter() - detected}
+    return IrradianceField(relaxed, gather, structure=found, seconds=seconds, n_threads=n_threads)
 
 
 def check_method(method: str) -> None:

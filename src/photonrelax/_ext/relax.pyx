@@ -14,7 +14,7 @@ cdef enum:
 
 
 cdef class Sheet:
-    """Views of what a move reads: each photon's normal, constraint basis, range and largest step."""
+    """What a move reads of each photon: normal, constraint basis, range and largest step."""
 
     cdef const double[:, ::1] normal
     cdef const double[:, :, ::1] basis
