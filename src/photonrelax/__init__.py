@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from .structure import detect_structure as detect_structure
     from .trace import trace_photons as trace_photons
 
+__version__ = "0.1.0"
+
 _MODULE_OF = {
     "Camera": "scene",
     "CollimatedEmitter": "scene",
@@ -87,10 +89,6 @@ sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> object:
-    if name == "__version__":
-        from importlib.metadata import version
-
-        return version("photonrelax")
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'photonrelax' has no attribute {name!r}")
     module = importlib.import_module(f".{_MODULE_OF[name]}", __name__)

@@ -115,9 +115,7 @@ class _Pipeline:
         photons = trace_photons(
             self._scene, n_emitted, seed=seed, n_threads=self._n_threads, progress=self._progress
         )
-        self._finished(
-            "trace", perf_counter() - started, emitted=n_emitted, stored=len(photons)
-        )
+        self._finished("trace", perf_counter() - started, emitted=n_emitted, stored=len(photons))
         return photons
 
     def prepare(
@@ -269,7 +267,8 @@ class _Picture:
 def _pixel_sums(pixel: NDArray, values: Floats, shape: tuple[int, int]) -> Floats:
     """Return the sums over hit points (m, c) in each pixel, (height, width, c)."""
     sums = [np.bincount(pixel, column, minlength=shape[0] * shape[1]) for column in values.T]
-    return np.stack(sums, axis=-1).reshape(*shape, -1)
+    stacked: Floats = np.stack(sums, axis=-1)
+    return stacked.reshape(*shape, -1)
 
 
 def _photon_attributes(field: IrradianceField) -> dict[str, Floats]:
