@@ -331,14 +331,12 @@ cdef class Paths:
         Deposits deposits,
     ) noexcept nogil:
         """Deposit what is wanted; true if the path is scattered on in direction `out`."""
-        cdef bint direct = self.n_specular[path] == 0 and self.n_diffuse[path] == 0
-        cdef bint caustic = self.n_specular[path] > 0 and self.n_diffuse[path] == 0
         cdef bint stored = True
         cdef int fate
         if self.wanted == CAUSTIC:
-            stored = caustic
+            stored = self.n_specular[path] > 0
         elif self.wanted == GLOBAL:
-            stored = not (direct or caustic)
+            stored = self.n_diffuse[path] > 0
         fate = STORED if stored else DISCARDED
         if stored:
             self.deposit(path, event, &hits.position[ray, 0], deposits)
