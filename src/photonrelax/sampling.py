@@ -6,6 +6,8 @@ and the sphere. They distort little, so Halton points stay evenly spaced (SJ13 e
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -147,7 +149,13 @@ def sphere_pdf(directions: ArrayLike) -> Floats:
     return np.full(len(_directions(directions)), 0.25 / np.pi)
 
 
-def _mapped(kernel, points: Floats, columns: int, n_threads: int | None, *numbers) -> Floats:  # type: ignore[no-untyped-def]
+def _mapped(
+    kernel: Callable[..., None],
+    points: Floats,
+    columns: int,
+    n_threads: int | None,
+    *numbers: float,
+) -> Floats:
     out = np.empty((len(points), columns))
     kernel(points, *numbers, out, thread_count(n_threads))
     return out

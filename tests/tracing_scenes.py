@@ -1,0 +1,69 @@
+"""Small scenes to trace photons through."""
+
+import trimesh
+
+import photonrelax as pr
+
+DOWN = pr.CollimatedEmitter([0, 0, -1])
+
+
+def box(extents, centre=(0.0, 0.0, 0.0)):
+    mesh = trimesh.creation.box(extents)
+    mesh.apply_translation(centre)
+    return mesh
+
+
+def sheet(size, z=0.0):
+    corners = [[-size, -size, z], [size, -size, z], [size, size, z], [-size, size, z]]
+    return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+
+
+def ball(radius, centre, subdivisions=3):
+    mesh = trimesh.creation.icosphere(subdivisions, radius)
+    mesh.apply_translation(centre)
+    return mesh
+
+
+def floor(size=4.0, albedo=0.8):
+    return pr.SceneObject(sheet(size), pr.Diffuse(albedo))
+
+
+def slab(absorption=0.0, ior=1.5):
+    return pr.SceneObject(box([4, 4, 0.02], [0, 0, 1]), pr.Dielectric(ior, absorption=absorption))
+
+
+def glass_ball(smooth=True, **glass):
+    return pr.SceneObject(ball(0.5, [0, 0, 1]), pr.Dielectric(**glass), smooth=smooth)
+
+
+def mirror_ball(reflectance=1.0):
+    # Coarse and smooth: interpolated normals often point away from the rays.
+    return pr.SceneObject(ball(0.5, [1, 0, 1], 1), pr.Mirror(reflectance), smooth=True)
+
+
+def enclosure(albedo):
+    return pr.SceneObject(box([2, 2, 2]), pr.Diffuse(albedo))
+
+
+INSIDE = pr.PointEmitter([0.1, 0.2, 0.3], (1.0, 2.0, 3.0))
+LAMBERT = pr.LambertianEmitter([0, 1, 3], [0, -0.3, -1], (3.0, 2.0, 0.0))
+TINT = (0.9, 0.5, 0.1)
+
+SCENES = {
+    "glass ball": pr.Scene([floor(), glass_ball()], [DOWN]),
+    "tinted glass, mirror, three emitters": pr.Scene(
+        [floor(albedo=TINT), glass_ball(absorption=(0.1, 1.0, 3.0)), mirror_ball(TINT)],
+        [DOWN, pr.PointEmitter([0, 0, 3], (5.0, 1.0, 0.0)), LAMBERT],
+    ),
+    "emitter in glass": pr.Scene(
+        [floor(), glass_ball(absorption=TINT)], [pr.PointEmitter([0.1, 0.1, 0.9])]
+    ),
+    "glass and mirror in an enclosure": pr.Scene(
+        [
+            enclosure(TINT),
+            pr.SceneObject(ball(0.3, [0.4, 0.4, 0.4]), pr.Dielectric(absorption=1.0)),
+            pr.SceneObject(ball(0.3, [-0.4, -0.4, -0.4]), pr.Mirror(TINT)),
+        ],
+        [pr.PointEmitter([0, 0, 0], (1.0, 2.0, 3.0))],
+    ),
+}
