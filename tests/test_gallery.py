@@ -5,6 +5,8 @@ import inspect
 import numpy as np
 import pytest
 import trimesh
+from reference.glass_sphere import GlassSphere
+from reference.metal_ring import MetalRing
 
 import photonrelax as pr
 from photonrelax import gallery
@@ -132,3 +134,57 @@ def test_level_set_finds_the_surface_and_its_normals():
     expected = mesh.vertices / half_axes**2
     expected = expected / np.linalg.norm(expected, axis=1, keepdims=True)
     np.testing.assert_allclose(mesh.vertex_normals, expected, atol=1e-12)
+
+
+DOWN_TO_ORDER_20 = range(-1, 20)
+
+
+@pytest.fixture(scope="module")
+def sphere_photons():
+    return pr.trace_photons(gallery.scene("sphere", irradiance=3.0), 500_000)
+
+
+def test_sphere_flux_agrees_with_quadrature(sphere_photons):
+    near = np.linalg.norm(sphere_photons.position[:, :2], axis=1) < 10.0
+    expected = GlassSphere(gap=0.2, irradiance=3.0).total_flux(within=10.0, orders=DOWN_TO_ORDER_20)
+    assert sphere_photons.flux[near, 0].sum() == pytest.approx(expected, rel=3e-3)
+
+
+def test_sphere_profile_agrees_with_quadrature(sphere_photons):
+    edges = np.linspace(0.15, 0.75, 5)
+    distance = np.linalg.norm(sphere_photons.position[:, :2], axis=1)
+    flux = np.histogram(distance, edges, weights=sphere_photons.flux[:, 0])[0]
+    reference = GlassSphere(gap=0.2, irradiance=3.0)
+    expected = reference.annulus_irradiance(edges, orders=DOWN_TO_ORDER_20)
+    np.testing.assert_allclose(flux / (np.pi * np.diff(edges**2)), expected, rtol=0.03)
+
+
+def test_estimated_sphere_profile_agrees_with_quadrature(sphere_photons):
+    distance, turn = np.linspace(0.15, 0.45, 5), np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    points = np.multiply.outer(distance, np.column_stack([np.cos(turn), np.sin(turn), 0 * turn]))
+    # Farther out a circle crosses too few photons for its mean to be known to 3 %.
+    irradiance = pr.estimate_irradiance(
+        sphere_photons, points.reshape(-1, 3), np.tile([0.0, 0.0, 1.0], (5 * 400, 1))
+    )
+    reference = GlassSphere(gap=0.2, irradiance=3.0)
+    expected = reference.irradiance_at(distance, orders=DOWN_TO_ORDER_20)
+    means = irradiance[:, 0].reshape(5, 400).mean(axis=1)
+    np.testing.assert_allclose(means, expected, rtol=0.03)
+
+
+def test_ring_agrees_with_the_analytic_reflection_map():
+    scene = gallery.scene(
+        "ring", height=0.4, gap=1e-3, elevation=30.0, irradiance=2.0, reflectance=0.9
+    )
+    photons = pr.trace_photons(scene, 500_000)
+    edges = np.linspace(-1, 1, 41)
+    counted = np.histogram2d(*photons.position[:, :2].T, (edges, edges), weights=photons.flux[:, 0])
+    irradiance = counted[0] / (edges[1] - edges[0]) ** 2
+    expected = MetalRing(
+        height=0.4, gap=1e-3, elevation=np.radians(30), irradiance=2.0, reflectance=0.9
+    ).pixel_irradiance(edges)
+    farther = np.maximum(np.abs(edges[:-1]), np.abs(edges[1:]))
+    inside = np.hypot(*np.meshgrid(farther, farther)) < 1.0
+    difference = np.abs(irradiance - expected)[inside].sum()
+    assert difference < 0.02 * expected[inside].sum()
+    assert irradiance[inside].sum() == pytest.approx(expected[inside].sum(), rel=3e-3)

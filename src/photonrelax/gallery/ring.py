@@ -19,7 +19,7 @@ def ring(
     *,
     radius: float = 1.0,
     thickness: float = 0.04,
-    height: float = 0.5,
+    height: float = 0.4,
     gap: float = 1e-3,
     elevation: float = 28.0,
     reflectance: float = 0.95,
@@ -48,7 +48,7 @@ def ring(
     """
     metal = _tube(radius, radius + thickness, gap, gap + height, sections)
     down = np.radians(elevation)
-    eye, target = radius * np.array([[0.0, -2.2, 3.6], [0.0, -0.02, 0.0]])
+    eye, target = radius * np.array([[-2.4, 0.0, 3.4], [0.0, 0.0, 0.0]])
     return Scene(
         [
             floor(20.0 * radius),

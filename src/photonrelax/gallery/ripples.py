@@ -67,7 +67,7 @@ def ripples(
             SceneObject(slab, Dielectric(ior), "slab", smooth=True),
         ],
         [CollimatedEmitter((0.0, 0.0, -1.0), irradiance)],
-        Camera(eye, (0.0, -0.15 * half_size, 0.0), vertical_fov=46.0, width=pixels, height=pixels),
+        Camera(eye, (0.0, -0.1 * half_size, 0.0), vertical_fov=42.0, width=pixels, height=pixels),
         name="ripples",
     )
 
