@@ -56,7 +56,7 @@ class GlassSphere:
         return float(self.annulus_flux(np.array([0.0, within]), orders=orders)[0])
 
     def annulus_flux(
-        self, edges: Floats, *, orders: range = range(1), n_samples: int = 1_000_000
+        self, edges: Floats, *, orders: range = range(1), n_samples: int = 400_000
     ) -> Floats:
         """Return the flux between consecutive distances from the axis, W.
 
