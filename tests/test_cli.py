@@ -1,14 +1,18 @@
 """The command line: what it parses, prints, writes and returns."""
 
+import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image as Picture
 
 import photonrelax as pr
 from photonrelax import cli, gallery
 from photonrelax._text import describe_photons, stage_table
+from photonrelax.image import read_exr
 
 HEAVY = ("scipy", "trimesh", "matplotlib", "OpenEXR", "tqdm")
 
@@ -17,9 +21,18 @@ def run(*arguments):
     return cli.main([str(argument) for argument in arguments])
 
 
-def run_in_process(*arguments, **options):
-    command = [sys.executable, "-m", "photonrelax", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, **options)
+def run_interrupted_at(stage, *arguments):
+    """Run in a process of its own that gets SIGINT when `stage` first reports progress."""
+    code = (
+        "import os, signal, sys\n"
+        "from photonrelax import cli\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "def report(bars, stage, done, total):\n"
+        f"    if stage == {stage!r}: os.kill(os.getpid(), signal.SIGINT)\n"
+        "cli._Bars.__call__ = report\n"
+        f"sys.exit(cli.main({[str(argument) for argument in arguments]!r}))"
+    )
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
 
 
 @pytest.fixture
@@ -172,6 +185,90 @@ def test_relax_reads_a_map_and_writes_another(small_map, tmp_path, capsys):
     settings = pr.RelaxSettings(n_iterations=(2, 1))
     expected = pr.relax(small_map, pr.detect_structure(small_map), settings)
     np.testing.assert_array_equal(relaxed.position, expected.position)
+
+
+SMALL = ("--photons", 3000, "--width", 12, "--height", 8, "--supersampling", 1, "--seed", 5)
+
+
+def test_render_writes_the_picture_its_preview_and_its_statistics(tmp_path, capsys):
+    output, stats = tmp_path / "ring.exr", tmp_path / "stats.json"
+    options = ("--k", 20, "--iterations", 2, 1, "--threads", 2, "--stats", stats)
+    assert run("render", "ring", "-o", output, *SMALL, *options) == 0
+    out = capsys.readouterr().out
+    assert [line.split()[0] for line in out.splitlines()] == [*STAGES, "total", "wrote"]
+    assert "emitted 3,000" in out
+
+    scene = gallery.scene("ring")
+    scene = replace(scene, camera=replace(scene.camera, width=12, height=8))
+    expected = pr.render(
+        scene,
+        n_emitted=3000,
+        seed=5,
+        supersampling=1,
+        gather=pr.GatherSettings(k=20),
+        relax=pr.RelaxSettings(n_iterations=(2, 1)),
+    )
+    image = read_exr(output)
+    np.testing.assert_array_equal(
+        image.layers["radiance"], expected.layers["radiance"].astype(np.float32)
+    )
+    with Picture.open(tmp_path / "ring.png") as preview:
+        assert preview.size == (12, 8)
+    assert list(json.loads(stats.read_text())["stages"]) == list(STAGES)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ring.exr", "ring.png", stats.name]
+
+
+STAGES = ("trace", "structure", "relax", "render")
+
+
+def test_exposure_brightens_the_preview_alone(tmp_path):
+    for name, stops in (("dark", -2), ("bright", 0)):
+        arguments = ("render", "ring", "-o", tmp_path / f"{name}.exr", "--exposure", stops)
+        assert run(*arguments, "--method", "standard", "--quiet", *SMALL) == 0
+    dark, bright = (read_exr(tmp_path / f"{name}.exr") for name in ("dark", "bright"))
+    np.testing.assert_array_equal(dark.layers["radiance"], bright.layers["radiance"])
+    with Picture.open(tmp_path / "dark.png") as a, Picture.open(tmp_path / "bright.png") as b:
+        assert np.mean(a) < np.mean(b)
+
+
+def test_trace_writes_the_photons_of_a_scene(tmp_path, capsys):
+    output = tmp_path / "photons.npz"
+    assert run("trace", "ring", "-o", output, "--photons", "2e3", "--sampler", "random") == 0
+    photons = pr.PhotonMap.load(output)
+    expected = pr.trace_photons(gallery.scene("ring"), 2000, sampler="random")
+    np.testing.assert_array_equal(photons.position, expected.position)
+    assert f"emitted 2,000, stored {len(expected):,}" in capsys.readouterr().out
+
+
+def test_relax_keeps_photons_on_the_surfaces_of_their_scene(tmp_path):
+    traced, relaxed = tmp_path / "photons.npz", tmp_path / "relaxed.npz"
+    assert run("trace", "sphere", "-o", traced, "--photons", 2000, "--quiet") == 0
+    assert run("relax", traced, "-o", relaxed, "--scene", "sphere", "--quiet") == 0
+    np.testing.assert_allclose(pr.PhotonMap.load(relaxed).position[:, 2], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_ctrl_c_leaves_no_file_and_returns_130(stage, tmp_path):
+    output = ("-o", tmp_path / "ring.exr", "--stats", tmp_path / "stats.json")
+    done = run_interrupted_at(stage, "render", "ring", *output, *SMALL)
+    assert (done.returncode, done.stderr) == (130, "photonrelax: interrupted\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_leaves_an_older_picture_as_it_was(tmp_path):
+    output = tmp_path / "ring.exr"
+    output.write_bytes(b"older")
+    assert run_interrupted_at("render", "render", "ring", "-o", output, *SMALL).returncode == 130
+    assert output.read_bytes() == b"older"
+
+
+def test_failures_in_the_pipeline_are_one_line(tmp_path, capsys):
+    output = tmp_path / "ring.exr"
+    assert run("render", "ring", "-o", output, "--photons", 1, "--quiet") == 1
+    error = capsys.readouterr().err
+    assert error.startswith("photonrelax: error: ")
+    assert error.count("\n") == 1
+    assert not output.exists()
 
 
 def test_quiet_prints_nothing(small_map, tmp_path, capsys):

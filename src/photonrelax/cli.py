@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import photonrelax as pr
 
@@ -208,7 +208,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="photonrelax", description="Render sharp, noise-free caustics from few photons."
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
+    parser.add_argument("--version", action="version", version=f"photonrelax {pr.__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_render(commands)
     _add_trace(commands)
@@ -339,11 +339,3 @@ def _positive(text: str) -> int:
     if number < 1:
         raise argparse.ArgumentTypeError(f"should be at least 1, but is {text!r}")
     return number
-
-
-class _Version(argparse.Action):
-    """Look the version up only when it is asked for."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
-        print(f"photonrelax {pr.__version__}")
-        parser.exit()
