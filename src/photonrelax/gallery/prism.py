@@ -69,7 +69,7 @@ def prism(
             SceneObject(_screen(glass), Diffuse(0.2), "screen"),
         ],
         [PointEmitter(_LIGHT, power)],
-        Camera((2.5, 1.55, 3.2), (1.36, 0.88, 0.0), vertical_fov=31.0, width=pixels, height=pixels),
+        Camera((2.5, 1.55, 3.2), (1.44, 0.95, 0.0), vertical_fov=31.0, width=pixels, height=pixels),
         name="prism",
     )
 

@@ -23,7 +23,7 @@ def ring(
     gap: float = 1e-3,
     elevation: float = 28.0,
     reflectance: float = 0.95,
-    irradiance: float = 2.5,
+    irradiance: float = 1.6,
     sections: int = 1024,
     pixels: int = 600,
 ) -> Scene:
