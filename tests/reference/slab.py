@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from .interface import fresnel_reflectance, refraction_angle
+from .interface import Floats, fresnel_reflectance, refraction_angle
 
 
 def slab_transmittance(
-    ior: float, incidence: float = 0.0, *, absorption: float = 0.0, thickness: float = 1.0
-) -> float:
+    ior: float, incidence: float = 0.0, *, absorption: ArrayLike = 0.0, thickness: float = 1.0
+) -> Floats:
     """Return the fraction of the flux that leaves on the far side.
 
     With interface reflectance R and one-way attenuation A it is the geometric series
@@ -21,25 +22,26 @@ def slab_transmittance(
         Index of the slab over that of its surroundings.
     incidence : float
         Angle outside, in radians.
-    absorption : float
-        Beer–Lambert coefficient, 1/m.
+    absorption : array_like
+        Beer–Lambert coefficients, 1/m; the result has their shape.
     thickness : float
         Of the slab, m.
     """
-    reflectance, attenuation = _pass(ior, incidence, absorption, thickness)
-    passed = (1 - reflectance) ** 2 * attenuation
-    return float(passed / (1 - (reflectance * attenuation) ** 2))
+    reflectance, attenuation = _one_pass(ior, incidence, absorption, thickness)
+    return (1 - reflectance) ** 2 * attenuation / (1 - (reflectance * attenuation) ** 2)
 
 
 def slab_reflectance(
-    ior: float, incidence: float = 0.0, *, absorption: float = 0.0, thickness: float = 1.0
-) -> float:
+    ior: float, incidence: float = 0.0, *, absorption: ArrayLike = 0.0, thickness: float = 1.0
+) -> Floats:
     """Return the fraction of the flux that leaves on the near side; see `slab_transmittance`."""
-    reflectance, attenuation = _pass(ior, incidence, absorption, thickness)
+    reflectance, attenuation = _one_pass(ior, incidence, absorption, thickness)
     returned = (1 - reflectance) ** 2 * reflectance * attenuation**2
-    return float(reflectance + returned / (1 - (reflectance * attenuation) ** 2))
+    return reflectance + returned / (1 - (reflectance * attenuation) ** 2)
 
 
-def _pass(ior: float, incidence: float, absorption: float, thickness: float) -> tuple[float, float]:
+def _one_pass(
+    ior: float, incidence: float, absorption: ArrayLike, thickness: float
+) -> tuple[Floats, Floats]:
     path = thickness / np.cos(refraction_angle(incidence, ior))
-    return float(fresnel_reflectance(incidence, ior)), float(np.exp(-absorption * path))
+    return fresnel_reflectance(incidence, ior), np.exp(-np.multiply(absorption, path))
