@@ -84,8 +84,8 @@ def test_sphere_focuses_paraxial_rays_at_the_ball_lens_focal_length():
 
 def test_sphere_profile_agrees_with_annulus_means_away_from_folds():
     sphere = GlassSphere(gap=0.2)
-    at = np.array([0.1, 0.2, 0.8])
-    annuli = np.ravel([[r - 0.002, r + 0.002] for r in at])
+    at = np.array([0.1, 0.2, 0.6])
+    annuli = np.ravel([[r - 0.004, r + 0.004] for r in at])
     means = sphere.annulus_irradiance(annuli, orders=DOWNWARD_ORDERS)[::2]
     np.testing.assert_allclose(sphere.irradiance_at(at, orders=DOWNWARD_ORDERS), means, rtol=2e-3)
 
