@@ -220,9 +220,8 @@ def _ranges(value: ArrayLike | None, name: str, shape: tuple[int, ...]) -> Float
 def _axis_scale(points: Floats, n_metric: int) -> Floats:
     """Return what makes extents on the metric and on the range axes comparable.
 
-    Photons are a sheet over the coordinates they left their emitter with. Splitting mostly on
-    those keeps leaves compact in both, because light carries neighbours to neighbours, whereas
-    photons near in space may come from anywhere. Hence the larger weight of the range axes.
+    Photons are a sheet over the coordinates they left their emitter with. Splitting on both kinds
+    of axes keeps leaves compact in both, and so prunes best.
     """
     extent = np.ptp(points, axis=0) if len(points) else np.zeros(points.shape[1])
     if (extent > _LARGEST_EXTENT).any():
@@ -230,8 +229,8 @@ def _axis_scale(points: Floats, n_metric: int) -> Floats:
             f"points should span at most {_LARGEST_EXTENT:g}, but span {extent.max():g}"
         )
     scale = np.zeros(points.shape[1])
-    for axes, weight in ((slice(0, n_metric), 1.0), (slice(n_metric, None), 4.0)):
+    for axes in (slice(0, n_metric), slice(n_metric, None)):
         largest = extent[axes].max(initial=0.0)
         if largest > 0.0:
-            scale[axes] = weight / largest
+            scale[axes] = 1.0 / largest
     return scale
