@@ -78,7 +78,8 @@ def render(
         raise ValueError("scene should have a camera to be rendered")
     check_method(method)
     pipeline = _Pipeline(scene, n_threads, progress)
-    photons = photons or pipeline.trace(n_emitted, seed)
+    if photons is None:
+        photons = pipeline.trace(n_emitted, seed)
     field = pipeline.prepare(photons, method, structure, relax, gather)
     layers = pipeline.picture(field, scene.camera, supersampling, max_depth)
     used = _settings_used(field, structure, relax)
