@@ -20,6 +20,8 @@ from setuptools.errors import CompileError, LinkError
 
 BOUNDS_CHECK = os.environ.get("PHOTONRELAX_BOUNDSCHECK", "0") == "1"
 WANT_OPENMP = os.environ.get("PHOTONRELAX_OPENMP", "1") != "0"
+# Kinds of build keep apart: each would take the other's objects for its own, up to date.
+BUILD_DIR = "build/" + ("checked" if BOUNDS_CHECK else "plain") + ("" if WANT_OPENMP else "-serial")
 OPENMP_FLAGS = {
     "msvc": (["/openmp"], []),
     "unix": (["-fopenmp"], ["-fopenmp"]),
@@ -80,10 +82,10 @@ def kernels():
 
 setup(
     cmdclass={"build_ext": BuildKernels},
+    options={"build": {"build_base": BUILD_DIR}, "build_ext": {"parallel": os.cpu_count()}},
     ext_modules=cythonize(
         kernels(),
-        # Checked and plain builds keep apart, or one would reuse the other's C.
-        build_dir="build/checked" if BOUNDS_CHECK else "build/plain",
+        build_dir=BUILD_DIR,
         compiler_directives={
             "language_level": 3,
             "boundscheck": BOUNDS_CHECK,
