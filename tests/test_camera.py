@@ -300,6 +300,14 @@ def test_light_from_behind_does_not_count_and_walls_do_not_hide_their_lamp():
     np.testing.assert_allclose(arriving, 0.25)
 
 
-def test_a_point_at_the_emitter_is_refused():
-    with pytest.raises(ValueError, match="position 0"):
-        irradiance(pr.PointEmitter((0, 0, 0)), position=[[0, 0, 0.0]], normal=[[0, 0, 1.0]])
+@pytest.mark.parametrize(
+    "emitter", [pr.PointEmitter((0, 0, 1)), pr.LambertianEmitter((0, 0, 1), (0, 0, -1))]
+)
+def test_points_at_an_emitter_get_nothing_from_it(emitter):
+    gap = pr.Scene([plane()], [emitter]).emitter_gap
+    position = np.array([0, 0, 1.0]) - np.outer([0, 0.5, 0.999, 1.001, 100], [0, 0, gap])
+    arriving = irradiance(emitter, position=position, normal=np.tile([0, 0, 1.0], (5, 1)))
+    assert not arriving[:3].any()
+    intensity = 1 / np.pi if isinstance(emitter, pr.LambertianEmitter) else 1 / (4 * np.pi)
+    expected = intensity / (gap * np.array([1.001, 100])) ** 2
+    np.testing.assert_allclose(arriving[3:, 0], expected, rtol=1e-6)

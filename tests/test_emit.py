@@ -159,6 +159,16 @@ def test_thin_cones_cover_the_target_evenly_from_nearby(kind, distance):
     assert np.linalg.norm(rays.origin, axis=1).max() < 40.0
 
 
+@pytest.mark.parametrize("distance", [0.0, 0.3, 2.0])
+def test_rays_start_off_the_surface_their_emitter_may_lie_on(distance):
+    emitter = pr.PointEmitter(near(0, 0, distance))
+    rays = rays_of(emitter, 100)
+    gap = scene(emitter).emitter_gap
+    offset = gap * rays.direction
+    np.testing.assert_allclose(rays.origin - emitter.position, offset, rtol=0, atol=1e-14)
+    assert rays.travelled == gap
+
+
 def test_parallel_rays_start_before_the_scene_and_cover_the_target():
     direction = np.array([2.0, 3.0, -6.0]) / 7.0
     rays = rays_of(pr.CollimatedEmitter(direction))

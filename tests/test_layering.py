@@ -13,7 +13,7 @@ import photonrelax
 PACKAGE = Path(photonrelax.__file__).parent
 TIERS = [
     {"_ext"},
-    {"_arrays", "_files", "_progress", "sampling", "optics", "image"},
+    {"_arrays", "_files", "_meshes", "_progress", "sampling", "optics", "image"},
     {"kdtree", "raycast", "scene"},
     {"camera", "emit", "photonmap"},
     {"trace", "structure", "relax", "estimate"},

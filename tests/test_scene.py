@@ -5,7 +5,8 @@ import pytest
 import trimesh
 
 import photonrelax as pr
-from photonrelax.scene import DIELECTRIC, DIFFUSE, MIRROR, hittable_faces
+from photonrelax._meshes import hittable_faces
+from photonrelax.scene import DIELECTRIC, DIFFUSE, MIRROR
 
 
 def box(centre=(0.0, 0.0, 0.0), size=1.0, material=None):
@@ -88,6 +89,23 @@ def bad_mesh(vertices, faces):
 def test_unusable_meshes_are_refused(mesh, message):
     with pytest.raises(ValueError, match=message):
         pr.SceneObject(mesh(), pr.Diffuse())
+
+
+@pytest.mark.parametrize("split", [False, True])
+@pytest.mark.parametrize("offset", [0.0, 1e5])
+def test_a_glass_body_inside_out_is_refused(split, offset):
+    mesh = trimesh.creation.icosphere(2)
+    mesh.apply_translation([offset] * 3)
+    if split:
+        mesh.unmerge_vertices()
+    pr.SceneObject(mesh, pr.Dielectric())
+    mesh.invert()
+    with pytest.raises(ValueError, match=r"wind inwards \(volume -4.05\).* mesh.invert"):
+        pr.SceneObject(mesh, pr.Dielectric())
+    pr.SceneObject(mesh, pr.Mirror())
+    # An open surface has no inside, whichever way it bends.
+    mesh.update_faces(np.arange(len(mesh.faces)) > 0)
+    pr.SceneObject(mesh, pr.Dielectric())
 
 
 @pytest.mark.parametrize("size", [1e-12, 1.0, 1e12])

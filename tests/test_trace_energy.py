@@ -163,6 +163,30 @@ def test_distant_points_light_like_the_sun():
             )
 
 
+def wall(centre, normal):
+    """A square of side 2 and a Lambertian emitter on it, off its edges and diagonal."""
+    u = np.cross(normal, [1.0, 0, 0])
+    u /= np.linalg.norm(u)
+    v = np.cross(normal, u)
+    corners = [centre + a * u + b * v for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    mesh = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+    lamp = pr.LambertianEmitter(centre + 0.3 * u + 0.2 * v, normal)
+    return pr.SceneObject(mesh, pr.Diffuse(0.0)), lamp
+
+
+def test_a_lamp_on_a_wall_sheds_its_light_into_the_room():
+    room = pr.SceneObject(box([8, 8, 8]), pr.Diffuse(0.0))
+    normals = np.random.default_rng(3).normal(size=(20, 3))
+    normals = np.concatenate([np.eye(3)[1:], -np.eye(3)[1:], normals])
+    for normal in normals / np.linalg.norm(normals, axis=1, keepdims=True):
+        plate, lamp = wall(1.3 - 2.3 * normal, normal)
+        photons = pr.trace_photons(pr.Scene([room, plate], [lamp]), 2000, paths="all", n_threads=1)
+        # All but rays along the wall itself.
+        assert np.count_nonzero(photons.object_id == 1) <= 1
+        travelled = np.linalg.norm(photons.position - lamp.position, axis=1)
+        np.testing.assert_allclose(photons.path_length, travelled, rtol=1e-9, atol=1e-9)
+
+
 def test_max_bounces_cuts_paths():
     scene = pr.Scene([floor(9.0), slab()], [DOWN])
     photons = pr.trace_photons(scene, 50_000, max_bounces=2)

@@ -25,9 +25,6 @@ from .scene import (
     Scene,
 )
 
-# Shadow rays end this fraction of the scene's size before their emitter, which may be on a wall.
-_SHADOW_GAP = 1e-5
-
 
 @dataclass(frozen=True, eq=False)
 class HitPoints:
@@ -311,7 +308,8 @@ def direct_irradiance(
     """Return the irradiance at points from emitters in plain sight.
 
     Every object blocks the light, transparent ones too: what passes through them is the
-    photons' part.
+    photons' part. Points nearer to an emitter than `Scene.emitter_gap` get nothing from it: the
+    inverse square of their distance is no measure of what reaches a pixel.
 
     Parameters
     ----------
@@ -337,13 +335,13 @@ def direct_irradiance(
     normal = unit_vectors(normal, "normal", (len(position), 3))
     total = np.zeros_like(position)
     for emitter in scene.emitters:
-        direction, distance, irradiance = _arriving(emitter, position)
+        direction, distance, irradiance = _arriving(emitter, position, scene.emitter_gap)
         irradiance *= np.maximum(np.einsum("ij,ij->i", direction, normal), 0.0)[:, None]
         lit = np.flatnonzero(irradiance.any(axis=1))
         blocked = caster.occluded(
             position[lit],
             direction[lit],
-            np.maximum(distance[lit] - _SHADOW_GAP * scene.scale, 0.0),
+            distance[lit] - scene.emitter_gap,
             leaving=normal[lit],
             n_threads=threads,
         )
@@ -351,19 +349,21 @@ def direct_irradiance(
     return total
 
 
-def _arriving(emitter: Emitter, position: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return direction to an emitter, distance, and unblocked irradiance facing it, per point."""
+def _arriving(emitter: Emitter, position: Floats, gap: float) -> tuple[Floats, Floats, Floats]:
+    """Return direction to an emitter, distance, and unblocked irradiance facing it, per point.
+
+    Direction and irradiance are zero for points nearer than the gap.
+    """
     if isinstance(emitter, CollimatedEmitter):
         direction = np.tile(-np.asarray(emitter.direction), (len(position), 1))
         irradiance = np.tile(np.asarray(emitter.irradiance), (len(position), 1))
         return direction, np.full(len(position), np.inf), irradiance
     offset = np.asarray(emitter.position) - position
     distance = np.linalg.norm(offset, axis=1)
-    if not distance.all():
-        raise ValueError(f"position {distance.argmin()} should not be that of an emitter")
-    direction = offset / distance[:, None]
+    inverse = np.divide(1.0, distance, out=np.zeros_like(distance), where=distance > gap)[:, None]
+    direction = offset * inverse
     intensity = np.asarray(emitter.power) / (4.0 * np.pi)
     if isinstance(emitter, LambertianEmitter):
         cosine = np.maximum(-direction @ np.asarray(emitter.direction), 0.0)[:, None]
         intensity = np.asarray(emitter.power) / np.pi * cosine
-    return direction, distance, intensity / distance[:, None] ** 2
+    return direction, distance, intensity * inverse**2

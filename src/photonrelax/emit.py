@@ -52,8 +52,8 @@ class Aim:
     flux : (3,) float64
         Leaving through the region, W.
     lead : float
-        How far from the point rays may start because nothing is nearer, m. Rays from afar would
-        lose their digits in float32 otherwise.
+        How far from the point rays start, m: off the surface it may lie on, and where the scene
+        begins. Rays from afar would lose their digits in float32 otherwise.
     """
 
     kind: int
@@ -100,10 +100,8 @@ class PrimalRays:
     ----------
     emitter_id : int
         Index of the emitter in the scene.
-    first : int
-        Index, among the emitter's photons, of the first row.
     origin, direction : (n, 3) float64
-        Where the rays may start, m, and unit vectors.
+        Where the rays start, m, and unit vectors.
     emitter_coords : (n, 2) or (n, 3) float64
         m on the emitter plane, relative to the point facing the centre of what is aimed at; or
         unit vectors.
@@ -114,7 +112,6 @@ class PrimalRays:
     """
 
     emitter_id: int
-    first: int
     origin: Floats
     direction: Floats
     emitter_coords: Floats
@@ -154,7 +151,8 @@ def plan_emission(scene: Scene, n_emitted: int, paths: str = "caustic") -> Emiss
     n_emitted = count(n_emitted, "n_emitted")
     target = _target(scene, paths)
     whole = scene.bounding_sphere()
-    aims = tuple(_aim(emitter, *target, whole=whole) for emitter in scene.emitters)
+    gap = scene.emitter_gap
+    aims = tuple(_aim(emitter, *target, whole=whole, gap=gap) for emitter in scene.emitters)
     luminances = [float(aim.flux @ LUMINANCE) for aim in aims]
     if not any(luminances):
         what = "the specular objects" if paths == "caustic" else "the scene"
@@ -206,25 +204,32 @@ def emit(
     planned = int(plan.counts[emitter_id])
     if photons.step != 1 or photons.start < 0 or photons.stop > planned:
         raise ValueError(f"photons should lie in {range(planned)} in steps of 1, but is {photons}")
-    shift = np.array(seed_shift(seed, emitter_id) if sampler == "halton" else ())
-    aim, n = plan.aims[emitter_id], len(photons)
-    emitted_per_area = planned / aim.area if planned else 0.0
-    origin, direction = np.empty((n, 3)), np.empty((n, 3))
-    coords, density = np.empty((n, 2 if aim.is_plane else 3)), np.empty(n)
+    aim = plan.aims[emitter_id]
+    rays = _empty_rays(emitter_id, len(photons), aim)
+    per_area = planned / aim.area if planned else 0.0
     _kernel.emit(
-        _kernel.Aim(aim.kind, aim.origin, aim.frame, aim.shape, aim.lead, emitted_per_area),
+        _kernel.Aim(aim.kind, aim.origin, aim.frame, aim.shape, aim.lead, per_area),
         check_seed(seed),
         emitter_id,
         photons.start,
-        shift,
-        origin,
-        direction,
-        coords,
-        density,
+        np.array(seed_shift(seed, emitter_id) if sampler == "halton" else ()),
+        rays.origin,
+        rays.direction,
+        rays.emitter_coords,
+        rays.emitter_density,
         thread_count(n_threads),
     )
+    return rays
+
+
+def _empty_rays(emitter_id: int, n: int, aim: Aim) -> PrimalRays:
     return PrimalRays(
-        emitter_id, photons.start, origin, direction, coords, density, travelled=aim.lead
+        emitter_id,
+        origin=np.empty((n, 3)),
+        direction=np.empty((n, 3)),
+        emitter_coords=np.empty((n, 2 if aim.is_plane else 3)),
+        emitter_density=np.empty(n),
+        travelled=aim.lead,
     )
 
 
@@ -246,12 +251,15 @@ def _target(scene: Scene, paths: str) -> tuple[Floats, float]:
     return scene.bounding_sphere(scene.specular_objects)
 
 
-def _aim(emitter: Emitter, centre: Floats, radius: float, *, whole: tuple[Floats, float]) -> Aim:
+def _aim(
+    emitter: Emitter, centre: Floats, radius: float, *, whole: tuple[Floats, float], gap: float
+) -> Aim:
     if isinstance(emitter, CollimatedEmitter):
         return _aim_plane(emitter, centre, radius, whole)
+    lead = max(_clearance(np.asarray(emitter.position), whole), gap)
     if isinstance(emitter, PointEmitter):
-        return _aim_point(emitter, centre, radius, whole)
-    return _aim_lambertian(emitter, centre, radius, whole)
+        return _aim_point(emitter, centre, radius, lead)
+    return _aim_lambertian(emitter, centre, radius, lead)
 
 
 def _aim_plane(
@@ -271,15 +279,13 @@ def _aim_plane(
     )
 
 
-def _aim_point(
-    emitter: PointEmitter, centre: Floats, radius: float, whole: tuple[Floats, float]
-) -> Aim:
+def _aim_point(emitter: PointEmitter, centre: Floats, radius: float, lead: float) -> Aim:
     """Cover the target with a cone, or shine all around from inside it."""
     position, power = np.asarray(emitter.position), np.asarray(emitter.power)
     axis, distance = _towards(centre, position)
     shape = np.zeros(4)
     if distance <= radius:
-        return Aim(SPHERE, position, np.eye(3), shape, 4.0 * np.pi, power)
+        return Aim(SPHERE, position, np.eye(3), shape, 4.0 * np.pi, power, lead)
     sin, cos = _half_angle(radius, distance)
     # 1 - cos, without its cancellation for thin cones.
     shape[0] = sin**2 / (1.0 + cos)
@@ -290,13 +296,11 @@ def _aim_point(
         shape,
         2.0 * np.pi * shape[0],
         0.5 * shape[0] * power,
-        lead=_lead(position, whole),
+        lead,
     )
 
 
-def _aim_lambertian(
-    emitter: LambertianEmitter, centre: Floats, radius: float, whole: tuple[Floats, float]
-) -> Aim:
+def _aim_lambertian(emitter: LambertianEmitter, centre: Floats, radius: float, lead: float) -> Aim:
     """Cover the target with a cone if that is wholly in front, else shine into the hemisphere."""
     position, normal = np.asarray(emitter.position), np.asarray(emitter.direction)
     axis, distance = _towards(centre, position)
@@ -316,7 +320,7 @@ def _aim_lambertian(
         np.array([cos_tilt, sin_tilt, cos, sin]),
         np.pi * projected,
         projected * np.asarray(emitter.power),
-        lead=_lead(position, whole),
+        lead,
     )
 
 
@@ -332,7 +336,8 @@ def _half_angle(radius: float, distance: float) -> tuple[float, float]:
     return sin, np.sqrt((1.0 - sin) * (1.0 + sin))
 
 
-def _lead(position: Floats, whole: tuple[Floats, float]) -> float:
+def _clearance(position: Floats, whole: tuple[Floats, float]) -> float:
+    """Return a length of rays from a point on which they cannot meet the scene yet, or 0."""
     distance = float(np.linalg.norm(whole[0] - position))
     return max(distance - (1.0 + _CLEARANCE) * whole[1], 0.0)
 

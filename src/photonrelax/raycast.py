@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import Floats, float_array, thread_count
 from ._ext.raycast import Frame, Triangles
-from .scene import SceneObject, hittable_faces
+from ._meshes import hittable_faces
+from .scene import SceneObject
 
 if TYPE_CHECKING:
     import trimesh

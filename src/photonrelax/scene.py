@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._arrays import Floats, count, float_array, int_array, positive, rgb, unit_vectors
+from ._arrays import Floats, count, float_array, positive, rgb, unit_vectors
+from ._meshes import check_mesh, check_winding, hittable_faces
 
 if TYPE_CHECKING:
     import trimesh
@@ -23,8 +24,7 @@ if TYPE_CHECKING:
 DIFFUSE, MIRROR, DIELECTRIC = 0, 1, 2
 """Values of `MaterialTable.kind`."""
 
-# A face whose height is below this fraction of its longest edge has no usable normal.
-_SLIVER = 1e-12
+_EMITTER_GAP = 1e-5  # of the scene's size
 # Sine of the smallest angle between a camera's `up` and its line of sight.
 _MIN_UP_SINE = 1e-6
 
@@ -93,7 +93,8 @@ class SceneObject:
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        Triangles, at least one of them with an area; faces of no area are never hit.
+        Triangles, at least one of them with an area; faces of no area are never hit. Closed
+        dielectrics wind outwards.
     material : Diffuse, Mirror or Dielectric
         The material of the whole mesh.
     name : str
@@ -113,7 +114,9 @@ class SceneObject:
                 "material should be a Diffuse, Mirror or Dielectric, "
                 f"but is {type(self.material).__name__}"
             )
-        _check_mesh(self.mesh)
+        check_mesh(self.mesh)
+        if isinstance(self.material, Dielectric):
+            check_winding(self.mesh)
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,6 +278,8 @@ class MaterialTable:
 class Scene:
     """Objects, emitters and perhaps a camera.
 
+    Meshes are kept, not copied, and what is computed from them once is kept: do not change them.
+
     Parameters
     ----------
     objects : sequence of SceneObject
@@ -307,9 +312,14 @@ class Scene:
 
     @cached_property
     def scale(self) -> float:
-        """Length of the diagonal of the box around all objects, m."""
+        """Length of the diagonal of the box around all objects, m; computed once."""
         low, high = self._bounds(range(len(self.objects)))
         return float(np.linalg.norm(high - low))
+
+    @property
+    def emitter_gap(self) -> float:
+        """How far off a point-like emitter its rays start, for it may lie on a surface, m."""
+        return _EMITTER_GAP * self.scale
 
     def bounding_sphere(self, object_ids: Iterable[int] | None = None) -> tuple[Floats, float]:
         """Return centre (3,) and radius of a sphere around objects: all of them, or those named.
@@ -353,43 +363,11 @@ class Scene:
         return np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
 
 
-def hittable_faces(mesh: trimesh.Trimesh) -> tuple[NDArray[np.intp], NDArray]:
-    """Return ids (f,) and vertex indices (f, 3) of the faces that have an area."""
-    faces = np.asarray(mesh.faces)
-    a, b, c = np.moveaxis(np.asarray(mesh.vertices)[faces], 1, 0)
-    longest = np.max([_length(b - a), _length(c - b), _length(a - c)], axis=0)
-    doubled_area = _length(np.cross(b - a, c - a))
-    ids = np.flatnonzero(doubled_area > _SLIVER * longest**2)
-    return ids, faces[ids]
-
-
-def _length(vectors: Floats) -> Floats:
-    return np.linalg.norm(vectors, axis=-1)
-
-
 def _set(instance: object, name: str, array: Floats) -> None:
     """Store a read-only copy, so that frozen means frozen and the caller's array stays free."""
     frozen = array.copy()
     frozen.setflags(write=False)
     object.__setattr__(instance, name, frozen)
-
-
-def _check_mesh(mesh: trimesh.Trimesh) -> None:
-    if not hasattr(mesh, "vertices") or not hasattr(mesh, "faces"):
-        raise TypeError(f"mesh should be a trimesh.Trimesh, but is {type(mesh).__name__}")
-    vertices = float_array(mesh.vertices, "mesh.vertices", (None, 3))
-    faces = int_array(mesh.faces, "mesh.faces", (None, 3))
-    if len(faces) == 0:
-        raise ValueError("mesh should have faces, but has none")
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError(
-            f"mesh.faces should be indices of its {len(vertices)} vertices, "
-            f"but range from {faces.min()} to {faces.max()}"
-        )
-    if len(hittable_faces(mesh)[0]) == 0:
-        raise ValueError(
-            f"mesh should have a face with an area, but none of its {len(faces)} faces has"
-        )
 
 
 def _members(values: Iterable, name: str, kind: type | UnionType) -> tuple:

@@ -1,0 +1,74 @@
+"""Checks of meshes, and the part of them that rays can hit."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._arrays import Floats, float_array, int_array
+
+if TYPE_CHECKING:
+    import trimesh
+
+# A face whose height is below this fraction of its longest edge has no usable normal.
+_SLIVER = 1e-12
+# Share of the volumes its faces span that a mesh's own may miss by rounding.
+_ROUNDING = 1e-12
+
+
+def hittable_faces(mesh: trimesh.Trimesh) -> tuple[NDArray[np.intp], NDArray]:
+    """Return ids (f,) and vertex indices (f, 3) of the faces that have an area."""
+    faces = np.asarray(mesh.faces)
+    a, b, c = np.moveaxis(np.asarray(mesh.vertices)[faces], 1, 0)
+    longest = np.max([_length(b - a), _length(c - b), _length(a - c)], axis=0)
+    doubled_area = _length(np.cross(b - a, c - a))
+    ids = np.flatnonzero(doubled_area > _SLIVER * longest**2)
+    return ids, faces[ids]
+
+
+def check_mesh(mesh: trimesh.Trimesh) -> None:
+    """Raise TypeError or ValueError unless the mesh is one that rays can hit."""
+    if not hasattr(mesh, "vertices") or not hasattr(mesh, "faces"):
+        raise TypeError(f"mesh should be a trimesh.Trimesh, but is {type(mesh).__name__}")
+    vertices = float_array(mesh.vertices, "mesh.vertices", (None, 3))
+    faces = int_array(mesh.faces, "mesh.faces", (None, 3))
+    if len(faces) == 0:
+        raise ValueError("mesh should have faces, but has none")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise ValueError(
+            f"mesh.faces should be indices of its {len(vertices)} vertices, "
+            f"but range from {faces.min()} to {faces.max()}"
+        )
+    if len(hittable_faces(mesh)[0]) == 0:
+        raise ValueError(
+            f"mesh should have a face with an area, but none of its {len(faces)} faces has"
+        )
+
+
+def check_winding(mesh: trimesh.Trimesh) -> None:
+    """Raise ValueError if the mesh is closed and inside out: its volume is negative."""
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    a, b, c = np.moveaxis((vertices - vertices[faces[0, 0]])[faces], 1, 0)
+    volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
+    if volumes.sum() < -_ROUNDING * np.abs(volumes).sum() and _is_closed(vertices, faces):
+        raise ValueError(
+            "mesh of a Dielectric should wind outwards, but its faces wind inwards "
+            f"(volume {volumes.sum():.3g}): turn them with mesh.invert()"
+        )
+
+
+def _is_closed(vertices: Floats, faces: NDArray) -> bool:
+    """Return whether faces run along every edge as often one way as the other.
+
+    Vertices at the same place count as one: meshes with normals of their own often split them.
+    """
+    merged = np.unique(vertices, axis=0, return_inverse=True)[1].reshape(-1)[faces]
+    start, end = merged.ravel(), np.roll(merged, -1, axis=1).ravel()
+    there, back = start * len(vertices) + end, end * len(vertices) + start
+    return np.array_equal(np.sort(there), np.sort(back))
+
+
+def _length(vectors: Floats) -> Floats:
+    return np.linalg.norm(vectors, axis=-1)
