@@ -120,6 +120,14 @@ def test_a_floor_is_hit_where_the_rays_meet_it():
     )
 
 
+def test_depth_of_a_pixel_is_that_of_its_nearest_sample():
+    camera = pr.Camera((0, 0, 9), (0, 0, 0), (0, 1, 0), width=2, height=1, orthographic_height=1)
+    low, high = plane(z=0.0), box((0.1, -9, 1.0), (9, 9, 2.0), pr.Diffuse())
+    # The second pixel spans x from 0 to 1: its samples see both.
+    _, first = look([low, high], camera, supersampling=8)
+    np.testing.assert_allclose(first.depth, [[9, 7]])
+
+
 def test_a_mirror_shows_what_a_mirrored_camera_sees():
     mirror = plane(half=30.0, material=pr.Mirror((0.9, 0.5, 0.1)))
     ceiling = plane(z=5.0, half=30.0)

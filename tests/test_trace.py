@@ -124,6 +124,14 @@ def test_mixed_emitters_pad_their_coordinates():
     assert pr.trace_photons(SCENES["glass ball"], 100).emitter_coords.shape[1] == 2
 
 
+def test_an_emitter_without_power_does_not_widen_the_coordinates():
+    dark = pr.PointEmitter([0, 0, 3], 0.0)
+    scene = SCENES["glass ball"]
+    photons = pr.trace_photons(pr.Scene(scene.objects, [dark, DOWN]), 100)
+    assert photons.emitter_coords.shape[1] == 2
+    assert (photons.emitter_id == 1).all()
+
+
 def test_only_halton_caustics_are_well_spaced():
     scene = SCENES["glass ball"]
     assert pr.trace_photons(scene, 1000).well_spaced
@@ -192,6 +200,7 @@ def test_errors_say_why_nothing_is_stored(objects, emitter, message):
         ({"paths": "direct"}, "paths should be one of"),
         ({"seed": -1}, "seed should be at least 0"),
         ({"max_bounces": 0}, "max_bounces should be at least 1"),
+        ({"max_bounces": 2**31}, "max_bounces should be at most 10000, but is 2147483648"),
         ({"batch_size": 0}, "batch_size should be at least 1"),
         ({"n_threads": 0}, "n_threads should be at least 1"),
         ({"n_emitted": 0}, "n_emitted should be at least 1"),

@@ -6,6 +6,7 @@ surface. Direct light at such points is found by shadow rays.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -154,7 +155,9 @@ def trace_hit_points(
     """Follow the rays of some rows of the picture to diffuse surfaces.
 
     At a dielectric a ray goes on as two, weighted by Fresnel's reflectance and the rest; the
-    refracted one also by (n_camera/n_other)², as radiance is. Beer–Lambert applies inside.
+    refracted one also by (n_camera/n_other)², as radiance is. Beer–Lambert applies inside, though
+    not between a camera in glass and another object in the same glass: the camera is taken to be
+    outside unless the first thing met is a dielectric from behind.
 
     Parameters
     ----------
@@ -186,24 +189,41 @@ def trace_hit_points(
     threads = thread_count(n_threads)
     least = positive(min_weight, "min_weight")
     count(max_depth, "max_depth", low=0)
-    table = scene.material_table()
-    origins, directions, pixel = pixel_rays(camera, rows, supersampling)
-    rays = _camera_rays(origins, directions, pixel)
+    rays = _camera_rays(*pixel_rays(camera, rows, supersampling))
     found = caster.intersect(rays.origin, rays.direction, n_threads=threads)
-    first = _first_surfaces(camera, rays, found)
+    table = scene.material_table()
     points = []
-    for depth in range(max_depth + 1):
+    for onward, reached in _levels(caster, rays, found, table, min_weight=least, n_threads=threads):
+        diffuse = table.kind[reached.object_id] == DIFFUSE
+        points.append(_hit_points(onward[diffuse], reached[diffuse], table, supersampling**2))
+        if len(points) > max_depth:
+            break
+    return _joined(points), _first_surfaces(camera, rays, found)
+
+
+def _levels(
+    caster: RayCaster,
+    rays: _Rays,
+    found: Intersections,
+    table: MaterialTable,
+    *,
+    min_weight: float,
+    n_threads: int,
+) -> Iterator[tuple[_Rays, Intersections]]:
+    """Yield rays and what they hit, misses left out: from the camera, then after each split."""
+    while True:
         rays, found = rays[found.hit], found[found.hit]
         rays = _absorb(rays, found, table)
-        diffuse = table.kind[found.object_id] == DIFFUSE
-        points.append(_hit_points(rays[diffuse], found[diffuse], table, supersampling**2))
-        if depth == max_depth or diffuse.all():
-            break
-        rays = _split(rays[~diffuse], found[~diffuse], table, min_weight=least, n_threads=threads)
-        found = caster.intersect(
-            rays.origin, rays.direction, leaving=rays.leaving, n_threads=threads
+        yield rays, found
+        smooth = table.kind[found.object_id] != DIFFUSE
+        if not smooth.any():
+            return
+        rays = _split(
+            rays[smooth], found[smooth], table, min_weight=min_weight, n_threads=n_threads
         )
-    return _joined(points), first
+        found = caster.intersect(
+            rays.origin, rays.direction, leaving=rays.leaving, n_threads=n_threads
+        )
 
 
 def _camera_rays(origins: Floats, directions: Floats, pixel: NDArray[np.int64]) -> _Rays:

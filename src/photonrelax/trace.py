@@ -19,14 +19,15 @@ from numpy.typing import NDArray
 
 from ._arrays import Floats, count, thread_count
 from ._ext import trace as _kernel
+from ._progress import Progress, Reporter
 from .emit import LUMINANCE, PATHS, SAMPLERS, EmissionPlan, check_choice, emit, plan_emission
 from .photonmap import FATES, EnergyLedger, PhotonMap
 from .raycast import RayCaster
 from .sampling import check_seed
 from .scene import DIFFUSE, Scene
 
-Progress = Callable[[str, int, int], object]
-
+# Far beyond any path that matters; a mirrored room would keep its light for ever.
+MAX_BOUNCES = 10_000
 # Photons whose energy is summed up together. Batches hold whole blocks, so the sums, like all
 # else, do not depend on the batches.
 _BLOCK = 1024
@@ -50,6 +51,8 @@ def trace_photons(
     mirrors and absorbing media, and diffuse surfaces where paths go on, end paths by Russian
     roulette on the luminance. So all photons of an emitter carry the same luminance, and the same
     flux unless the path was coloured. Photon i of an emitter depends on `seed` and i alone.
+    Emitters are taken to be outside of dielectrics unless the first thing met is one from behind:
+    light is not absorbed between an emitter in glass and another object in the same glass.
 
     Parameters
     ----------
@@ -60,12 +63,12 @@ def trace_photons(
     seed : int
         Shifts the Halton sequence and chooses the random numbers.
     paths : {"caustic", "global", "all"}
-        Which deposits to store: light that met specular surfaces only (L S+ D), light that is
-        neither direct nor caustic, or all light that arrives on diffuse surfaces.
+        Which light to store: that met specular surfaces only (L S+ D), neither that nor direct
+        light, or all that arrives on diffuse surfaces.
     sampler : {"halton", "random"}
         Evenly spaced photons (SJ13) or independent ones.
     max_bounces : int
-        Events (specular or diffuse) after which a path is cut.
+        Events (specular or diffuse) after which a path is cut; at most 10,000.
     n_threads : int, optional
         Threads to use; None for all cores.
     progress : callable, optional
@@ -76,36 +79,38 @@ def trace_photons(
     Returns
     -------
     PhotonMap
-        Photons in the order of their emitter and index, and along a path; with a ledger. It is
-        well spaced for Halton photons of caustics.
+        In the order of emitters, indices and events; well spaced for caustics from Halton photons.
 
     Raises
     ------
     TypeError, ValueError
         If an argument is invalid, or if nothing is stored: the message says why.
     """
-    check_choice(sampler, "sampler", SAMPLERS)
+    how = _checked(seed, paths, sampler, max_bounces)
     plan = plan_emission(scene, n_emitted, paths)
-    tracer = _Tracer(
-        scene, plan, check_seed(seed), paths, sampler, count(max_bounces, "max_bounces")
-    )
-    size = -(-count(batch_size, "batch_size") // _BLOCK) * _BLOCK
-    batches: list[_Batch] = []
-    done = 0
-    for batch in _in_order(tracer.trace, _jobs(plan, size), thread_count(n_threads)):
-        batches.append(batch)
-        done += batch.n_paths
-        if progress is not None:
-            progress("trace", done, int(plan.counts.sum()))
-    ledger = _ledger(plan, batches)
-    if not any(len(batch) for batch in batches):
-        raise ValueError(_nothing_stored(ledger, batches, paths, max_bounces))
-    return PhotonMap(
-        **_joined(batches),
-        n_emitted=int(plan.counts.sum()),
-        well_spaced=sampler == "halton" and paths == "caustic",
-        ledger=ledger,
-    )
+    jobs = _jobs(plan, -(-count(batch_size, "batch_size") // _BLOCK) * _BLOCK)
+    report = Reporter(progress, "trace", int(plan.counts.sum()))
+    batches = _run(_Tracer(scene, plan, how), jobs, report, thread_count(n_threads))
+    return _photon_map(plan, how, batches)
+
+
+@dataclass(frozen=True)
+class _How:
+    """The settings of `trace_photons` that its photons depend on."""
+
+    seed: int
+    paths: str
+    sampler: str
+    max_bounces: int
+
+
+def _checked(seed: int, paths: str, sampler: str, max_bounces: int) -> _How:
+    check_choice(paths, "paths", PATHS)
+    check_choice(sampler, "sampler", SAMPLERS)
+    max_bounces = count(max_bounces, "max_bounces")
+    if max_bounces > MAX_BOUNCES:
+        raise ValueError(f"max_bounces should be at most {MAX_BOUNCES}, but is {max_bounces}")
+    return _How(check_seed(seed), paths, sampler, max_bounces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,15 +135,7 @@ class _Batch:
 class _Tracer:
     """A scene made ready to trace batches of paths, from several threads at once."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        plan: EmissionPlan,
-        seed: int,
-        paths: str,
-        sampler: str,
-        max_bounces: int,
-    ) -> None:
+    def __init__(self, scene: Scene, plan: EmissionPlan, how: _How) -> None:
         table = scene.material_table()
         if not (table.kind == DIFFUSE).any():
             raise ValueError(
@@ -150,18 +147,15 @@ class _Tracer:
         )
         self._caster = RayCaster(scene.objects)
         self._plan = plan
-        self._seed = seed
-        self._sampler = sampler
-        self._wanted = PATHS.index(paths)
-        self._max_bounces = max_bounces
-        self._coords_width = 2 if all(aim.is_plane for aim in plan.aims) else 3
+        self._how = how
+        emitting = (aim for aim, n in zip(plan.aims, plan.counts, strict=True) if n)
+        self._coords_width = 2 if all(aim.is_plane for aim in emitting) else 3
 
     def trace(self, job: tuple[int, range]) -> _Batch:
         """Follow some photons of one emitter to their ends."""
         emitter_id, photons = job
-        primal = emit(
-            self._plan, emitter_id, photons, seed=self._seed, sampler=self._sampler, n_threads=1
-        )
+        seed, sampler = self._how.seed, self._how.sampler
+        primal = emit(self._plan, emitter_id, photons, seed=seed, sampler=sampler, n_threads=1)
         n, flux = len(photons), self._plan.flux_per_photon[emitter_id]
         rays = (primal.origin, primal.direction, np.empty((n, 3)))
         energy = np.zeros((-(-n // _BLOCK), len(FATES), 3))
@@ -173,11 +167,11 @@ class _Tracer:
             ledger=energy,
             ends=ends,
             luminance=LUMINANCE * flux,
-            wanted=self._wanted,
-            max_bounces=self._max_bounces,
+            wanted=PATHS.index(self._how.paths),
+            max_bounces=self._how.max_bounces,
             block=_BLOCK,
         )
-        paths.start(self._seed, emitter_id, photons.start, primal.travelled)
+        paths.start(seed, emitter_id, photons.start, primal.travelled)
         deposits = self._follow(paths, rays)
         path = deposits.pop("path")
         deposits["flux"] = deposits.pop("throughput") * flux
@@ -242,6 +236,16 @@ def _jobs(plan: EmissionPlan, size: int) -> Iterator[tuple[int, range]]:
             yield emitter_id, range(start, min(start + size, planned))
 
 
+def _run(
+    tracer: _Tracer, jobs: Iterable[tuple[int, range]], report: Reporter, n_threads: int
+) -> list[_Batch]:
+    batches = []
+    for batch in _in_order(tracer.trace, jobs, n_threads):
+        batches.append(batch)
+        report.advance(batch.n_paths)
+    return batches
+
+
 def _in_order(
     work: Callable[[tuple[int, range]], _Batch], jobs: Iterable[tuple[int, range]], n_threads: int
 ) -> Iterator[_Batch]:
@@ -265,6 +269,18 @@ def _in_order(
 
 def _padded(coords: Floats, width: int) -> Floats:
     return np.pad(coords, ((0, 0), (0, width - coords.shape[1])))
+
+
+def _photon_map(plan: EmissionPlan, how: _How, batches: list[_Batch]) -> PhotonMap:
+    ledger = _ledger(plan, batches)
+    if not any(len(batch) for batch in batches):
+        raise ValueError(_nothing_stored(ledger, batches, how))
+    return PhotonMap(
+        **_joined(batches),
+        n_emitted=int(plan.counts.sum()),
+        well_spaced=how.sampler == "halton" and how.paths == "caustic",
+        ledger=ledger,
+    )
 
 
 def _joined(batches: list[_Batch]) -> dict[str, NDArray]:
@@ -293,14 +309,12 @@ def _ledger(plan: EmissionPlan, batches: list[_Batch]) -> EnergyLedger:
     )
 
 
-def _nothing_stored(
-    ledger: EnergyLedger, batches: list[_Batch], paths: str, max_bounces: int
-) -> str:
+def _nothing_stored(ledger: EnergyLedger, batches: list[_Batch], how: _How) -> str:
     ends = {fate: int(ledger.ends[fate].sum()) for fate in FATES}
     met = sum(batch.n_met_specular for batch in batches)
     return (
-        f'no photons were stored for paths="{paths}": of {sum(ends.values())} paths, '
+        f'no photons were stored for paths="{how.paths}": of {sum(ends.values())} paths, '
         f"{met} met a specular object first, {ends['escaped']} escaped from the scene, "
         f"{ends['absorbed']} were absorbed, {ends['discarded']} ended on diffuse objects as light "
-        f"of another kind, {ends['cut']} were cut after max_bounces={max_bounces}"
+        f"of another kind, {ends['cut']} were cut after max_bounces={how.max_bounces}"
     )
