@@ -1,6 +1,8 @@
 """The command line: what it parses, prints, writes and returns."""
 
 import json
+import os
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,7 +12,8 @@ import pytest
 from PIL import Image as Picture
 
 import photonrelax as pr
-from photonrelax import cli, gallery
+from photonrelax import _bars, cli, gallery
+from photonrelax._interrupts import Interrupts
 from photonrelax._text import describe_photons, stage_table
 from photonrelax.image import read_exr
 
@@ -25,11 +28,11 @@ def run_interrupted_at(stage, *arguments):
     """Run in a process of its own that gets SIGINT when `stage` first reports progress."""
     code = (
         "import os, signal, sys\n"
-        "from photonrelax import cli\n"
+        "from photonrelax import _bars, cli\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "def report(bars, stage, done, total):\n"
         f"    if stage == {stage!r}: os.kill(os.getpid(), signal.SIGINT)\n"
-        "cli._Bars.__call__ = report\n"
+        "_bars.Bars.__call__ = report\n"
         f"sys.exit(cli.main({[str(argument) for argument in arguments]!r}))"
     )
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
@@ -81,6 +84,10 @@ def test_list_names_every_scene(capsys):
         (["render", "ring", "-o", "a.exr", "--k", "0"], "at least 1, but is '0'"),
         (["render", "ring", "-o", "a.exr", "--seed", "-1"], "a whole number, but is '-1'"),
         (["render", "ring", "-o", "a.exr", "--iterations", "7"], "expected 2 arguments"),
+        (["render", "ring", "-o", "a.exr", "--exposure", "1e9"], "between -100 and 100"),
+        (["render", "ring", "-o", "a.exr", "--exposure", "nan"], "between -100 and 100"),
+        (["render", "ring", "-o", "a.exr", "--photon-map", "p", "--photons", "9"], "leave out"),
+        (["render", "ring", "-o", "a.exr", "--photon-map", "p", "--seed", "0"], "leave out"),
     ],
 )
 def test_wrong_usage_exits_2_and_says_why(arguments, complaint, capsys):
@@ -118,6 +125,68 @@ def test_an_output_that_cannot_be_written_is_an_error_before_the_work(tmp_path, 
     (tmp_path / "folder.npz").mkdir()
     assert run("trace", "ring", "-o", tmp_path / "folder.npz") == 1
     assert "it is a folder" in capsys.readouterr().err
+
+
+@pytest.fixture
+def no_work(monkeypatch):
+    """Fail where the stages start."""
+
+    def works(*_, **__):
+        pytest.fail("the work was begun")
+
+    for name in ("render", "trace_photons", "relax", "detect_structure"):
+        monkeypatch.setattr(pr, name, works)
+
+
+@pytest.mark.parametrize(
+    ("stats", "complaint"),
+    [
+        ("missing/stats.json", "there is no folder"),
+        (".", "it is a folder"),
+        ("a.exr", "--stats and the picture should not be one file"),
+        ("a.png", "--stats and the preview should not be one file"),
+        ("link.json", "--stats and the picture should not be one file"),
+        ("photons.npz", "--photon-map and --stats should not be one file"),
+    ],
+)
+def test_statistics_go_to_a_file_of_their_own(
+    stats, complaint, small_map, no_work, tmp_path, capsys
+):
+    (tmp_path / "link.json").symlink_to(tmp_path / "a.exr")
+    maps = ("--photon-map", tmp_path / "photons.npz")
+    assert run("render", "ring", "-o", tmp_path / "a.exr", "--stats", tmp_path / stats, *maps) == 1
+    assert complaint in capsys.readouterr().err
+
+
+def test_a_preview_that_cannot_be_written_is_an_error_before_the_work(no_work, tmp_path, capsys):
+    (tmp_path / "a.png").mkdir()
+    assert run("render", "ring", "-o", tmp_path / "a.exr") == 1
+    assert f"cannot write {tmp_path / 'a.png'}: it is a folder" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc"), reason="no folder that nobody can write to")
+def test_a_folder_that_takes_no_files_is_an_error_before_the_work(small_map, no_work, tmp_path):
+    assert run("render", "ring", "-o", "/proc/a.exr") == 1
+    assert run("render", "ring", "-o", tmp_path / "a.exr", "--stats", "/proc/a.json") == 1
+    assert run("trace", "ring", "-o", "/proc/a.npz") == 1
+    assert run("relax", tmp_path / "photons.npz", "-o", "/proc/a.npz") == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (TypeError("two\nlines"), "two lines"),
+        (MemoryError(), "out of memory"),
+        (OSError("disk full"), "disk full"),
+    ],
+)
+def test_what_goes_wrong_is_told_in_one_line(error, message, tmp_path, capsys, monkeypatch):
+    def fails(*_, **__):
+        raise error
+
+    monkeypatch.setattr(pr, "trace_photons", fails)
+    assert run("trace", "ring", "-o", tmp_path / "a.npz") == 1
+    assert capsys.readouterr().err == f"photonrelax: error: {message}\n"
 
 
 def test_info_describes_a_photon_map(small_map, tmp_path, capsys):
@@ -167,6 +236,14 @@ def test_info_refuses_what_it_does_not_know(tmp_path, capsys):
     assert "No such file" in capsys.readouterr().err
 
 
+def test_info_refuses_a_malformed_photon_map(tmp_path, capsys):
+    np.savez(tmp_path / "a.npz", photonmap_version=1, position=["here"], normal=[0], flux=[0])
+    assert run("info", tmp_path / "a.npz") == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"photonrelax: error: {tmp_path / 'a.npz'} is not a photon map: ")
+    assert error.count("\n") == 1
+
+
 def test_stage_table_lines_up():
     stages = {"trace": {"seconds": 1.25, "n_emitted": 1000000}, "relax": {"seconds": 10.5}}
     assert stage_table(stages).splitlines() == [
@@ -187,7 +264,8 @@ def test_relax_reads_a_map_and_writes_another(small_map, tmp_path, capsys):
     np.testing.assert_array_equal(relaxed.position, expected.position)
 
 
-SMALL = ("--photons", 3000, "--width", 12, "--height", 8, "--supersampling", 1, "--seed", 5)
+SIZE = ("--width", 12, "--height", 8, "--supersampling", 1)
+SMALL = ("--photons", 3000, "--seed", 5, *SIZE)
 
 
 def test_render_writes_the_picture_its_preview_and_its_statistics(tmp_path, capsys):
@@ -241,10 +319,46 @@ def test_trace_writes_the_photons_of_a_scene(tmp_path, capsys):
 
 
 def test_relax_keeps_photons_on_the_surfaces_of_their_scene(tmp_path):
+    bounds = gallery.scene("ring").objects[0].mesh.bounds
+    rng = np.random.default_rng(4)
+    # A strip along the border of the floor, over which repulsion pushes photons.
+    position = bounds[1] - rng.uniform(0, 1, (500, 3)) * [0.1, 1.0, 0.0]
+    photons = pr.PhotonMap(
+        position, np.tile([0.0, 0.0, 1.0], (500, 1)), np.ones(500), object_id=np.zeros(500, int)
+    )
+    photons.save(tmp_path / "photons.npz")
+    arguments = ("relax", tmp_path / "photons.npz", "--quiet", "-o")
+    assert run(*arguments, tmp_path / "free.npz") == 0
+    assert run(*arguments, tmp_path / "kept.npz", "--scene", "ring") == 0
+    free, kept = (pr.PhotonMap.load(tmp_path / f"{name}.npz") for name in ("free", "kept"))
+    assert (free.position > bounds[1] + 1e-3).any()
+    assert (kept.position <= bounds[1] + 1e-6).all()
+    assert (kept.position != photons.position).any()
+
+
+@pytest.mark.parametrize("method", ["standard", "parameterised"])
+def test_render_takes_photons_traced_before(method, tmp_path, capsys):
+    traced = tmp_path / "photons.npz"
+    assert run("trace", "ring", "-o", traced, "--photons", 3000, "--seed", 5, "--quiet") == 0
+    picture = ("render", "ring", "--method", method, *SIZE)
+    assert run(*picture, "--photon-map", traced, "-o", tmp_path / "apart.exr") == 0
+    assert "trace" not in capsys.readouterr().out
+    emission = ("--photons", 3000, "--seed", 5)
+    assert run(*picture, *emission, "-o", tmp_path / "at_once.exr") == 0
+    apart, at_once = (read_exr(tmp_path / f"{name}.exr") for name in ("apart", "at_once"))
+    for name, layer in at_once.layers.items():
+        np.testing.assert_array_equal(apart.layers[name], layer, err_msg=name)
+
+
+def test_stages_run_apart_make_the_same_caustic(tmp_path):
     traced, relaxed = tmp_path / "photons.npz", tmp_path / "relaxed.npz"
-    assert run("trace", "sphere", "-o", traced, "--photons", 2000, "--quiet") == 0
-    assert run("relax", traced, "-o", relaxed, "--scene", "sphere", "--quiet") == 0
-    np.testing.assert_allclose(pr.PhotonMap.load(relaxed).position[:, 2], 0.0, atol=1e-6)
+    assert run("trace", "ring", "-o", traced, "--photons", 3000, "--seed", 5, "--quiet") == 0
+    assert run("relax", traced, "-o", relaxed, "--scene", "ring", "--quiet") == 0
+    maps = ("--photon-map", relaxed, "--method", "standard")
+    assert run("render", "ring", "-o", tmp_path / "apart.exr", *maps, *SIZE, "--quiet") == 0
+    assert run("render", "ring", "-o", tmp_path / "at_once.exr", *SMALL, "--quiet") == 0
+    apart, at_once = (read_exr(tmp_path / f"{name}.exr") for name in ("apart", "at_once"))
+    np.testing.assert_array_equal(apart.layers["caustic"], at_once.layers["caustic"])
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -262,6 +376,51 @@ def test_ctrl_c_leaves_an_older_picture_as_it_was(tmp_path):
     assert output.read_bytes() == b"older"
 
 
+# Interrupts the first import of a module, and swallows the exception as some libraries do.
+INTERRUPTED_IMPORT = """
+import os, signal, sys
+from photonrelax.cli import main
+class Interrupt:
+    def find_spec(self, name, *_):
+        if name == {module!r} and not hasattr(self, "sent"):
+            self.sent = True
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+            except BaseException:
+                if not {swallowed!r}: raise
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.meta_path.insert(0, Interrupt())
+sys.exit(main({arguments!r}))
+"""
+
+
+@pytest.mark.parametrize("swallowed", [True, False])
+@pytest.mark.parametrize("module", ["numpy", "trimesh", "embreex", "PIL"])
+def test_ctrl_c_while_modules_load_is_not_lost(module, swallowed, tmp_path):
+    arguments = [*map(str, ("render", "ring", "-o", tmp_path / "ring.exr", *SMALL))]
+    code = INTERRUPTED_IMPORT.format(module=module, swallowed=swallowed, arguments=arguments)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (130, "photonrelax: interrupted\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_while_the_last_file_is_written_leaves_none(tmp_path, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(json, "dumps", interrupted)
+    monkeypatch.setattr(pr, "render", lambda *_, **__: pr.Image({"radiance": np.ones((2, 2, 3))}))
+    files = ("-o", tmp_path / "ring.exr", "--stats", tmp_path / "stats.json")
+    assert run("render", "ring", *files, "--quiet") == 130
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_handler_of_the_caller_comes_back():
+    before = signal.getsignal(signal.SIGINT)
+    run("list")
+    assert signal.getsignal(signal.SIGINT) is before
+
+
 def test_failures_in_the_pipeline_are_one_line(tmp_path, capsys):
     output = tmp_path / "ring.exr"
     assert run("render", "ring", "-o", output, "--photons", 1, "--quiet") == 1
@@ -276,12 +435,39 @@ def test_quiet_prints_nothing(small_map, tmp_path, capsys):
     assert capsys.readouterr() == ("", "")
 
 
-def test_bars_follow_stages(capsys):
-    with cli._Bars(quiet=False) as bars:
-        bars._disable = False
-        for done in (1, 2, 4):
-            bars("trace", done, 4)
-        bars("relax", 3, 6)
-    error = capsys.readouterr().err
-    assert "trace: 100%" in error
-    assert "relax:  50%" in error
+class Bars:
+    """Tell what bars show when; as if on a terminal."""
+
+    def __init__(self, capsys):
+        self.bars = _bars.Bars(False, Interrupts())
+        self.bars._disable = False
+        self._capsys = capsys
+
+    def shown(self, *report):
+        self.bars(*report)
+        return self._capsys.readouterr().err
+
+
+def test_a_bar_closes_when_its_stage_is_done(capsys):
+    bars = Bars(capsys)
+    assert not bars.shown("trace", 1, 4).endswith("\n")
+    done = bars.shown("trace", 4, 4)
+    assert "trace: 100%" in done
+    assert done.endswith("\n")
+    assert bars.shown("trace", 4, 4) == ""
+
+
+def test_a_bar_closes_when_another_stage_starts(capsys):
+    bars = Bars(capsys)
+    bars.shown("trace", 1, 4)
+    before, after = bars.shown("relax", 0, 6).split("\n")
+    assert "trace:  25%" in before
+    assert "trace" not in after
+    assert "relax:   0%" in after
+
+
+def test_a_bar_left_over_closes_at_the_end(capsys):
+    bars = Bars(capsys)
+    with bars.bars:
+        bars.shown("relax", 3, 6)
+    assert "relax:  50%" in capsys.readouterr().err

@@ -1,14 +1,17 @@
 """EXR and PNG files: what an independent reader finds in them."""
 
 import os
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import OpenEXR
 import OpenImageIO
 import pytest
 from PIL import Image as Picture
 
 import photonrelax as pr
-from photonrelax._files import whole_file
+from photonrelax._files import check_writable, whole_file
 from photonrelax.image import read_exr, srgb
 
 HEIGHT, WIDTH = 5, 7
@@ -101,19 +104,41 @@ def test_srgb_is_continuous_and_increasing():
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
-        ({"caustic": np.full((HEIGHT, WIDTH, 3), np.nan)}, ValueError, "layer caustic .* nan"),
-        ({"caustic": np.full((HEIGHT, WIDTH, 3), np.inf)}, ValueError, "layer caustic .* inf"),
-        ({"caustic": np.full((HEIGHT, WIDTH, 3), 1e39)}, ValueError, "float32"),
-        ({"Z": np.full((HEIGHT, WIDTH), -np.inf)}, ValueError, "layer Z"),
         ({"Z": np.zeros((WIDTH, HEIGHT))}, ValueError, "one size"),
         ({"albedo": np.zeros((HEIGHT, WIDTH, 4))}, ValueError, "layer albedo"),
-        ({"radiance": np.zeros((HEIGHT, WIDTH))}, ValueError, "layer radiance"),
         ({"albedo": "white"}, TypeError, "layer albedo"),
     ],
 )
 def test_what_is_no_layer_is_refused_by_name(layers, change, error, message):
     with pytest.raises(error, match=message):
         pr.Image(layers | change)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"radiance": np.full((HEIGHT, WIDTH, 3), np.nan)}, "layer radiance .* nan"),
+        ({"radiance": np.full((HEIGHT, WIDTH, 3), np.inf)}, "layer radiance .* inf"),
+        ({"radiance": np.full((HEIGHT, WIDTH, 3), 1e39)}, "float32"),
+        ({"radiance": np.zeros((HEIGHT, WIDTH))}, "layer radiance should have three"),
+        ({"Z": np.full((HEIGHT, WIDTH), -np.inf)}, "layer Z"),
+    ],
+)
+def test_what_cannot_be_shown_is_not_written(layers, change, message, tmp_path):
+    image = pr.Image(layers | change)
+    with pytest.raises(ValueError, match=message):
+        image.write_exr(tmp_path / "image.exr")
+    if "radiance" in change:
+        with pytest.raises(ValueError, match=message):
+            image.write_png(tmp_path / "image.png")
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("exposure", [np.nan, np.inf, 1e9, -101])
+def test_exposure_beyond_reason_is_refused(layers, exposure, tmp_path):
+    with pytest.raises(ValueError, match="exposure should be"):
+        pr.Image(layers).write_png(tmp_path / "image.png", exposure=exposure)
+    assert os.listdir(tmp_path) == []
 
 
 @pytest.mark.parametrize(("metadata", "error"), [({"n": 3}, TypeError), ({"type": ""}, ValueError)])
@@ -137,6 +162,73 @@ def test_reading_what_is_no_exr_file_fails_clearly(tmp_path):
         read_exr(tmp_path / "text.exr")
 
 
+def write_foreign(path, *parts):
+    """Write channels by name, a mapping for each part, as other programs may."""
+    header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.NO_COMPRESSION}
+    parts = [
+        OpenEXR.Part(header | {"name": f"part {i}"}, dict(channels))
+        for i, channels in enumerate(parts)
+    ]
+    OpenEXR.File(parts).write(str(path))
+
+
+def test_pictures_of_other_programs_may_hold_any_values(tmp_path):
+    values = np.array([[np.nan, np.inf, -np.inf]], np.float32)
+    write_foreign(tmp_path / "a.exr", {"R": values, "G": values, "B": values, "Z": values})
+    layers = read_exr(tmp_path / "a.exr").layers
+    np.testing.assert_array_equal(layers["radiance"], np.stack(3 * [values], axis=-1))
+    np.testing.assert_array_equal(layers["Z"], values)
+
+
+def test_a_channel_named_as_a_layer_of_three_is_a_layer_of_one(tmp_path):
+    grey, red = np.full((1, 3), 1, np.float32), np.full((1, 3), 2, np.float32)
+    write_foreign(tmp_path / "grey.exr", {"radiance": grey})
+    np.testing.assert_array_equal(read_exr(tmp_path / "grey.exr").layers["radiance"], grey)
+    write_foreign(tmp_path / "both.exr", {"radiance": grey, "R": red, "G": red, "B": red})
+    both = read_exr(tmp_path / "both.exr").layers
+    assert {name: layer[0, 0] for name, layer in both.items()} == {
+        "radiance": 1,
+        "R": 2,
+        "G": 2,
+        "B": 2,
+    }
+
+
+def test_a_picture_of_several_parts_is_refused_rather_than_shown_in_part(tmp_path):
+    values = np.zeros((1, 3), np.float32)
+    write_foreign(tmp_path / "a.exr", {"Y": values}, {"Z": values})
+    with pytest.raises(ValueError, match=r"a\.exr should be .* of one part, but has 2"):
+        read_exr(tmp_path / "a.exr")
+
+
+def test_a_failing_encoder_is_an_oserror_that_names_the_file(layers, tmp_path, monkeypatch):
+    def fails(path):
+        raise RuntimeError("disk full")
+
+    monkeypatch.setattr(OpenEXR, "File", lambda *_: SimpleNamespace(write=fails))
+    with pytest.raises(OSError, match=r"cannot write .*image\.exr: disk full"):
+        pr.Image(layers).write_exr(tmp_path / "image.exr")
+
+
+@pytest.mark.parametrize("older", [True, False])
+@pytest.mark.parametrize("name", ["image.exr", "image.png"])
+def test_an_interrupted_encoder_leaves_no_half_picture(layers, name, older, tmp_path, monkeypatch):
+    def interrupted(path):
+        Path(path).write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    path = tmp_path / name
+    if older:
+        path.write_bytes(b"older")
+    monkeypatch.setattr(OpenEXR, "File", lambda *_: SimpleNamespace(write=interrupted))
+    monkeypatch.setattr(Picture.Image, "save", lambda _, path, *__: interrupted(path))
+    image = pr.Image(layers)
+    with pytest.raises(KeyboardInterrupt):
+        (image.write_exr if name == "image.exr" else image.write_png)(path)
+    assert os.listdir(tmp_path) == ([name] if older else [])
+    assert not older or path.read_bytes() == b"older"
+
+
 def test_files_are_whole_or_not_there(tmp_path):
     path = tmp_path / "file"
     path.write_text("old")
@@ -155,3 +247,23 @@ def test_files_are_whole_or_not_there(tmp_path):
     assert os.listdir(tmp_path) == ["file"]
     with pytest.raises(FileNotFoundError, match="no folder"), whole_file(tmp_path / "no" / "file"):
         pass
+
+
+def test_what_can_be_written_is_found_out_without_a_trace(tmp_path):
+    check_writable(tmp_path / "file")
+    check_writable(tmp_path / ("n" * 250))
+    assert os.listdir(tmp_path) == []
+    with pytest.raises(FileNotFoundError, match="no folder"):
+        check_writable(tmp_path / "no" / "file")
+    with pytest.raises(IsADirectoryError, match="is a folder"):
+        check_writable(tmp_path)
+    with pytest.raises(OSError, match="not a regular file"):
+        check_writable("/dev/null")
+    with pytest.raises(OSError, match="too long"):
+        check_writable(tmp_path / ("n" * 300))
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc"), reason="no folder that nobody can write to")
+def test_a_folder_that_takes_no_files_is_found_out():
+    with pytest.raises(OSError, match=r"cannot write /proc/file: no file can be made"):
+        check_writable("/proc/file")

@@ -13,12 +13,12 @@ import photonrelax
 PACKAGE = Path(photonrelax.__file__).parent
 TIERS = [
     {"_ext"},
-    {"_arrays", "_files", "_meshes", "_progress", "sampling", "optics", "image"},
+    {"_arrays", "_files", "_interrupts", "_meshes", "_progress", "sampling", "optics", "image"},
     {"kdtree", "raycast", "scene"},
     {"camera", "emit", "photonmap"},
     {"trace", "structure", "relax", "estimate"},
     {"render", "gallery"},
-    {"cli", "_text", "__main__"},
+    {"cli", "_bars", "_text", "__main__"},
 ]
 TIER = {module: tier for tier, modules in enumerate(TIERS) for module in modules}
 OWNERS = {"embreex": {"raycast"}, "trimesh.ray": {"raycast"}, "OpenEXR": {"image"}}
@@ -95,3 +95,9 @@ def test_importing_the_package_is_cheap():
     )
     heavy = {"numpy", "scipy", "trimesh", "matplotlib", "OpenEXR", "PIL"}
     assert not heavy & set(loaded.stdout.split())
+
+
+def test_the_gallery_needs_no_import_of_its_own():
+    code = "import photonrelax as pr; print(*pr.gallery.names())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "prism" in done.stdout.split()

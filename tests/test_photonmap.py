@@ -1,4 +1,5 @@
 import os
+import zipfile
 
 import numpy as np
 import pytest
@@ -165,6 +166,51 @@ def test_load_says_what_is_wrong_with_a_file(tmp_path, write, message):
     path = tmp_path / "map.npz"
     write(path)
     with pytest.raises(ValueError, match=message):
+        PhotonMap.load(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"position": np.full((5, 3), "here")}, "position should be an array of real numbers"),
+        ({"position": np.zeros((5, 2))}, "position should have shape"),
+        ({"object_id": np.zeros(5)}, "object_id should be an array of integers"),
+        ({"photonmap_version": np.ones(2, int)}, "photonmap_version should be one integer"),
+        ({"photonmap_version": "one"}, "photonmap_version should be one integer"),
+        ({"n_emitted": 2.5}, "n_emitted should be one integer"),
+        ({"well_spaced": [True, False]}, "well_spaced should be one truth value"),
+        ({"ledger_cut": None}, "it has no ledger_cut"),
+        ({"ledger_ends_cut": None}, "it has no ledger_ends_cut"),
+        ({"ledger_emitted": 1.0}, "unsized"),
+    ],
+)
+def test_a_map_with_a_malformed_column_is_no_photon_map(tmp_path, change, message):
+    path = tmp_path / "map.npz"
+    full_map().save(path)
+    with np.load(path) as file:
+        arrays = dict(file) | change
+    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+    with pytest.raises(ValueError, match=rf"map\.npz is not a photon map: .*{message}"):
+        PhotonMap.load(path)
+
+
+def test_bytes_in_the_archive_are_no_array(tmp_path):
+    path = tmp_path / "map.npz"
+    full_map().save(path)
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, b"noise" if name == "flux.npy" else content)
+    with pytest.raises(ValueError, match=r"map\.npz is not a photon map"):
+        PhotonMap.load(path)
+
+
+def test_a_truncated_map_is_no_photon_map(tmp_path):
+    path = tmp_path / "map.npz"
+    full_map().save(path)
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(ValueError, match=r"map\.npz is not a photon map"):
         PhotonMap.load(path)
 
 

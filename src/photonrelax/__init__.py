@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from . import gallery as gallery
     from .camera import HitPoints as HitPoints
     from .estimate import GatherSettings as GatherSettings
     from .estimate import IrradianceField as IrradianceField
@@ -69,7 +70,8 @@ _MODULE_OF = {
     "render": "render",
     "trace_photons": "trace",
 }
-__all__ = sorted([*_MODULE_OF, "__version__"])
+_SUBPACKAGES = ("gallery",)
+__all__ = sorted([*_MODULE_OF, *_SUBPACKAGES, "__version__"])
 
 
 class _Package(ModuleType):
@@ -89,6 +91,8 @@ sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> object:
+    if name in _SUBPACKAGES:
+        return importlib.import_module(f".{name}", __name__)
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'photonrelax' has no attribute {name!r}")
     module = importlib.import_module(f".{_MODULE_OF[name]}", __name__)

@@ -19,11 +19,45 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         If the folder of `path` does not exist.
     """
     path = Path(path)
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"cannot write {path}: there is no folder {path.parent}")
-    partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}.part")
+    _check_folder(path)
+    partial = _partial(path)
     try:
         yield partial
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Raise what `whole_file` would, by creating and removing a file beside `path`.
+
+    Raises
+    ------
+    OSError
+        If the folder does not exist or cannot be written to, or `path` is not a regular file.
+    """
+    path = Path(path)
+    _check_folder(path)
+    if path.is_dir():
+        raise IsADirectoryError(f"cannot write {path}: it is a folder")
+    if path.exists() and not path.is_file():
+        raise OSError(f"cannot write {path}: it is a device, not a regular file")
+    probe = _partial(path)
+    try:
+        probe.touch()
+    except OSError as error:
+        raise OSError(
+            f"cannot write {path}: no file can be made in {path.parent} ({error.strerror})"
+        ) from None
+    finally:
+        probe.unlink(missing_ok=True)
+
+
+def _check_folder(path: Path) -> None:
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"cannot write {path}: there is no folder {path.parent}")
+
+
+def _partial(path: Path) -> Path:
+    # A part of the name will do: the whole could become longer than file systems allow.
+    return path.with_name(f".{path.name[:40]}.{uuid.uuid4().hex}.part")

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from contextlib import ExitStack
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import photonrelax as pr
 
 from . import gallery
-from ._files import whole_file
-from ._text import describe_image, describe_photons, stage_table
-from .estimate import METHODS
-from .image import read_exr
+from ._bars import Bars
+from ._interrupts import Interrupts
 
+# Everything else is imported where it is used: an interrupt meanwhile is then caught in `main`.
 if TYPE_CHECKING:
     from .scene import Scene
 
 INTERRUPTED = 130
 _MAGIC_EXR, _MAGIC_NPZ = b"v/1\x01", b"PK\x03\x04"
+_EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
+_PHOTONS = 1_000_000
 Result = TypeVar("Result")
 
 
@@ -32,70 +32,107 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     0 for success, 1 for an error, 2 for wrong usage (raised as SystemExit), 130 for Ctrl-C.
     """
-    options = _parser().parse_args(arguments)
-    try:
-        options.command(options)
-    except KeyboardInterrupt:
-        print("photonrelax: interrupted", file=sys.stderr)
-        return INTERRUPTED
-    except (ValueError, OSError, ImportError) as error:
-        print(f"photonrelax: error: {error}", file=sys.stderr)
-        return 1
+    with Interrupts() as interrupts:
+        try:
+            options = _parser().parse_args(arguments)
+            options.command(options, interrupts)
+        except KeyboardInterrupt:
+            return _interrupted()
+        except Exception as error:
+            # An import that was interrupted may fail in any way.
+            if interrupts.pending:
+                return _interrupted()
+            if not isinstance(error, _EXPECTED):
+                raise
+            message = " ".join(str(error).splitlines()) or "out of memory"
+            print(f"photonrelax: error: {message}", file=sys.stderr)
+            return 1
     return 0
+
+
+def _interrupted() -> int:
+    print("photonrelax: interrupted", file=sys.stderr)
+    return INTERRUPTED
 
 
 # --- commands ---------------------------------------------------------------------------------
 
 
-def _render(options: argparse.Namespace) -> None:
+def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
+    if options.photon_map is not None and (options.photons, options.seed) != (None, None):
+        options.wrong_usage("--photon-map brings its photons: leave out --photons and --seed")
     output = _output(options.output, ".exr")
-    stats_path = None if options.stats is None else _output(options.stats)
-    scene = _resized(gallery.scene(options.scene), options.width, options.height)
-    with _Bars(options.quiet) as bars:
-        image = pr.render(
-            scene,
-            method=options.method,
-            n_emitted=options.photons,
-            seed=options.seed,
-            relax=pr.RelaxSettings(n_iterations=tuple(options.iterations)),
-            gather=pr.GatherSettings(k=options.k),
-            supersampling=options.supersampling,
-            n_threads=options.threads,
-            progress=bars,
-        )
-    preview = output.with_suffix(".png")
-    image.write_exr(output)
-    image.write_png(preview, exposure=options.exposure)
-    if stats_path is not None:
-        _write_json(stats_path, image.stats)
+    preview = _output(output.with_suffix(".png"))
+    stats = None if options.stats is None else _output(options.stats)
+    _check_distinct(
+        {
+            "the picture": output,
+            "the preview": preview,
+            "--stats": stats,
+            "--photon-map": options.photon_map,
+        }
+    )
+    image = _image(options, interrupts)
+    with ExitStack() as files:
+        # All files take their places together, when the last is whole.
+        image.write_exr(_partial(files, output))
+        image.write_png(_partial(files, preview), exposure=options.exposure)
+        if stats is not None:
+            _write_json(_partial(files, stats), image.stats)
+        interrupts.check()
+    from ._text import stage_table
+
     _report(options, stage_table(image.stats["stages"]), f"wrote {output} and {preview}")
 
 
-def _trace(options: argparse.Namespace) -> None:
+def _image(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
+    photons = None if options.photon_map is None else pr.PhotonMap.load(options.photon_map)
+    scene = _resized(gallery.scene(options.scene), options.width, options.height)
+    with Bars(options.quiet, interrupts) as bars:
+        return pr.render(
+            scene,
+            method=options.method,
+            n_emitted=_photons(options),
+            seed=options.seed or 0,
+            relax=pr.RelaxSettings(n_iterations=tuple(options.iterations)),
+            gather=pr.GatherSettings(k=options.k),
+            supersampling=options.supersampling,
+            photons=photons,
+            n_threads=options.threads,
+            progress=bars,
+        )
+
+
+def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:
+    from ._text import stage_table
+
     output = _output(options.output, ".npz")
     scene = gallery.scene(options.scene)
-    with _Bars(options.quiet) as bars:
+    with Bars(options.quiet, interrupts) as bars:
         photons, seconds = _timed(
             lambda: pr.trace_photons(
                 scene,
-                options.photons,
-                seed=options.seed,
+                _photons(options),
+                seed=options.seed or 0,
                 sampler=options.sampler,
                 n_threads=options.threads,
                 progress=bars,
             )
         )
     photons.save(output)
-    stages = {"trace": {"seconds": seconds, "emitted": options.photons, "stored": len(photons)}}
+    counts = {"emitted": _photons(options), "stored": len(photons)}
+    stages = {"trace": {"seconds": seconds, **counts}}
     _report(options, stage_table(stages), f"wrote {output}")
 
 
-def _relax(options: argparse.Namespace) -> None:
+def _relax(options: argparse.Namespace, interrupts: Interrupts) -> None:
+    from ._text import stage_table
+
     output = _output(options.output, ".npz")
     photons = pr.PhotonMap.load(options.photon_map)
     scene = None if options.scene is None else gallery.scene(options.scene)
     settings = pr.RelaxSettings(n_iterations=tuple(options.iterations))
-    with _Bars(options.quiet) as bars:
+    with Bars(options.quiet, interrupts) as bars:
         structure, structure_seconds = _timed(
             lambda: pr.detect_structure(photons, n_threads=options.threads, progress=bars)
         )
@@ -117,13 +154,16 @@ def _relax(options: argparse.Namespace) -> None:
     _report(options, stage_table(stages), f"wrote {output}")
 
 
-def _list(options: argparse.Namespace) -> None:
+def _list(options: argparse.Namespace, interrupts: Interrupts) -> None:
     width = max(map(len, gallery.names()))
     for name in gallery.names():
         print(f"{name:{width}}  {gallery.about(name)}")
 
 
-def _info(options: argparse.Namespace) -> None:
+def _info(options: argparse.Namespace, interrupts: Interrupts) -> None:
+    from ._text import describe_image, describe_photons
+    from .image import read_exr
+
     with options.file.open("rb") as file:
         magic = file.read(4)
     if magic == _MAGIC_EXR:
@@ -142,53 +182,50 @@ def _report(options: argparse.Namespace, *texts: str) -> None:
         print("\n".join(texts))
 
 
-class _Bars:
-    """A progress bar for each stage, on terminals; call it as ``bars(stage, done, total)``."""
-
-    def __init__(self, quiet: bool) -> None:
-        # None leaves it to tqdm to keep bars out of files and pipes.
-        self._disable = True if quiet else None
-        self._bars: dict[str, Any] = {}
-
-    def __enter__(self) -> _Bars:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        for bar in self._bars.values():
-            bar.close()
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        from tqdm import tqdm
-
-        if stage not in self._bars:
-            self._bars[stage] = tqdm(
-                total=total, desc=stage, unit_scale=True, disable=self._disable
-            )
-        bar = self._bars[stage]
-        bar.total = total
-        bar.update(done - bar.n)
-
-
 # --- files and scenes -------------------------------------------------------------------------
 
 
 def _output(path: Path, suffix: str | None = None) -> Path:
     """Return a path that can be written to; better to find out before the work than after."""
+    from ._files import check_writable
+
     if suffix is not None and path.suffix.lower() != suffix:
         raise ValueError(f"the output should be named *{suffix}, but is {path}")
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"cannot write {path}: there is no folder {path.parent}")
-    if path.is_dir():
-        raise IsADirectoryError(f"cannot write {path}: it is a folder")
+    check_writable(path)
     return path
 
 
+def _check_distinct(paths: Mapping[str, Path | None]) -> None:
+    """Raise ValueError if one file would overwrite another."""
+    import os
+
+    names: dict[str, str] = {}
+    for name, path in paths.items():
+        if path is not None:
+            other = names.setdefault(os.path.realpath(path), name)
+            if other != name:
+                raise ValueError(f"{name} and {other} should not be one file, but both are {path}")
+
+
+def _partial(files: ExitStack, path: Path) -> Path:
+    from ._files import whole_file
+
+    return files.enter_context(whole_file(path))
+
+
 def _write_json(path: Path, content: Mapping[str, Any]) -> None:
-    with whole_file(path) as partial:
-        partial.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    import json
+
+    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+def _photons(options: argparse.Namespace) -> int:
+    return options.photons or _PHOTONS
 
 
 def _resized(scene: Scene, width: int | None, height: int | None) -> Scene:
+    from dataclasses import replace
+
     camera = scene.camera
     assert camera is not None, "every built-in scene has a camera"
     camera = replace(camera, width=width or camera.width, height=height or camera.height)
@@ -196,9 +233,9 @@ def _resized(scene: Scene, width: int | None, height: int | None) -> Scene:
 
 
 def _timed(work: Callable[[], Result]) -> tuple[Result, float]:
-    start = time.perf_counter()
+    start = perf_counter()
     result = work()
-    return result, time.perf_counter() - start
+    return result, perf_counter() - start
 
 
 # --- arguments --------------------------------------------------------------------------------
@@ -223,15 +260,23 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_render(commands: Any) -> None:
+    from .estimate import METHODS
+
     about = "render a built-in scene to an EXR file, and a PNG preview beside it"
     parser = commands.add_parser("render", help=about, description=about)
-    parser.set_defaults(command=_render)
+    parser.set_defaults(command=_render, wrong_usage=parser.error)
     _add_scene(parser)
     _add_output(parser, "FILE.exr")
     parser.add_argument(
         "--method", choices=METHODS, default="parameterised", help="default: %(default)s"
     )
     _add_emission(parser)
+    parser.add_argument(
+        "--photon-map",
+        type=Path,
+        metavar="FILE.npz",
+        help="photons traced before, in place of new ones; with relaxed ones: --method standard",
+    )
     parser.add_argument(
         "--k", type=_positive, default=15, metavar="N", help="photons per estimate (%(default)s)"
     )
@@ -246,7 +291,7 @@ def _add_render(commands: Any) -> None:
         help="N x N rays per pixel (%(default)s)",
     )
     parser.add_argument(
-        "--exposure", type=float, default=0.0, metavar="STOPS", help="of the PNG preview"
+        "--exposure", type=_stops, default=0.0, metavar="STOPS", help="of the PNG preview"
     )
     parser.add_argument("--stats", type=Path, metavar="FILE.json", help="write times and counts")
     _add_common(parser)
@@ -290,10 +335,9 @@ def _add_output(parser: argparse.ArgumentParser, metavar: str) -> None:
 
 
 def _add_emission(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--photons", type=_positive, default=1_000_000, metavar="N", help="emitted (%(default)s)"
-    )
-    parser.add_argument("--seed", type=_whole, default=0, metavar="N", help="of the photons")
+    # No defaults here: whether they were given matters beside --photon-map.
+    parser.add_argument("--photons", type=_positive, metavar="N", help=f"emitted ({_PHOTONS})")
+    parser.add_argument("--seed", type=_whole, metavar="N", help="of the photons (0)")
 
 
 def _add_iterations(parser: argparse.ArgumentParser) -> None:
@@ -339,3 +383,18 @@ def _positive(text: str) -> int:
     if number < 1:
         raise argparse.ArgumentTypeError(f"should be at least 1, but is {text!r}")
     return number
+
+
+def _stops(text: str) -> float:
+    from .image import LARGEST_EXPOSURE
+
+    try:
+        stops = float(text)
+    except ValueError:
+        stops = float("nan")
+    if not abs(stops) <= LARGEST_EXPOSURE:
+        raise argparse.ArgumentTypeError(
+            f"should be a number between -{LARGEST_EXPOSURE:g} and {LARGEST_EXPOSURE:g}, "
+            f"but is {text!r}"
+        )
+    return stops

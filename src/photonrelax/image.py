@@ -19,6 +19,8 @@ _CHANNELS = {"radiance": ("R", "G", "B"), "N": ("N.X", "N.Y", "N.Z")}
 # Layers in which inf is a value: a depth where nothing is seen.
 _MAY_BE_INFINITE = ("Z",)
 _LARGEST = float(np.finfo(np.float32).max)
+# Either way far beyond what any picture needs, and within what floats hold.
+LARGEST_EXPOSURE = 100.0
 # Attributes of the file format, which metadata must not overwrite.
 _RESERVED = frozenset(
     [
@@ -37,7 +39,8 @@ class Image:
     ----------
     layers : mapping of str to (height, width) or (height, width, 3)
         Row 0 is at the top. ``radiance`` is the picture, W/(m² sr); ``N`` holds normals; ``Z`` is
-        depth, m, inf where nothing is seen. Everywhere else values are finite.
+        depth, m, inf where nothing is seen. Files written hold finite values everywhere else;
+        files read may hold any.
     metadata : mapping of str to str
         Written into the header of EXR files.
     stats : dict
@@ -46,8 +49,7 @@ class Image:
     Raises
     ------
     TypeError, ValueError
-        If a layer is not numbers, has another size than the others, or holds NaN or values that
-        float32 cannot; if metadata are not text.
+        If a layer is not numbers or has another size than the others; if metadata are not text.
     """
 
     layers: Mapping[str, ArrayLike]
@@ -72,18 +74,27 @@ class Image:
 
         Raises
         ------
-        FileNotFoundError
-            If the folder does not exist.
+        ValueError
+            If a layer holds NaN or values that float32 cannot, or ``radiance`` or ``N`` have one
+            value per pixel.
+        OSError
+            If the file cannot be written.
         """
         import OpenEXR
 
+        for name, layer in self.layers.items():
+            _check_to_write(name, np.asarray(layer))
         header = {
             **self.metadata,
             "compression": OpenEXR.ZIP_COMPRESSION,
             "type": OpenEXR.scanlineimage,
         }
+        file = OpenEXR.File(header, self._channels())
         with whole_file(path) as partial:
-            OpenEXR.File(header, self._channels()).write(str(partial))
+            try:
+                file.write(str(partial))
+            except RuntimeError as error:
+                raise OSError(f"cannot write {path}: {error}") from None
 
     def write_png(self, path: str | os.PathLike[str], exposure: float = 0.0) -> None:
         """Write ``radiance`` times 2^exposure as an 8-bit sRGB picture, whole or not at all.
@@ -91,16 +102,18 @@ class Image:
         Raises
         ------
         ValueError
-            If there is no ``radiance``.
-        FileNotFoundError
-            If the folder does not exist.
+            If there is no ``radiance`` of three finite values per pixel, or `exposure` is not
+            between -100 and 100.
+        OSError
+            If the file cannot be written.
         """
         from PIL import Image as Picture
 
         if "radiance" not in self.layers:
             raise ValueError(f"layers should include radiance, but are {sorted(self.layers)}")
-        exposure = float(float_array(exposure, "exposure", ()))
-        display = srgb(np.asarray(self.layers["radiance"]) * 2.0**exposure)
+        radiance = np.asarray(self.layers["radiance"])
+        _check_to_write("radiance", radiance)
+        display = srgb(radiance * 2.0 ** _checked_exposure(exposure))
         with whole_file(path) as partial:
             Picture.fromarray(np.rint(255.0 * display).astype(np.uint8)).save(partial, "PNG")
 
@@ -120,12 +133,15 @@ class Image:
 def read_exr(path: str | os.PathLike[str]) -> Image:
     """Read an EXR file of one part, by the channel names of `Image.write_exr`.
 
+    Any program may have written it, and its values need not be finite. Channels that do not come
+    in threes are layers by themselves.
+
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is not an EXR file.
+        If it is not an EXR file, has several parts, or channels of different sizes.
     """
     import OpenEXR
 
@@ -133,11 +149,14 @@ def read_exr(path: str | os.PathLike[str]) -> Image:
         raise FileNotFoundError(f"there is no file {path}")
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
+            n_parts = len(file.parts)
             # Closing the file empties its header.
             header = dict(file.header())
             pixels = {name: channel.pixels for name, channel in file.channels().items()}
     except RuntimeError as error:
         raise ValueError(f"{path} is not an EXR file: {error}") from None
+    if n_parts > 1:
+        raise ValueError(f"{path} should be an EXR file of one part, but has {n_parts}")
     metadata = {k: v for k, v in header.items() if isinstance(v, str) and k not in _RESERVED}
     return Image(_group(pixels), metadata)
 
@@ -164,7 +183,12 @@ def _group(channels: dict[str, NDArray]) -> dict[str, NDArray]:
 def _triple_names(channels: Iterable[str]) -> list[str]:
     present = set(channels)
     candidates = [*_CHANNELS, *(c[:-2] for c in present if c.endswith(".R"))]
-    return [name for name in candidates if present.issuperset(_channel_names(name))]
+    return [
+        name
+        for name in candidates
+        # A channel of the same name keeps it, and the three stay by themselves.
+        if present.issuperset(_channel_names(name)) and name not in present
+    ]
 
 
 def _checked_layer(name: str, layer: ArrayLike) -> Floats:
@@ -176,13 +200,12 @@ def _checked_layer(name: str, layer: ArrayLike) -> Floats:
             f"layer {name} should have shape (height, width) or (height, width, 3), "
             f"but has {values.shape}"
         )
-    if name in _CHANNELS and values.ndim == 2:
-        raise ValueError(f"layer {name} should have three values per pixel, but has one")
-    _check_values(name, values)
     return values
 
 
-def _check_values(name: str, values: Floats) -> None:
+def _check_to_write(name: str, values: Floats) -> None:
+    if name in _CHANNELS and values.ndim == 2:
+        raise ValueError(f"layer {name} should have three values per pixel, but has one")
     bad = ~(np.abs(values) <= _LARGEST)
     if name in _MAY_BE_INFINITE:
         bad &= values != np.inf
@@ -192,6 +215,16 @@ def _check_values(name: str, values: Floats) -> None:
             f"layer {name} should hold finite float32 values, but {bad.sum()} are not: "
             f"the first, at row {row} and column {column}, is {values[bad][0]}"
         )
+
+
+def _checked_exposure(exposure: float) -> float:
+    stops = float(float_array(exposure, "exposure", ()))
+    if abs(stops) > LARGEST_EXPOSURE:
+        raise ValueError(
+            f"exposure should be between -{LARGEST_EXPOSURE:g} and {LARGEST_EXPOSURE:g} stops, "
+            f"but is {stops:g}"
+        )
+    return stops
 
 
 def _checked_metadata(metadata: Mapping[str, str]) -> dict[str, str]:

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import os
 import zipfile
-from collections.abc import Mapping
+import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -203,13 +204,17 @@ class PhotonMap:
         """
         arrays = _read_npz(Path(path))
         known = {name: _read_only(arrays[name]) for name in _ARRAY_FIELDS if name in arrays}
-        n_emitted = int(arrays["n_emitted"]) if "n_emitted" in arrays else None
-        return cls(
-            **known,
-            n_emitted=n_emitted,
-            well_spaced=bool(arrays.get("well_spaced", False)),
-            ledger=_ledger_from(arrays) if "ledger_emitted" in arrays else None,
-        )
+        try:
+            return cls(
+                **known,
+                n_emitted=_scalar(arrays, "n_emitted", "iu", None),
+                well_spaced=_scalar(arrays, "well_spaced", "b")
+                if "well_spaced" in arrays
+                else False,
+                ledger=_ledger_from(arrays) if "ledger_emitted" in arrays else None,
+            )
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path} is not a photon map: {error}") from None
 
 
 _INTEGER_FIELDS: dict[str, type] = {
@@ -276,6 +281,8 @@ def _ledger_arrays(ledger: EnergyLedger) -> dict[str, NDArray]:
 
 
 def _ledger_from(arrays: Mapping[str, NDArray]) -> EnergyLedger:
+    columns = [f"ledger_{name}" for name in FATES] + [f"ledger_ends_{name}" for name in FATES]
+    _check_names(arrays, columns)
     return EnergyLedger(
         **{name: arrays[f"ledger_{name}"] for name in ("emitted", *FATES)},
         ends={name: arrays[f"ledger_ends_{name}"] for name in FATES},
@@ -289,18 +296,43 @@ def _write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
 
 def _read_npz(path: Path) -> dict[str, NDArray]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = dict(file)
-    except (ValueError, EOFError, TypeError, zipfile.BadZipFile) as error:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            # What is no array in the archive comes as bytes.
+            arrays = {name: np.asarray(file[name]) for name in file.files}
+        _check_names(arrays, ["photonmap_version"])
+        version = _scalar(arrays, "photonmap_version", "iu")
+        if version == FORMAT_VERSION:
+            _check_names(arrays, ["position", "normal", "flux"])
+    except _NOT_READABLE as error:
         raise ValueError(f"{path} is not a photon map: {error}") from None
-    if "photonmap_version" not in arrays:
-        raise ValueError(f"{path} is not a photon map: it has no photonmap_version")
-    if int(arrays["photonmap_version"]) != FORMAT_VERSION:
+    if version != FORMAT_VERSION:
         raise ValueError(
             f"{path} should be a photon map of version {FORMAT_VERSION}, "
-            f"but is of version {int(arrays['photonmap_version'])}"
+            f"but is of version {version}"
         )
-    missing = [name for name in ("position", "normal", "flux") if name not in arrays]
-    if missing:
-        raise ValueError(f"{path} is not a whole photon map: it has no {', '.join(missing)}")
     return arrays
+
+
+# What numpy and zipfile raise for archives that are broken or encrypted.
+_NOT_READABLE = (
+    *(ValueError, TypeError, EOFError, RuntimeError),
+    *(NotImplementedError, zipfile.BadZipFile, zlib.error),
+)
+
+
+def _check_names(arrays: Mapping[str, NDArray], names: Sequence[str]) -> None:
+    missing = [name for name in names if name not in arrays]
+    if missing:
+        raise ValueError(f"it has no {', '.join(missing)}")
+
+
+def _scalar(arrays: Mapping[str, NDArray], name: str, kinds: str, default: Any = None) -> Any:
+    if name not in arrays:
+        return default
+    array = arrays[name]
+    if array.shape != () or array.dtype.kind not in kinds:
+        raise ValueError(
+            f"{name} should be one {'truth value' if kinds == 'b' else 'integer'}, "
+            f"but has shape {array.shape} and dtype {array.dtype}"
+        )
+    return array.item()
