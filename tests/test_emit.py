@@ -211,6 +211,13 @@ def test_a_ray_depends_on_seed_and_index_alone(sampler):
     assert not (other.direction == rays.direction).all(axis=1).any()
 
 
+@pytest.mark.parametrize("sampler", ["halton", "random"])
+def test_identical_emitters_do_not_emit_the_same_rays(sampler):
+    plan = plan_emission(scene(at(0.3, 3.0), at(0.3, 3.0)), 2000)
+    one, other = (emit(plan, e, range(1000), sampler=sampler).direction for e in (0, 1))
+    assert not np.isin(one[:, 0], other[:, 0]).any()
+
+
 def test_photons_are_shared_in_proportion_to_luminance():
     emitters = [
         pr.CollimatedEmitter([0, 0, -1], (1.0, 0.0, 0.0)),

@@ -129,6 +129,18 @@ def test_given_vertex_normals_are_interpolated():
     np.testing.assert_allclose(hit.shading_normal[0], expected / np.linalg.norm(expected))
 
 
+def test_normals_that_point_behind_their_face_are_not_used():
+    normals = unit(np.array([[0, 0, 1], [1, 0, -3], [0, 0, 1.0]]))
+    mesh = trimesh.Trimesh(
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], vertex_normals=normals, process=False
+    )
+    origins = [[0.1, 0.1, 1], [0.8, 0.1, 1]]
+    hits = RayCaster([diffuse(mesh, smooth=True)]).intersect(origins, [[0, 0, -1], [0, 0, -1]])
+    expected = 0.8 * normals[0] + 0.1 * normals[1] + 0.1 * normals[2]
+    expected = [expected / np.linalg.norm(expected), [0, 0, 1]]
+    np.testing.assert_allclose(hits.shading_normal, expected, atol=1e-12)
+
+
 def hits_on_sphere(rng, n, scale=1.0, offset=(0, 0, 0)):
     """A caster of a fine sphere, and hits on it from inside."""
     sphere = trimesh.creation.icosphere(subdivisions=5)

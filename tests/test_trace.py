@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
-from tracing_scenes import DOWN, SCENES, ball, box, floor, glass_ball, sheet, slab
+from tracing_scenes import DOWN, SCENES, ball, box, floor, glass_ball, leaning, sheet, slab
 
 import photonrelax as pr
+from photonrelax.emit import emit, plan_emission
 
 each_scene = pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES.keys())
 each_kind = pytest.mark.parametrize("paths", ["caustic", "global", "all"])
@@ -58,6 +59,42 @@ def test_seeds_differ_and_repeat():
     assert_same_bytes(first, again)
     other = pr.trace_photons(scene, 2_000, seed=6)
     assert not np.isin(other.position[:, 0], first.position[:, 0]).any()
+
+
+def test_identical_emitters_do_not_throw_the_same_dice():
+    n = 4000
+    scene = pr.Scene([floor(9.0), slab(np.log(2) / 0.02)], [DOWN, DOWN])
+    photons, plan = pr.trace_photons(scene, 2 * n), plan_emission(scene, 2 * n)
+    survived = []
+    for e in (0, 1):
+        emitted = emit(plan, e, range(n)).emitter_coords @ [1, 1j]
+        stored = photons.emitter_coords[photons.emitter_id == e] @ [1, 1j]
+        survived.append(np.isin(emitted, stored))
+        assert survived[e].sum() == len(stored)
+    assert abs(np.corrcoef(survived)[0, 1]) < 5 / np.sqrt(n)
+
+
+@pytest.mark.parametrize("angle", [0.3, 0.7, 1.2])
+def test_a_leaning_normal_is_used_unless_it_leads_through_the_mirror(angle):
+    """The normal leans away from the light by 0.5, which turns the reflection by twice that."""
+    wall = pr.SceneObject(box([0.1, 20, 20], [9, 0, 0]), pr.Diffuse())
+    light = pr.CollimatedEmitter([np.cos(angle), 0, -np.sin(angle)])
+    scene = pr.Scene([wall, floor(9.0), leaning(pr.Mirror(), 0.5)], [light])
+    photons = pr.trace_photons(scene, 1000)
+    turned = angle - 2 * 0.5
+    rising = turned if turned > 0 else angle
+    expected = np.tile([-np.cos(rising), 0, -np.sin(rising)], (len(photons), 1))
+    np.testing.assert_allclose(photons.wi, expected, atol=1e-12)
+
+
+def test_glass_refracts_about_the_face_where_the_leaning_normal_would_reflect_into_it():
+    """At 0.7 only the reflection goes wrong: light and camera both use the face for the two."""
+    light = pr.CollimatedEmitter([np.cos(0.7), 0, -np.sin(0.7)])
+    scene = pr.Scene([floor(9.0), leaning(pr.Dielectric(1.5), 0.5)], [light])
+    photons = pr.trace_photons(scene, 1000)
+    sine = np.cos(0.7) / 1.5
+    expected = np.tile([-sine, 0, np.sqrt(1 - sine**2)], (len(photons), 1))
+    np.testing.assert_allclose(photons.wi, expected, atol=1e-12)
 
 
 def test_all_deposits_are_direct_or_caustic_or_global():

@@ -1,5 +1,6 @@
 """Small scenes to trace photons through."""
 
+import numpy as np
 import trimesh
 
 import photonrelax as pr
@@ -34,6 +35,14 @@ def slab(absorption=0.0, ior=1.5):
 
 def glass_ball(smooth=True, **glass):
     return pr.SceneObject(ball(0.5, [0, 0, 1]), pr.Dielectric(**glass), smooth=smooth)
+
+
+def leaning(material, lean, z=1.0):
+    """A flat sheet whose smooth normals lean towards +x by an angle."""
+    flat = sheet(1.0, z)
+    normals = [[np.sin(lean), 0.0, np.cos(lean)]] * 4
+    mesh = trimesh.Trimesh(flat.vertices, flat.faces, vertex_normals=normals, process=False)
+    return pr.SceneObject(mesh, material, smooth=True)
 
 
 def mirror_ball(reflectance=1.0):

@@ -3,7 +3,7 @@
 from cython.parallel cimport prange
 
 from .core cimport dot
-from .optics cimport fresnel_reflectance, reflect_into, refract_into
+from .optics cimport facing_normal, fresnel_reflectance, reflect_into, refract_into
 
 # MaterialTable.kind
 cdef enum:
@@ -69,23 +69,3 @@ cdef class Surfaces:
             out_weight[3 + axis] = weight[axis] * (1.0 - reflected) * (n1 / n2) ** 2
         out_medium[0] = item if transparent and inside else medium
         out_medium[1] = -1 if inside else item
-
-
-cdef void facing_normal(double* n, const double* d, const double* geometric,
-                        const double* shading, double n1, double n2) noexcept nogil:
-    """Write the normal against d: the shading normal, if both continuations respect the face."""
-    cdef double side = -1.0 if dot(d, geometric) > 0.0 else 1.0
-    cdef double out[3]
-    cdef bint sound
-    cdef int axis
-    for axis in range(3):
-        n[axis] = side * shading[axis]
-    sound = dot(d, n) < 0.0
-    if sound:
-        reflect_into(out, d, n)
-        sound = side * dot(out, geometric) > 0.0
-    if sound and refract_into(out, d, n, n1, n2):
-        sound = side * dot(out, geometric) < 0.0
-    if not sound:
-        for axis in range(3):
-            n[axis] = side * geometric[axis]

@@ -67,3 +67,28 @@ cdef inline bint refract_into(
     out[2] = ratio * d[2] + along * n[2]
     normalise(out)
     return True
+
+
+cdef inline void facing_normal(
+    double* n, const double* d, const double* geometric, const double* shading, double n1, double n2
+) noexcept nogil:
+    """Write the normal against d that light meets a surface with.
+
+    It is the shading normal where the reflection about it stays before the face and the
+    refraction, if there is one, goes behind; else the geometric normal. Mirrors have n1 = n2.
+    """
+    cdef double side = -1.0 if dot(d, geometric) > 0.0 else 1.0
+    cdef double[3] out
+    cdef bint sound
+    cdef int c
+    for c in range(3):
+        n[c] = side * shading[c]
+    sound = dot(d, n) < 0.0
+    if sound:
+        reflect_into(out, d, n)
+        sound = side * dot(out, geometric) > 0.0
+    if sound and refract_into(out, d, n, n1, n2):
+        sound = side * dot(out, geometric) < 0.0
+    if not sound:
+        for c in range(3):
+            n[c] = side * geometric[c]

@@ -9,7 +9,7 @@ from libc.math cimport exp
 from libc.stdint cimport int32_t, int64_t, uint64_t
 
 from .core cimport dot, hash_key, mix, orthonormal_frame, uniform
-from .optics cimport fresnel_reflectance, reflect_into, refract_into
+from .optics cimport facing_normal, fresnel_reflectance, reflect_into, refract_into
 from .sampling cimport disk_point, hemisphere_direction
 
 # The values of scene.py, and the places of photonmap.FATES and emit.PATHS.
@@ -111,43 +111,19 @@ cdef struct Event:
     int32_t object_id
     bint inside
     const double* direction
+    const double* geometric
+    const double* shading
     double[3] towards
-    double[3] shading
     uint64_t key
     uint64_t counter
 
 
-cdef void orient(
-    Event* event, const double* geometric_normal, const double* shading_normal
-) noexcept nogil:
-    """Turn the normals against the ray; an interpolated one that cannot be is not used."""
+cdef void orient(Event* event) noexcept nogil:
+    """Find the side of the face that the ray comes from."""
     cdef int c
-    event.inside = dot(event.direction, geometric_normal) > 0.0
+    event.inside = dot(event.direction, event.geometric) > 0.0
     for c in range(3):
-        event.towards[c] = -geometric_normal[c] if event.inside else geometric_normal[c]
-        event.shading[c] = -shading_normal[c] if event.inside else shading_normal[c]
-    if dot(event.direction, event.shading) >= 0.0:
-        event.shading = event.towards
-
-
-cdef void reflect_off(double* out, const Event* event) noexcept nogil:
-    """Reflect about the shading normal, or the geometric one if that leads into the surface."""
-    reflect_into(out, event.direction, event.shading)
-    if dot(out, event.towards) <= 0.0:
-        reflect_into(out, event.direction, event.towards)
-
-
-cdef bint pass_interface(
-    double* out, const Event* event, const double* normal, double n1, double n2
-) noexcept nogil:
-    """Reflect or refract at random; false where that leads to the wrong side of the surface."""
-    cdef double cos_i = min(-dot(event.direction, normal), 1.0)
-    cdef double choice = uniform(event.key, event.counter + OF_SURFACE)
-    if choice < fresnel_reflectance(cos_i, n1, n2):
-        reflect_into(out, event.direction, normal)
-        return dot(out, event.towards) > 0.0
-    refract_into(out, event.direction, normal, n1, n2)
-    return dot(out, event.towards) < 0.0
+        event.towards[c] = -event.geometric[c] if event.inside else event.geometric[c]
 
 
 cdef void scatter(double* out, const Event* event) noexcept nogil:
@@ -251,7 +227,9 @@ cdef class Paths:
         event.direction = &self.direction[ray, 0]
         event.key = self.key[path]
         event.counter = PER_EVENT * (1 + self.n_specular[path] + self.n_diffuse[path])
-        orient(&event, &hits.geometric_normal[ray, 0], &hits.shading_normal[ray, 0])
+        event.geometric = &hits.geometric_normal[ray, 0]
+        event.shading = &hits.shading_normal[ray, 0]
+        orient(&event)
         self.path_length[path] += hits.distance[ray]
         if not self.survives_medium(path, &event, hits.distance[ray]):
             return self.end(path, ABSORBED)
@@ -298,13 +276,15 @@ cdef class Paths:
         """Leave a mirror or an interface in direction `out`; false if absorbed."""
         cdef int32_t i = event.object_id
         cdef int what = REFLECTED
+        cdef double[3] normal
         self.n_met_specular += self.n_specular[path] == 0 and self.n_diffuse[path] == 0
         if self.surfaces.kind[i] == MIRROR:
             if not self.roulette(
                 path, &self.surfaces.reflectance[i, 0], event, OF_SURFACE, ABSORBED
             ):
                 return False
-            reflect_off(out, event)
+            facing_normal(normal, event.direction, event.geometric, event.shading, 1.0, 1.0)
+            reflect_into(out, event.direction, normal)
         else:
             what = self.through_interface(
                 out, path, event, self.surfaces.ior[i], self.surfaces.exterior_ior[i]
@@ -319,10 +299,13 @@ cdef class Paths:
         """Reflect or refract, keep track of the medium, and return which it was."""
         cdef double n1 = inner if event.inside else outer
         cdef double n2 = outer if event.inside else inner
-        if not pass_interface(out, event, event.shading, n1, n2):
-            pass_interface(out, event, event.towards, n1, n2)
-        if dot(out, event.towards) >= 0.0:
+        cdef double choice = uniform(event.key, event.counter + OF_SURFACE)
+        cdef double[3] normal
+        facing_normal(normal, event.direction, event.geometric, event.shading, n1, n2)
+        if choice < fresnel_reflectance(min(-dot(event.direction, normal), 1.0), n1, n2):
+            reflect_into(out, event.direction, normal)
             return REFLECTED
+        refract_into(out, event.direction, normal, n1, n2)
         self.medium[path] = -1 if event.inside else event.object_id
         return LEFT if event.inside else ENTERED
 
