@@ -1,6 +1,7 @@
 """Built-in scenes: well-formed glass and metal, clear of the floor, seen by their cameras."""
 
 import inspect
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -77,10 +78,23 @@ def test_faces_wind_outwards_as_the_normals_point(scene):
     np.testing.assert_allclose(np.linalg.norm(corners, axis=2), 1.0, rtol=1e-12)
 
 
-def test_camera_looks_at_the_lit_floor(scene):
-    target = scene.camera.target
-    assert np.abs(target[:2]).max() < 2.0
-    assert scene.camera.origin[2] > target[2]
+def caustic_seen(scene, turned=0.0):
+    """Return the caustic a camera sees whose target is moved by as many distances to its right."""
+    away = scene.camera.target - scene.camera.origin
+    target = scene.camera.target + turned * np.cross(away, scene.camera.up)
+    camera = replace(scene.camera, target=target, width=24, height=24)
+    picture = pr.render(
+        replace(scene, camera=camera), method="standard", n_emitted=20_000, supersampling=1
+    )
+    return picture.layers["caustic"].mean(axis=2)
+
+
+def test_camera_looks_at_the_caustic(scene):
+    seen = caustic_seen(scene)
+    assert (seen > 0).mean() > 0.4
+    assert seen[6:18, 6:18].sum() > 0.25 * seen.sum()
+    for turned in (-1.0, 1.0):
+        assert caustic_seen(scene, turned).sum() < 0.5 * seen.sum()
 
 
 def test_ring_has_the_volume_of_a_tube():
