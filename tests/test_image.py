@@ -158,8 +158,16 @@ def test_reading_what_is_no_exr_file_fails_clearly(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"nothing\.exr"):
         read_exr(tmp_path / "nothing.exr")
     (tmp_path / "text.exr").write_text("no picture")
-    with pytest.raises(ValueError, match=r"text\.exr is not an EXR file"):
+    with pytest.raises(ValueError, match=r"text\.exr is not a whole EXR file"):
         read_exr(tmp_path / "text.exr")
+
+
+def test_reading_half_a_picture_fails_clearly(layers, tmp_path):
+    path = tmp_path / "half.exr"
+    pr.Image(layers).write_exr(path)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(ValueError, match=r"half\.exr is not a whole EXR file"):
+        read_exr(path)
 
 
 def write_foreign(path, *parts):

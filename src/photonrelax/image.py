@@ -153,8 +153,8 @@ def read_exr(path: str | os.PathLike[str]) -> Image:
             # Closing the file empties its header.
             header = dict(file.header())
             pixels = {name: channel.pixels for name, channel in file.channels().items()}
-    except RuntimeError as error:
-        raise ValueError(f"{path} is not an EXR file: {error}") from None
+    except (RuntimeError, ValueError) as error:
+        raise ValueError(f"{path} is not a whole EXR file: {error}") from None
     if n_parts > 1:
         raise ValueError(f"{path} should be an EXR file of one part, but has {n_parts}")
     metadata = {k: v for k, v in header.items() if isinstance(v, str) and k not in _RESERVED}
