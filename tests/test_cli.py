@@ -6,9 +6,11 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import tqdm
 from PIL import Image as Picture
 
 import photonrelax as pr
@@ -464,6 +466,16 @@ def test_a_bar_closes_when_another_stage_starts(capsys):
     assert "trace:  25%" in before
     assert "trace" not in after
     assert "relax:   0%" in after
+
+
+def test_a_bar_counts_the_time_before_its_first_report(capsys, monkeypatch):
+    times = iter([100.0, 107.0, 110.0])
+    monkeypatch.setattr(_bars, "time", SimpleNamespace(time=lambda: next(times)))
+    bars = Bars(capsys)
+    monkeypatch.setattr(tqdm.std, "time", lambda: 107.0)
+    assert "[00:07<" in bars.shown("trace", 4, 4)
+    monkeypatch.setattr(tqdm.std, "time", lambda: 110.0)
+    assert "[00:03<" in bars.shown("relax", 6, 6)
 
 
 def test_a_bar_left_over_closes_at_the_end(capsys):

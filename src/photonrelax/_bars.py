@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from ._interrupts import Interrupts
@@ -16,6 +17,7 @@ class Bars:
         self._interrupts = interrupts
         self._stage = ""
         self._bar: Any = None
+        self._last_report = time.time()
 
     def __enter__(self) -> Bars:
         return self
@@ -33,8 +35,11 @@ class Bars:
             self._close()
             self._stage = stage
             self._bar = tqdm(total=total, desc=stage, unit_scale=True, disable=self._disable)
+            # A stage reports when some of its work is done: it started when the last one ended.
+            self._bar.start_t = self._last_report
         self._bar.total = total
         self._bar.update(done - self._bar.n)
+        self._last_report = time.time()
         if done >= total:
             # Its time is final; tqdm ignores what comes after.
             self._close()
