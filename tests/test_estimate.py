@@ -1,5 +1,7 @@
 """Estimates: kernels by definition, uniform fields, edges, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import flat_map, plane, uniform_map, unit_square
@@ -105,6 +107,42 @@ def test_the_automatic_radius_reaches_the_fifteenth_photon_of_most():
     assert (fifteenth <= radius).mean() == pytest.approx(0.95, abs=1e-3)
 
 
+@pytest.mark.parametrize("share", [0.9, 0.95, 0.99])
+def test_a_bright_spot_does_not_black_out_dim_light(share):
+    """Most photons in a spot of a centimetre, the others over a square metre."""
+    n_spot = int(100_000 * share)
+    spot, wide = 0.01 * unit_square(n_spot, "random"), unit_square(100_000 - n_spot, "random", 1)
+    photons = flat_map(np.concatenate([spot, wide]), 100_000)
+    points, normals = plane(np.random.default_rng(0).uniform(0.2, 0.8, (4000, 2)))
+    estimates = pr.estimate_irradiance(photons, points, normals)[:, 0]
+    assert estimates.mean() == pytest.approx(1 - share, rel=0.1)
+    assert (estimates > 0.0).mean() > 0.9
+
+
+def test_coincident_photons_are_seen():
+    """However many: with all k at the point, the bandwidth is the gather radius."""
+    settings = pr.GatherSettings(k=15, gather_radius=0.1)
+    points, normals = plane(np.array([[0.5, 0.5]]))
+    for n in (14, 15):
+        photons = flat_map(np.full((n, 2), 0.5), 1)
+        found = pr.estimate_irradiance(photons, points, normals, settings)
+        np.testing.assert_allclose(found, n * 2 / (np.pi * 0.1**2))
+
+
+def test_more_neighbours_than_photons_take_no_more_memory():
+    photons = uniform_map(100, "random")
+    points, normals = plane(np.full((1, 2), 0.5))
+    settings = pr.GatherSettings(k=2**62, gather_radius=0.3)
+    found = pr.estimate_irradiance(photons, points, normals, settings)
+    few = pr.estimate_irradiance(photons, points, normals, replace(settings, k=101))
+    np.testing.assert_array_equal(found, few)
+
+
+def test_photons_that_each_face_another_way_still_make_a_field():
+    photons = pr.PhotonMap(np.eye(3), np.eye(3), np.ones(3))
+    assert pr.estimate_irradiance(photons, np.eye(3), np.eye(3)).min() > 0.0
+
+
 def test_photons_on_faces_turned_away_are_not_counted():
     """Both sides of a thin plate and a wall beside it: each sees its own light alone."""
     top = uniform_map(20_000, "halton")
@@ -176,7 +214,7 @@ def test_maps_with_next_to_nothing():
     assert (pr.irradiance_field(empty)(points, normals) == 0.0).all()
     few = flat_map(unit_square(5, "random"), 5)  # k > n: the radius that holds them all
     assert np.isfinite(pr.estimate_irradiance(few, points, normals)).all()
-    with pytest.raises(ValueError, match="2 photons that coincide: give gather_radius"):
+    with pytest.raises(ValueError, match="2 photons are all at one point"):
         pr.estimate_irradiance(flat_map(np.full((2, 2), 0.5), 2), points, normals)
     fixed = pr.GatherSettings(gather_radius=0.1)
     two = pr.estimate_irradiance(flat_map(np.full((2, 2), 0.5), 2), points, normals, fixed)

@@ -251,3 +251,17 @@ def test_ledger_refuses_unknown_ends():
     shares = {name: np.zeros((1, 3)) for name in FATES}
     with pytest.raises(ValueError, match="ends should have the keys"):
         EnergyLedger(emitted=np.zeros((1, 3)), **shares, ends={"lost": [1]})
+
+
+def test_an_empty_list_chooses_nothing():
+    photons = PhotonMap(np.zeros((2, 3)), [[0, 0, 1]] * 2, np.ones(2))
+    assert len(photons.subset([])) == 0
+
+
+def test_how_a_map_was_traced_is_saved_with_it(tmp_path):
+    photons = PhotonMap(
+        np.zeros((1, 3)), [[0, 0, 1]], np.ones(1), seed=2**64 - 1, sampler="halton", paths="all"
+    )
+    photons.save(tmp_path / "map.npz")
+    loaded = PhotonMap.load(tmp_path / "map.npz")
+    assert (loaded.seed, loaded.sampler, loaded.paths) == (2**64 - 1, "halton", "all")

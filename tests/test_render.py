@@ -86,6 +86,47 @@ def test_radiance_of_a_floor_lit_directly_and_through_a_mirror(orthographic_heig
     np.testing.assert_allclose(image.layers["N"][0, 0], [0, 0, 1], atol=1e-12)
 
 
+def test_bands_and_pictures_that_see_nothing_are_black(prism):
+    up = replace(prism.camera, target=prism.camera.origin + np.array([0.1, 0, 1]))
+    image = pr.render(replace(prism, camera=up), n_emitted=5000)
+    assert (image.layers["radiance"] == 0.0).all()
+    horizon = replace(prism.camera, target=prism.camera.origin + np.array([-1, 0, 0]))
+    image = pr.render(replace(prism, camera=horizon), n_emitted=5000)
+    assert np.isinf(image.layers["Z"][0]).all()
+    assert np.isfinite(image.layers["Z"][-1]).any()
+
+
+def test_photon_layers_are_means_weighted_with_flux():
+    """Two photons on the floor, of one and of three bounces and watts: the mean is 2.5."""
+    camera = pr.Camera((0, 0, 5), (0, 0, 0), up=(0, 1, 0), width=1, height=1, vertical_fov=0.1)
+    scene = floor_under(pr.CollimatedEmitter((0, 0, -1)), camera)
+    photons = pr.PhotonMap(
+        [[0.1, 0, 0], [-0.1, 0, 0]],
+        [[0, 0, 1], [0, 0, 1]],
+        [1.0, 3.0],
+        n_bounces=[1, 3],
+        emitter_coords=[[0.0, 5.0], [2.0, 5.0]],
+        emitter_density=[1.0, 1.0],
+    )
+    gather = pr.GatherSettings(gather_radius=1.0)
+    image = pr.render(scene, photons=photons, gather=gather)
+    assert image.layers["photons.bounces"][0, 0] == pytest.approx(2.5, rel=1e-3)
+    # Red is the first coordinate over its range, green the second, which does not vary.
+    np.testing.assert_allclose(
+        image.layers["photons.emitter"][0, 0], [0.75, 0.0, 1 - 0.375], rtol=1e-3
+    )
+    assert image.layers["Z"][0, 0] == pytest.approx(5.0, rel=1e-6)
+
+
+def test_the_constraint_layer_shows_what_was_found(prism):
+    photons = pr.trace_photons(prism, 20_000)
+    found = pr.detect_structure(photons).constraint
+    layer = pr.render(prism, photons=photons).layers["photons.constraint"]
+    lit = layer > 0.0
+    assert lit.mean() > 0.5
+    assert layer[lit].mean() == pytest.approx(found.mean(), abs=0.2)
+
+
 def test_bands_do_not_show(prism, image, monkeypatch):
     """A picture made row by row is the same picture."""
     monkeypatch.setattr(render, "_RAYS_PER_BAND", 1)
@@ -119,7 +160,17 @@ def test_metadata_say_how_the_picture_was_made(image):
     assert ledger["emitted"][0][0] > 0.0
     assert about["photonrelax.method"] == "parameterised"
     assert about["photonrelax.photons_emitted"] == "20000"
+    assert (about["photonrelax.seed"], about["photonrelax.sampler"]) == ("0", "halton")
     assert about["photonrelax.version"] == pr.__version__
+
+
+def test_metadata_tell_the_seed_of_photons_traced_before(prism):
+    photons = pr.trace_photons(prism, 5000, seed=7, sampler="random")
+    gather = pr.GatherSettings(gather_radius=np.float32(np.inf))
+    image = pr.render(prism, photons=photons, supersampling=np.int64(1), gather=gather)
+    assert image.metadata["photonrelax.seed"] == "7"
+    assert image.metadata["photonrelax.sampler"] == "random"
+    assert json.loads(image.metadata["photonrelax.settings"])["gather"]["gather_radius"] is None
 
 
 def test_photons_traced_before_are_used(prism, image):
@@ -154,3 +205,19 @@ def test_bad_input_is_refused(prism):
         pr.render(replace(prism, camera=None))
     with pytest.raises(ValueError, match="method should be one of"):
         pr.render(prism, method="magic")
+
+
+@pytest.mark.parametrize(
+    ("argument", "error", "message"),
+    [
+        ({"supersampling": 0}, ValueError, "supersampling should be at least 1"),
+        ({"max_depth": 1.5}, TypeError, "max_depth should be an integer"),
+        ({"gather": {"k": 10}}, TypeError, "gather should be GatherSettings"),
+        ({"relax": 3}, TypeError, "relax should be RelaxSettings"),
+    ],
+)
+def test_bad_arguments_are_refused_before_any_work(prism, argument, error, message):
+    stages = []
+    with pytest.raises(error, match=message):
+        pr.render(prism, n_emitted=1000, progress=lambda *step: stages.append(step), **argument)
+    assert not stages

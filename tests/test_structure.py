@@ -89,7 +89,8 @@ def folded_map(n=4000):
 
 def test_structure_equals_its_definition():
     photons, k = folded_map(), 40
-    found = pr.detect_structure(photons, pr.StructureSettings(k=k, range_scale=2.0))
+    settings = pr.StructureSettings(k=k, range_scale=2.0, reach_scale=np.inf)
+    found = pr.detect_structure(photons, settings)
     reach = 2.0 * np.sqrt(k / (np.pi * len(photons)))
     np.testing.assert_allclose(found.emitter_range, reach)
     for i in range(0, len(photons), 97):
@@ -208,3 +209,57 @@ def test_coordinates_and_density_come_together():
 def test_bad_settings_are_refused(fields, message):
     with pytest.raises(ValueError, match=message):
         pr.StructureSettings(**fields)
+
+
+def test_neighbours_in_range_but_out_of_reach_do_not_count():
+    """A sparse sheet under a dense one: its photons see no farther than three dense radii."""
+    dense, sparse = unit_square(20_000, "random", 1), unit_square(200, "random", 2)
+    coords = np.concatenate([dense, sparse * 0.1 + 5])  # as far apart at the emitter as the dense
+    photons = flat_map(np.concatenate([dense, sparse]), 20_000, coords=coords)
+    found = pr.detect_structure(photons)
+    world = pr.KDTree(photons.position).query_self(50).distance[:, -1]
+    np.testing.assert_allclose(found.reach, 3.0 * world)
+    assert (found.radius <= found.reach).all()
+    assert found.n_found[20_000:].mean() < 25
+    assert (found.n_found[:20_000] == 50).mean() > 0.95
+    free = pr.detect_structure(photons, pr.StructureSettings(reach_scale=np.inf))
+    assert (free.n_found[20_000:] == 50).all()
+
+
+@pytest.mark.parametrize("coords", [True, False])
+def test_the_two_sides_of_a_plate_are_no_neighbours(coords):
+    top, below = uniform_map(4000, "random", 1), uniform_map(4000, "random", 2)
+    below = below.replace(normal=-below.normal)
+    fields = ["position", "normal", "flux"]
+    if coords:
+        fields += ["emitter_coords", "emitter_density"]
+    plate = pr.PhotonMap(
+        **{f: np.concatenate([getattr(top, f), getattr(below, f)]) for f in fields}
+    )
+    alone = [
+        pr.detect_structure(pr.PhotonMap(**{f: getattr(m, f) for f in fields}))
+        for m in (top, below)
+    ]
+    found = pr.detect_structure(plate)
+    np.testing.assert_array_equal(found.eigenvalues, np.concatenate([a.eigenvalues for a in alone]))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"basis": np.zeros((1, 2, 3))}, r"basis should have shape \(100, 2, 3\)"),
+        ({"constraint": np.full(100, 5.0)}, "constraint should lie in"),
+        ({"radius": np.full(100, np.nan)}, "radius should be finite"),
+        ({"n_found": np.zeros(100, dtype=int)}, "n_found should count the photon itself"),
+    ],
+)
+def test_a_structure_is_checked(change, message):
+    found = pr.detect_structure(folded_map(100))
+    with pytest.raises(ValueError, match=message):
+        pr.Structure(**{**vars(found), **change})
+
+
+def test_fewer_than_four_photons_have_no_structure():
+    for n, known in ((3, False), (4, True)):
+        found = pr.detect_structure(flat_map(unit_square(n, "random"), 1))
+        assert (found.eigenvalues > 0.0).all() == known

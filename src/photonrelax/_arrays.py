@@ -12,6 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+# More threads than this the OpenMP runtime may refuse, and with it end the process.
+_MOST_THREADS = 1024
+
 Floats = NDArray[np.float64]
 Rows = slice | NDArray[np.intp]
 Shape = Sequence[int | None]
@@ -130,15 +133,15 @@ def positive(value: float, name: str, *, allow_inf: bool = False) -> float:
     return number
 
 
-def count(value: int, name: str, *, low: int = 1) -> int:
-    """Return `value` as an int of at least `low`.
+def count(value: int, name: str, *, low: int = 1, high: float = np.inf) -> int:
+    """Return `value` as an int in [low, high].
 
     Raises
     ------
     TypeError
         If it is not an integer.
     ValueError
-        If it is less than `low`.
+        If it is less than `low` or more than `high`.
     """
     try:
         number = operator.index(value)
@@ -146,6 +149,8 @@ def count(value: int, name: str, *, low: int = 1) -> int:
         raise TypeError(f"{name} should be an integer, but is {value!r}") from None
     if number < low:
         raise ValueError(f"{name} should be at least {low}, but is {number}")
+    if number > high:
+        raise ValueError(f"{name} should be at most {high}, but is {number}")
     return number
 
 
@@ -155,13 +160,13 @@ def thread_count(n_threads: int | None) -> int:
     Raises
     ------
     TypeError, ValueError
-        If it is neither None nor an integer of at least one.
+        If it is neither None nor an integer from 1 to 1024.
     """
     if n_threads is None:
         if hasattr(os, "sched_getaffinity"):
             return len(os.sched_getaffinity(0))
         return os.cpu_count() or 1
-    return count(n_threads, "n_threads")
+    return count(n_threads, "n_threads", high=_MOST_THREADS)
 
 
 def _check_shape(actual: tuple[int, ...], name: str, wanted: Shape) -> None:

@@ -17,7 +17,7 @@ from .photonmap import PhotonMap
 from .relax import RelaxSettings
 from .relax import relax as relax_photons
 from .scene import Scene
-from .structure import Structure, StructureSettings, detect_structure
+from .structure import NORMAL_RANGE, Structure, StructureSettings, detect_structure, facing_alike
 
 METHODS = ("standard", "parameterised")
 KERNELS = {
@@ -26,9 +26,11 @@ KERNELS = {
     "epanechnikov": _estimate.EPANECHNIKOV,
 }
 _WELL_SPACED_BIAS = {"constant": (0.43, -1.0), "cone": (0.45, -1.5), "epanechnikov": (0.57, -1.5)}
-# Photons on a face turned by more than 60° from the point's light another surface; this is the
-# length of the chord between unit normals at that angle.
-_NORMAL_RANGE = 1.0
+# What the automatic gather radius looks at: no more photons than this, these two quantiles.
+_SAMPLE = 10_000
+_SHARE_OF_PHOTONS = 0.95
+_SHARE_OF_AREA = 0.05
+_WELL_SPACED_BIAS = {"constant": (0.43, -1.0), "cone": (0.45, -1.5), "epanechnikov": (0.57, -1.5)}
 # The automatic gather radius looks at no more photons than this, and lets this share of them
 # reach their k-th neighbour.
 _SAMPLE = 10_000
@@ -44,11 +46,13 @@ class GatherSettings:
     k : int
         Photons gathered (K = 15, SJ13 §5); the bandwidth is the distance to the k-th.
     kernel : {"epanechnikov", "cone", "constant"}
-        Each normalised so that a uniform field returns its own value.
+        Each normalised so that a uniform field returns its own value; from well-spaced photons
+        within 0.3 % for k of 15 and more.
     gather_radius : float, optional
         Largest distance, m, from which photons are gathered; where it holds fewer than k it is the
-        bandwidth, so that black regions stay black. By default the radius within which 95 % of
-        the map's photons have their k-th nearest; infinite for no limit.
+        bandwidth, so that black regions stay black. By default `automatic_gather_radius` takes
+        it from the map: the radius within which 95 % of the photons, and 5 % of the area they
+        light, have their k-th nearest. Infinite for no limit.
     """
 
     k: int = 15
@@ -56,14 +60,17 @@ class GatherSettings:
     gather_radius: float | None = None
 
     def __post_init__(self) -> None:
-        _arrays.count(self.k, "GatherSettings.k", low=2)
-        if self.kernel not in KERNELS:
+        object.__setattr__(self, "k", _arrays.count(self.k, "GatherSettings.k", low=2))
+        if not isinstance(self.kernel, str) or self.kernel not in KERNELS:
             raise ValueError(
                 f"GatherSettings.kernel should be one of {', '.join(KERNELS)}, "
                 f"but is {self.kernel!r}"
             )
         if self.gather_radius is not None:
-            _arrays.positive(self.gather_radius, "GatherSettings.gather_radius", allow_inf=True)
+            radius = _arrays.positive(
+                self.gather_radius, "GatherSettings.gather_radius", allow_inf=True
+            )
+            object.__setattr__(self, "gather_radius", radius)
 
 
 class IrradianceField:
@@ -107,7 +114,7 @@ class IrradianceField:
         self.seconds = seconds or {}
         self._n_threads = _arrays.thread_count(n_threads)
         # One way up for all photons, as on a plane, makes the axes of the normal superfluous.
-        self._flat = bool((photons.normal == photons.normal[:1]).all())
+        self._flat = facing_alike(photons.normal)
         points = photons.position if self._flat else np.hstack([photons.position, photons.normal])
         self._tree = KDTree(points, n_metric=3, n_threads=self._n_threads)
         if settings.gather_radius is None and len(photons):
@@ -175,7 +182,7 @@ class Densities:
             k,
             KERNELS[kernel],
             radius=np.inf if radius is None else radius,
-            normal_range=-1.0 if field._flat else _NORMAL_RANGE,
+            normal_range=-1.0 if field._flat else NORMAL_RANGE,
             nearest_scale=1.0 / well_spaced_bias(k, kernel) if field.photons.well_spaced else 1.0,
         )
 
@@ -193,7 +200,7 @@ class Densities:
         for first, end in Reporter(progress, "estimate", len(points)).chunks(len(points)):
             self._kernel.densities(queries, first, end, out, self._field._n_threads)
         if flat:
-            turned = np.linalg.norm(normals - photons.normal[0], axis=1) > _NORMAL_RANGE
+            turned = np.linalg.norm(normals - photons.normal[0], axis=1) > NORMAL_RANGE
             out[turned] = 0.0
         return out
 
@@ -211,27 +218,40 @@ def well_spaced_bias(k: int, kernel: str) -> float:
 
 
 def automatic_gather_radius(tree: KDTree, k: int, *, n_threads: int | None = None) -> float:
-    """Return the radius within which 95 % of the tree's points have their k-th nearest, m.
+    """Return a radius, m, that reaches k photons nearly everywhere there is light.
+
+    The larger of two quantiles of the distance to the k-th photon: within the first, 95 % of the
+    photons have theirs; within the second, 5 % of the lit area has, a photon standing for an
+    area that goes with the square of its distance. The second keeps a bright spot, which may
+    hold nearly all photons, from setting the radius for the dim light around it.
+
+    Parameters
+    ----------
+    tree : KDTree
+        Photons in space; range axes, if any, are their normals.
+    k : int
+        Photons per estimate.
+    n_threads : int, optional
+        Threads; all available by default.
 
     Raises
     ------
     ValueError
-        If that radius is zero: all points, or nearly all, are at one place.
+        If all photons are at one point.
     """
-    step = max(len(tree) // _SAMPLE, 1)
-    sample = np.asarray(tree.kernel.points)[::step]
-    nearest = tree.query(
-        sample,
-        min(k, len(tree)),
-        range_radius=_NORMAL_RANGE if tree.n_axes > tree.n_metric else None,
-        n_threads=n_threads,
-    )
-    # Where fewer than k photons face the same way, the farthest of them counts.
-    farthest = np.where(np.isfinite(nearest.distance), nearest.distance, 0.0).max(axis=1)
-    radius = float(np.quantile(farthest, _SHARE))
+    step = -(-len(tree) // _SAMPLE)
+    facing = NORMAL_RANGE if tree.n_axes > tree.n_metric else None
+    distance = np.sort(tree.farthest(k, step=step, range_radius=facing, n_threads=n_threads))
+    area = np.cumsum(distance**2)
+    lit = distance[np.searchsorted(area, _SHARE_OF_AREA * area[-1])]
+    radius = float(max(np.quantile(distance, _SHARE_OF_PHOTONS), lit))
+    if radius == 0.0:
+        # Photons that each face another way have no neighbours; their extent must do.
+        radius = float(np.linalg.norm(np.ptp(np.asarray(tree.kernel.points)[:, :3], axis=0)))
     if radius == 0.0:
         raise ValueError(
-            f"no gather radius follows from {len(tree)} photons that coincide: give gather_radius"
+            f"the map's {len(tree)} photons are all at one point, from which no gather radius "
+            "follows: give GatherSettings(gather_radius=…)"
         )
     return radius
 
@@ -291,7 +311,7 @@ def irradiance_field(
     method : {"parameterised", "standard"}
         SJ13, or the photons as they are (Jensen).
     structure, relax, gather : settings, optional
-        Of the stages the method has.
+        Of the stages; those the method has not are not looked at.
     scene : Scene, optional
         Keeps moved photons on their objects; see `photonrelax.relax`.
     n_threads : int, optional

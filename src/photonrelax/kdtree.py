@@ -160,6 +160,45 @@ class KDTree:
             n_threads=n_threads,
         )
 
+    def farthest(
+        self,
+        k: int,
+        *,
+        step: int = 1,
+        range_radius: ArrayLike | None = None,
+        n_threads: int | None = None,
+    ) -> Floats:
+        """Return how far the k nearest points reach around the tree's own points.
+
+        Parameters
+        ----------
+        k : int
+            Neighbours, each point among its own; of fewer than k the farthest counts.
+        step : int
+            Take every `step`-th point only, in an order that spreads them evenly.
+        range_radius : scalar or (n,) array_like, optional
+            As in `query`.
+        n_threads : int, optional
+            Threads; all available by default. The result does not depend on it.
+
+        Returns
+        -------
+        (n,) float array
+            Distances in the order of the points or, with a step, of no matter which.
+        """
+        places = np.arange(0, self.n_points, _arrays.count(step, "step"))
+        distance = self.kernel.farthest(
+            places,
+            _arrays.count(k, "k"),
+            range_radius=_ranges(range_radius, "range_radius", (self.n_points,)),
+            n_threads=_arrays.thread_count(n_threads),
+        )
+        if step > 1:
+            return distance
+        ordered = np.empty(self.n_points)
+        ordered[np.asarray(self.kernel.ids)] = distance
+        return ordered
+
     def _query(
         self,
         queries: Floats,

@@ -111,6 +111,8 @@ class PhotonMap:
         Photons are evenly spaced within each sheet of rays (Halton or relaxed), not independent.
     ledger : EnergyLedger, optional
         What became of the emitted flux.
+    seed, sampler, paths : int, str, str, optional
+        How the map was traced; see `trace_photons`.
 
     Raises
     ------
@@ -133,6 +135,9 @@ class PhotonMap:
     n_emitted: int | None = None
     well_spaced: bool = False
     ledger: EnergyLedger | None = None
+    seed: int | None = None
+    sampler: str | None = None
+    paths: str | None = None
 
     def __post_init__(self) -> None:
         position = float_array(self.position, "position", (None, 3))
@@ -153,6 +158,8 @@ class PhotonMap:
         if self.n_emitted is not None:
             _set(self, "n_emitted", count(self.n_emitted, "n_emitted", low=0))
         _set(self, "well_spaced", bool(self.well_spaced))
+        if self.seed is not None:
+            _set(self, "seed", count(self.seed, "seed", low=0))
 
     def __len__(self) -> int:
         return len(self.position)
@@ -171,6 +178,8 @@ class PhotonMap:
         The flux of each photon, `n_emitted` and the ledger stay as they are.
         """
         chosen = index if isinstance(index, slice) else np.asarray(index)
+        if isinstance(chosen, np.ndarray) and chosen.size == 0 and chosen.dtype != bool:
+            chosen = chosen.astype(np.intp)
         if isinstance(chosen, np.ndarray) and chosen.dtype == bool and chosen.shape != (len(self),):
             raise ValueError(f"index should be a mask of {len(self)}, but has shape {chosen.shape}")
         rows = {
@@ -186,9 +195,9 @@ class PhotonMap:
             name: getattr(self, name) for name in _ARRAY_FIELDS if getattr(self, name) is not None
         }
         arrays["photonmap_version"] = FORMAT_VERSION
-        arrays["well_spaced"] = self.well_spaced
-        if self.n_emitted is not None:
-            arrays["n_emitted"] = self.n_emitted
+        for name in _SCALARS:
+            if getattr(self, name) is not None:
+                arrays[name] = getattr(self, name)
         if self.ledger is not None:
             arrays.update(_ledger_arrays(self.ledger))
         _write_npz(Path(path), arrays)
@@ -203,14 +212,14 @@ class PhotonMap:
             If the file is not a photon map, or one of another version.
         """
         arrays = _read_npz(Path(path))
-        known = {name: _read_only(arrays[name]) for name in _ARRAY_FIELDS if name in arrays}
+        known: dict[str, Any] = {
+            name: _read_only(arrays[name]) for name in _ARRAY_FIELDS if name in arrays
+        }
         try:
+            scalars = {name: _scalar(arrays, name, kinds) for name, kinds in _SCALARS.items()}
             return cls(
                 **known,
-                n_emitted=_scalar(arrays, "n_emitted", "iu", None),
-                well_spaced=_scalar(arrays, "well_spaced", "b")
-                if "well_spaced" in arrays
-                else False,
+                **scalars | {"well_spaced": bool(scalars["well_spaced"])},
                 ledger=_ledger_from(arrays) if "ledger_emitted" in arrays else None,
             )
         except (TypeError, ValueError) as error:
@@ -223,9 +232,10 @@ _INTEGER_FIELDS: dict[str, type] = {
     "n_bounces": np.int32,
     "object_id": np.int32,
 }
-_ARRAY_FIELDS = tuple(
-    f.name for f in fields(PhotonMap) if f.name not in ("n_emitted", "well_spaced", "ledger")
-)
+# Fields with one value, and the kinds of dtype it is saved with.
+_SCALARS = {"n_emitted": "iu", "well_spaced": "b", "seed": "iu", "sampler": "U", "paths": "U"}
+_KIND_NAMES = {"iu": "integer", "b": "truth value", "U": "text"}
+_ARRAY_FIELDS = tuple(f.name for f in fields(PhotonMap) if f.name not in (*_SCALARS, "ledger"))
 
 
 def _set(instance: object, name: str, value: object) -> None:
@@ -326,13 +336,14 @@ def _check_names(arrays: Mapping[str, NDArray], names: Sequence[str]) -> None:
         raise ValueError(f"it has no {', '.join(missing)}")
 
 
-def _scalar(arrays: Mapping[str, NDArray], name: str, kinds: str, default: Any = None) -> Any:
+def _scalar(arrays: Mapping[str, NDArray], name: str, kinds: str) -> Any:
+    """Return one value, None where there is none."""
     if name not in arrays:
-        return default
+        return None
     array = arrays[name]
     if array.shape != () or array.dtype.kind not in kinds:
         raise ValueError(
-            f"{name} should be one {'truth value' if kinds == 'b' else 'integer'}, "
+            f"{name} should be one {_KIND_NAMES[kinds]}, "
             f"but has shape {array.shape} and dtype {array.dtype}"
         )
     return array.item()

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import _arrays
 from ._arrays import Floats
 from ._ext import relax as _relax
 from ._progress import Progress, Reporter
-from .kdtree import KDTree
 from .photonmap import PhotonMap
-from .raycast import RayCaster
+from .raycast import Intersections, RayCaster
 from .scene import Scene
 from .structure import Structure, emitter_groups, photon_tree
 
-# How far above the surface the ray that puts a photon back starts: this many times the length of
-# the move, and at least this fraction of the scene, above what float32 rays resolve.
+# The rays that put a photon back start this fraction of the scene before it, a few times what
+# float32 rays resolve, and reach this many times the length of the move.
+_START = 2e-6
 _REACH = 2.0
-_LEAST_REACH = 1e-5
 # A photon put back on a face turned by more than this (cosine) has gone round a corner.
 _LEAST_ALIGNMENT = 0.5
 
@@ -49,16 +50,18 @@ class RelaxSettings:
     largest_step: float = 0.1
 
     def __post_init__(self) -> None:
-        if len(self.n_iterations) != 2:
+        iterations = self.n_iterations
+        if not isinstance(iterations, Iterable) or len(tuple(iterations)) != 2:
             raise ValueError(
                 "RelaxSettings.n_iterations should be two numbers, constrained and collapsed, "
                 f"but is {self.n_iterations!r}"
             )
-        for number in self.n_iterations:
-            _arrays.count(number, "RelaxSettings.n_iterations", low=0)
-        _arrays.count(self.k, "RelaxSettings.k", low=4)
-        _arrays.positive(self.step, "RelaxSettings.step")
-        _arrays.positive(self.largest_step, "RelaxSettings.largest_step", allow_inf=True)
+        numbers = tuple(_arrays.count(n, "RelaxSettings.n_iterations", low=0) for n in iterations)
+        object.__setattr__(self, "n_iterations", numbers)
+        object.__setattr__(self, "k", _arrays.count(self.k, "RelaxSettings.k", low=4))
+        object.__setattr__(self, "step", _arrays.positive(self.step, "RelaxSettings.step"))
+        largest = _arrays.positive(self.largest_step, "RelaxSettings.largest_step", allow_inf=True)
+        object.__setattr__(self, "largest_step", largest)
 
 
 def relax(
@@ -73,9 +76,9 @@ def relax(
     """Spread photons evenly within their sheets of light.
 
     In each iteration every photon moves, all at once, by the repulsion of its nearest photons
-    (SJ13 Eq. 8), as far as its constraint basis allows (Eq. 9). In the first iterations only
-    photons in range over the emitter coordinates repel each other, so that each sheet is spread
-    by itself; in the last all photons of the emitter do (Algorithm 1 lines 10–16).
+    (SJ13 Eq. 8), as far as its constraint basis allows (Eq. 9): first by that of photons in range
+    over the emitter coordinates, sheet by sheet, then by that of all of the emitter (Algorithm 1
+    lines 10–16).
 
     Parameters
     ----------
@@ -86,9 +89,9 @@ def relax(
     settings : RelaxSettings, optional
         Defaults are the paper's.
     scene : Scene, optional
-        With it a moved photon is put back on its object by a short ray along its normal, and
-        stays where it was if it has left the object's surface. Without it photons move in their
-        tangent planes, which is right for flat receivers that reach beyond their photons.
+        With it photons are put back on their objects by short rays along their normals, and stay
+        where they were if they would leave them. Without it they move in their tangent planes,
+        which is right for flat receivers that reach beyond their photons.
     n_threads : int, optional
         Threads; all available by default. The result does not depend on it.
     progress : callable, optional
@@ -97,12 +100,12 @@ def relax(
     Returns
     -------
     PhotonMap
-        The same photons at new positions, with the normals found there. Flux is untouched.
+        The same photons, `well_spaced`, with the normals where they are now. Flux is untouched.
 
     Raises
     ------
     ValueError
-        If `structure` is not of this map, or `scene` is given and the map has no `object_id`.
+        If `structure` is not of this map, or the map's `object_id` is not of the scene.
 
     Notes
     -----
@@ -110,10 +113,7 @@ def relax(
     others but not one another.
     """
     settings = settings or RelaxSettings()
-    if len(structure) != len(photons):
-        raise ValueError(
-            f"structure should be of these {len(photons)} photons, but is of {len(structure)}"
-        )
+    _check_structure(structure, photons)
     if not any(settings.n_iterations) or len(photons) == 0:
         return photons
     threads = _arrays.thread_count(n_threads)
@@ -124,6 +124,17 @@ def relax(
         sheets = _Sheets(photons.subset(rows), structure.subset(rows), settings, threads, report)
         position[rows], normal[rows] = sheets.relaxed(surfaces, rows)
     return photons.replace(position=position, normal=normal, well_spaced=True)
+
+
+def _check_structure(structure: Structure, photons: PhotonMap) -> None:
+    if len(structure) != len(photons):
+        raise ValueError(
+            f"structure should be of these {len(photons)} photons, but is of {len(structure)}"
+        )
+    if (structure.emitter_range is None) != (photons.emitter_coords is None):
+        raise ValueError(
+            "structure should be of this map, but only one of them has emitter coordinates"
+        )
 
 
 class _Sheets:
@@ -150,22 +161,29 @@ class _Sheets:
         """Return positions and normals after all iterations."""
         position, normal = self._photons.position, self._photons.normal
         constrained, collapsed = self._settings.n_iterations
-        coords, ranges = self._photons.emitter_coords, self._structure.emitter_range
-        stages = [(coords, ranges)] * constrained + [(None, None)] * collapsed
-        for stage_coords, stage_ranges in stages:
-            tree = photon_tree(
-                position, None if stage_ranges is None else stage_coords, n_threads=self._n_threads
-            )
-            moved = self._moved(tree, normal, stage_ranges)
+        for iteration in range(constrained + collapsed):
+            moved = self._moved(position, normal, iteration < constrained)
             if surfaces is None:
                 position = moved
             else:
                 position, normal = surfaces.put_back(position, normal, moved, rows)
         return position, normal
 
-    def _moved(self, tree: KDTree, normal: Floats, ranges: Floats | None) -> Floats:
-        moved = np.empty((len(self._photons), 3))
-        sheet = _relax.Sheet(normal, self._structure, ranges, self._largest_step)
+    def _moved(self, position: Floats, normal: Floats, constrained: bool) -> Floats:
+        structure = self._structure
+        coords = self._photons.emitter_coords if constrained else None
+        ranges = structure.emitter_range if constrained else None
+        tree, range_radius = photon_tree(
+            position, normal, coords, ranges, n_threads=self._n_threads
+        )
+        sheet = _relax.Sheet(
+            normal,
+            structure,
+            range_radius=range_radius,
+            reach=structure.reach if constrained else None,
+            largest_step=self._largest_step,
+        )
+        moved = np.empty_like(position)
         for first, end in self._report.chunks(len(moved)):
             _relax.move(
                 tree.kernel,
@@ -186,28 +204,77 @@ class _Surfaces:
     def __init__(self, scene: Scene, photons: PhotonMap, n_threads: int) -> None:
         if photons.object_id is None:
             raise ValueError("photons should have an object_id to be kept on the scene's objects")
+        n_objects = len(scene.objects)
+        if photons.object_id.min() < 0 or photons.object_id.max() >= n_objects:
+            raise ValueError(
+                f"object_id should be of the scene's {n_objects} objects, but ranges from "
+                f"{photons.object_id.min()} to {photons.object_id.max()}"
+            )
         self._caster = RayCaster(scene.objects)
-        self._least_reach = _LEAST_REACH * scene.scale
+        self._start = _START * scene.scale
         self._object_id = photons.object_id
         self._n_threads = n_threads
+        # Which side of its face a photon is on, 0 where it is on none and so will not move.
+        self._side = np.zeros(len(photons))
+        no_move = np.zeros(len(photons))
+        for rows in emitter_groups(photons):
+            here = photons.subset(rows)
+            found, _ = self._surface_at(here.position, here.normal, no_move[rows], rows)
+            self._side[rows] = _facing(found.geometric_normal, here.normal)
 
     def put_back(
         self, position: Floats, normal: Floats, moved: Floats, rows: _arrays.Rows
     ) -> tuple[Floats, Floats]:
         """Return where moved photons meet their own object, and the normals there.
 
-        A ray comes down along each photon's normal. Where it meets nothing, another object, or
-        a face turned away, the photon has left its surface and the move is not made.
+        Where a photon meets nothing, another object or a face that is turned away, it has left
+        its surface, and the move is not made.
         """
         length = np.linalg.norm(moved - position, axis=1)
-        reach = np.maximum(_REACH * length, self._least_reach)[:, np.newaxis]
-        found = self._caster.intersect(moved + reach * normal, -normal, n_threads=self._n_threads)
-        facing = np.einsum("ij,ij->i", found.geometric_normal, normal)
-        stays = (
-            (length > 0.0)
-            & (found.object_id == self._object_id[rows])
-            & (found.distance <= 2.0 * reach[:, 0])
-            & (np.abs(facing) >= _LEAST_ALIGNMENT)
-        )[:, np.newaxis]
-        outward = np.copysign(1.0, facing)[:, np.newaxis] * found.geometric_normal
+        found, own = self._surface_at(moved, normal, length, rows)
+        side = self._side[rows]
+        stays = (own & (length > 0.0) & (side != 0.0))[:, np.newaxis]
+        stays &= (_facing(found.geometric_normal, normal) == side)[:, np.newaxis]
+        outward = side[:, np.newaxis] * found.geometric_normal
         return np.where(stays, found.position, position), np.where(stays, outward, normal)
+
+    def _surface_at(
+        self, points: Floats, normal: Floats, length: Floats, rows: _arrays.Rows
+    ) -> tuple[Intersections, NDArray[np.bool_]]:
+        """Return what rays down the normals, else up, hit near points, and where it is their own.
+
+        Rays start just on the far side of the point, so nothing beyond it is in their way.
+        """
+        down = self._cast(points, -normal)
+        own = self._is_own(down, length, rows)
+        if own.all():
+            return down, own
+        up = self._cast(points, normal)
+        down = _merged(own, down, up)
+        return down, own | self._is_own(up, length, rows)
+
+    def _cast(self, points: Floats, direction: Floats) -> Intersections:
+        return self._caster.intersect(
+            points - self._start * direction, direction, n_threads=self._n_threads
+        )
+
+    def _is_own(
+        self, found: Intersections, length: Floats, rows: _arrays.Rows
+    ) -> NDArray[np.bool_]:
+        near = found.distance <= _REACH * length + 2.0 * self._start
+        return near & (found.object_id == self._object_id[rows])
+
+
+def _facing(geometric_normal: Floats, normal: Floats) -> Floats:
+    """Return +1 where normals point alike, -1 where opposite ways, 0 where neither."""
+    cosine = np.einsum("ij,ij->i", geometric_normal, normal)
+    return np.where(np.abs(cosine) >= _LEAST_ALIGNMENT, np.sign(cosine), 0.0)
+
+
+def _merged(first: NDArray[np.bool_], one: Intersections, other: Intersections) -> Intersections:
+    """Return rows of one set of intersections where `first` is set, else of the other."""
+    rows = {}
+    for field in fields(Intersections):
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        rows[field.name] = np.where(first if a.ndim == 1 else first[:, np.newaxis], a, b)
+    return Intersections(**rows)

@@ -77,6 +77,9 @@ def render(
     if scene.camera is None:
         raise ValueError("scene should have a camera to be rendered")
     check_method(method)
+    supersampling = _arrays.count(supersampling, "supersampling")
+    max_depth = _arrays.count(max_depth, "max_depth", low=0)
+    _check_settings(structure, relax, gather)
     pipeline = _Pipeline(scene, n_threads, progress)
     if photons is None:
         photons = pipeline.trace(n_emitted, seed)
@@ -84,8 +87,16 @@ def render(
     layers = pipeline.picture(field, scene.camera, supersampling, max_depth)
     used = _settings_used(field, structure, relax)
     used |= {"supersampling": supersampling, "max_depth": max_depth}
-    metadata = _metadata(photons, scene=scene.name, method=method, seed=seed, settings=used)
+    metadata = _metadata(photons, scene=scene.name, method=method, settings=used)
     return Image(layers, metadata, pipeline.stats(photons))
+
+
+def _check_settings(*settings: object) -> None:
+    """Raise TypeError for settings of the wrong kind, before anything is computed."""
+    kinds = (StructureSettings, RelaxSettings, GatherSettings)
+    for name, value, kind in zip(("structure", "relax", "gather"), settings, kinds, strict=True):
+        if value is not None and not isinstance(value, kind):
+            raise TypeError(f"{name} should be {kind.__name__}, but is {value!r}")
 
 
 LAYERS = {
@@ -179,12 +190,18 @@ def _metadata(photons: PhotonMap, **others: Any) -> dict[str, str]:
         "photons_emitted": photons.n_emitted,
         "photons_stored": len(photons),
         "ledger": _ledger(photons),
+        **{name: getattr(photons, name) for name in ("seed", "sampler", "paths")},
         **others,
     }
-    return {
-        f"photonrelax.{name}": value if isinstance(value, str) else json.dumps(value)
-        for name, value in values.items()
-    }
+    return {f"photonrelax.{name}": _text(value) for name, value in values.items()}
+
+
+def _text(value: Any) -> str:
+    """Return text as it is and anything else as JSON, which has no word for infinity but null."""
+    if isinstance(value, str):
+        return value
+    finite = json.loads(json.dumps(value), parse_constant=lambda name: None)
+    return json.dumps(finite)
 
 
 class _Picture:
@@ -267,9 +284,10 @@ class _Picture:
 
 def _pixel_sums(pixel: NDArray, values: Floats, shape: tuple[int, int]) -> Floats:
     """Return the sums over hit points (m, c) in each pixel, (height, width, c)."""
-    sums = [np.bincount(pixel, column, minlength=shape[0] * shape[1]) for column in values.T]
-    stacked: Floats = np.stack(sums, axis=-1)
-    return stacked.reshape(*shape, -1)
+    sums = np.zeros((shape[0] * shape[1], values.shape[1]))
+    for channel, column in enumerate(values.T):
+        sums[:, channel] = np.bincount(pixel, column, minlength=len(sums))
+    return sums.reshape(*shape, -1)
 
 
 def _photon_attributes(field: IrradianceField) -> dict[str, Floats]:

@@ -38,6 +38,11 @@ __all__ = [
 ]
 
 
+# Photons on a face turned by more than 60° belong to another surface; this is the length of the
+# chord between unit normals at that angle.
+NORMAL_RANGE = 1.0
+
+
 @dataclass(frozen=True)
 class StructureSettings:
     """How structure is detected.
@@ -48,14 +53,23 @@ class StructureSettings:
         Photons in a neighbourhood, the photon itself among them (K_c = 50, SJ13 §5).
     range_scale : float
         Size of the range allowed over the emitter coordinates (β = 3, SJ13 Eq. 1).
+    reach_scale : float
+        Largest radius of a neighbourhood in range, in units of the radius that holds k photons of
+        whatever sheet. SJ13 has no such limit (infinity); but photons of a sheet of less than a
+        ninth of the light around them have their neighbours so far away that, moved by these,
+        they flow down its slopes, while their own noise is hidden by the other sheets'.
     """
 
     k: int = 50
     range_scale: float = 3.0
+    reach_scale: float = 3.0
 
     def __post_init__(self) -> None:
-        _arrays.count(self.k, "StructureSettings.k", low=4)
-        _arrays.positive(self.range_scale, "StructureSettings.range_scale", allow_inf=True)
+        object.__setattr__(self, "k", _arrays.count(self.k, "StructureSettings.k", low=4))
+        for name in ("range_scale", "reach_scale"):
+            value = getattr(self, name)
+            value = _arrays.positive(value, f"StructureSettings.{name}", allow_inf=True)
+            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +94,13 @@ class Structure:
         Photons in the neighbourhood; fewer than asked for where the range holds fewer.
     emitter_range : (n,) float array or None
         Radius allowed over the emitter coordinates (SJ13 Eq. 1); None in a map without them.
+    reach : (n,) float array or None
+        Radius allowed in space while that range is kept to, m; None in a map without one.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If shapes differ, values are not finite or a constraint is not in [0, 1].
     """
 
     eigenvalues: Floats
@@ -88,6 +109,23 @@ class Structure:
     radius: Floats
     n_found: NDArray[np.int32]
     emitter_range: Floats | None
+    reach: Floats | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.constraint)
+        shapes = {"eigenvalues": (n, 2), "constraint": (n,), "basis": (n, 2, 3), "radius": (n,)}
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, _arrays.float_array(getattr(self, name), name, shape))
+        for name in ("emitter_range", "reach"):
+            if getattr(self, name) is not None:
+                array = _arrays.float_array(getattr(self, name), name, (n,), finite=False)
+                object.__setattr__(self, name, array)
+        n_found = _arrays.int_array(self.n_found, "n_found", (n,), np.int32)
+        object.__setattr__(self, "n_found", n_found)
+        if n and not (self.constraint.min() >= 0.0 and self.constraint.max() <= 1.0):
+            raise ValueError("constraint should lie in [0, 1]")
+        if n and n_found.min() < 1:
+            raise ValueError("n_found should count the photon itself, but is below 1 somewhere")
 
     def __len__(self) -> int:
         return len(self.constraint)
@@ -141,7 +179,7 @@ def detect_structure(
     report = Reporter(progress, "structure", len(photons))
     groups = emitter_groups(photons)
     parts = [
-        _detect_group(photons.subset(rows), _rows(ranges, rows), settings.k, threads, report)
+        _detect_group(photons.subset(rows), _rows(ranges, rows), settings, threads, report)
         for rows in groups
     ]
     return parts[0] if len(parts) == 1 else _merge(parts, groups, ranges)
@@ -182,11 +220,33 @@ def emitter_range(photons: PhotonMap, settings: StructureSettings) -> Floats | N
 
 
 def photon_tree(
-    position: Floats, emitter_coords: Floats | None = None, *, n_threads: int | None = None
-) -> KDTree:
-    """Return the tree over space, and over the emitter coordinates as range axes if given."""
-    points = position if emitter_coords is None else np.hstack([position, emitter_coords])
-    return KDTree(points, n_metric=3, n_threads=n_threads)
+    position: Floats,
+    normal: Floats,
+    coords: Floats | None = None,
+    ranges: Floats | None = None,
+    *,
+    n_threads: int | None = None,
+) -> tuple[KDTree, Floats | None]:
+    """Return the tree neighbours are searched in, and the radius of each photon's range.
+
+    Range axes are the emitter coordinates, if given with their ranges, and the normals, unless
+    all are the same: photons on the other side of a plate or round a corner are no neighbours.
+    Normals are scaled so that NORMAL_RANGE between two of them uses up the largest of the ranges.
+    """
+    columns = [position]
+    if coords is not None and ranges is not None:
+        columns.append(coords)
+    if not facing_alike(normal):
+        if ranges is None:
+            ranges = np.full(len(position), NORMAL_RANGE)
+        columns.append(normal * (ranges.max() / NORMAL_RANGE))
+    tree = KDTree(np.hstack(columns), n_metric=3, n_threads=n_threads)
+    return tree, ranges
+
+
+def facing_alike(normal: Floats) -> bool:
+    """Tell whether all normals (n, 3) are the same, as on a plane."""
+    return bool((normal == normal[:1]).all())
 
 
 def principal_components(offsets: Floats, *, n_threads: int | None = None) -> tuple[Floats, Floats]:
@@ -219,30 +279,56 @@ def _rows(array: NDArray | None, rows: _arrays.Rows) -> NDArray | None:
 
 
 def _detect_group(
-    photons: PhotonMap, ranges: Floats | None, k: int, n_threads: int, report: Reporter
+    photons: PhotonMap,
+    ranges: Floats | None,
+    settings: StructureSettings,
+    n_threads: int,
+    report: Reporter,
 ) -> Structure:
     n = len(photons)
-    result = Structure(
-        eigenvalues=np.empty((n, 2)),
-        constraint=np.empty(n),
-        basis=np.empty((n, 2, 3)),
-        radius=np.empty(n),
-        n_found=np.empty(n, dtype=np.int32),
-        emitter_range=ranges,
+    found: dict[str, Any] = {
+        "eigenvalues": np.empty((n, 2)),
+        "constraint": np.empty(n),
+        "basis": np.empty((n, 2, 3)),
+        "radius": np.empty(n),
+        "n_found": np.empty(n, dtype=np.int32),
+    }
+    reach = None if ranges is None else _reach(photons, settings, n_threads)
+    tree, range_radius = photon_tree(
+        photons.position, photons.normal, photons.emitter_coords, ranges, n_threads=n_threads
     )
-    coords = None if ranges is None else photons.emitter_coords
-    tree = photon_tree(photons.position, coords, n_threads=n_threads)
     for first, end in report.chunks(n):
-        _structure.detect(tree.kernel, first, end, photons.normal, result, k, n_threads)
-    return result
+        _structure.detect(
+            tree.kernel,
+            first,
+            end,
+            photons.normal,
+            found,
+            range_radius=range_radius,
+            reach=reach,
+            k=settings.k,
+            n_threads=n_threads,
+        )
+    return Structure(**found, emitter_range=ranges, reach=reach)
+
+
+def _reach(photons: PhotonMap, settings: StructureSettings, n_threads: int) -> Floats:
+    """Return `reach_scale` times the radius that holds k photons of whatever sheet."""
+    tree, facing = photon_tree(photons.position, photons.normal, n_threads=n_threads)
+    near = tree.farthest(settings.k, range_radius=facing, n_threads=n_threads)
+    with np.errstate(invalid="ignore"):
+        # An open reach stays open where photons coincide.
+        return np.nan_to_num(settings.reach_scale * near, nan=np.inf, posinf=np.inf)
 
 
 def _merge(parts: list[Structure], groups: list[_arrays.Rows], ranges: Floats | None) -> Structure:
     """Put the rows of each emitter's structure where its photons are."""
     n = sum(len(part) for part in parts)
     merged = {}
-    for field in ("eigenvalues", "constraint", "basis", "radius", "n_found"):
+    for field in ("eigenvalues", "constraint", "basis", "radius", "n_found", "reach"):
         example = getattr(parts[0], field)
+        if example is None:
+            continue
         merged[field] = np.empty((n, *example.shape[1:]), dtype=example.dtype)
         for part, rows in zip(parts, groups, strict=True):
             merged[field][rows] = getattr(part, field)

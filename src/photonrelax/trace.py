@@ -280,6 +280,9 @@ def _photon_map(plan: EmissionPlan, how: _How, batches: list[_Batch]) -> PhotonM
         n_emitted=int(plan.counts.sum()),
         well_spaced=how.sampler == "halton" and how.paths == "caustic",
         ledger=ledger,
+        seed=how.seed,
+        sampler=how.sampler,
+        paths=how.paths,
     )
 
 

@@ -3,9 +3,7 @@
 from cython.parallel cimport prange, threadid
 from libc.math cimport M_PI, sqrt
 
-import numpy as np
-
-from .kdtree cimport Candidate, Limits, Tree
+from .kdtree cimport Candidate, Limits, Tree, lift_limits
 
 cpdef enum:
     CONSTANT = 0
@@ -45,19 +43,17 @@ cdef class Gather:
         self.k = k
         self.kernel = kernel
         self.nearest_scale = nearest_scale
+        lift_limits(&self.limits)
         self.limits.squared_radius = radius * radius
-        self.limits.squared_range = normal_range * normal_range if normal_range >= 0.0 else -1.0
-        self.limits.half_range = NULL
-        self.limits.excluded = -1
+        if normal_range >= 0.0:
+            self.limits.squared_range = normal_range * normal_range
 
     def densities(
         self, const double[:, ::1] queries, Py_ssize_t first, Py_ssize_t end,
         double[:, ::1] out, int n_threads
     ):
         """Write the values per area around queries first … end to their rows of `out` (m, c)."""
-        cdef unsigned char[:, ::1] found = np.empty(
-            (n_threads, self.k * sizeof(Candidate)), dtype=np.uint8
-        )
+        cdef unsigned char[:, ::1] found = self.tree.scratch(self.k, n_threads)
         cdef Py_ssize_t i
         for i in prange(
             first, end, nogil=True, schedule="dynamic", chunksize=256, num_threads=n_threads
@@ -73,7 +69,8 @@ cdef void gather_one(
 
     With k photons in reach the bandwidth is the distance to the k-th, whose own weight is zero;
     that makes the estimate unbiased for independent photons, as the mean of 1/r² is π ρ/(k − 1).
-    With fewer the bandwidth is the gather radius, and all count.
+    With fewer, or all of them at the query itself, the bandwidth is the gather radius and all
+    count.
     """
     cdef Py_ssize_t count = photons.tree.search(
         &queries[i, 0], &photons.limits, found, photons.k
@@ -84,12 +81,10 @@ cdef void gather_one(
     cdef Py_ssize_t j, channel
     for channel in range(out.shape[1]):
         out[i, channel] = 0.0
-    if count == photons.k:
+    if count == photons.k and found[count - 1].squared > 0.0:
         count -= 1
         squared_bandwidth = found[count].squared
         scale = photons.nearest_scale
-    if squared_bandwidth == 0.0:
-        return
     for j in range(count):
         weight = scale * kernel_weight(photons.kernel, found[j].squared / squared_bandwidth)
         for channel in range(out.shape[1]):

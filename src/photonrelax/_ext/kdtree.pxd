@@ -6,6 +6,8 @@ A median split fixes these counts whatever the coordinates are, so coincident po
 unbalance it. Every node has a bounding box on all axes, so ranges prune as distances do.
 """
 
+from libc.math cimport INFINITY
+
 
 cdef struct Candidate:
     # One neighbour found: squared distance, the caller's id, and the place in leaf order.
@@ -23,6 +25,13 @@ cdef struct Limits:
     Py_ssize_t excluded
 
 
+cdef inline void lift_limits(Limits* limits) noexcept nogil:
+    limits.squared_radius = INFINITY
+    limits.squared_range = -1.0
+    limits.half_range = NULL
+    limits.excluded = -1
+
+
 cdef class Tree:
     cdef readonly Py_ssize_t n_points
     cdef readonly Py_ssize_t n_axes
@@ -34,6 +43,7 @@ cdef class Tree:
     cdef readonly double[:, ::1] high
     cdef readonly Py_ssize_t[::1] lowest_id
 
+    cdef unsigned char[:, ::1] scratch(self, Py_ssize_t k, int n_threads)
     cdef Py_ssize_t search(
         self, const double* query, const Limits* limits, Candidate* found, Py_ssize_t k
     ) noexcept nogil

@@ -275,10 +275,9 @@ cdef void query_row(
     """Search for one query; write its row only."""
     cdef Limits limits
     cdef Py_ssize_t slot, count
-    limits.squared_radius = INFINITY
-    limits.squared_range = -1.0
-    limits.half_range = NULL
-    limits.excluded = row if exclude_self else -1
+    lift_limits(&limits)
+    if exclude_self:
+        limits.excluded = row
     if range_radius is not None:
         limits.squared_range = range_radius[row] * range_radius[row]
     if half_range is not None:
@@ -287,6 +286,18 @@ cdef void query_row(
     for slot in range(count):
         ids[row, slot] = found[slot].id
         distance[row, slot] = sqrt(found[slot].squared)
+
+
+cdef double farthest_distance(
+    Tree tree, Py_ssize_t place, Py_ssize_t k, const double[::1] range_radius, Candidate* found
+) noexcept nogil:
+    """Return the distance to the farthest of the k nearest points, the point itself counted."""
+    cdef Py_ssize_t row = tree.ids[place]
+    cdef Limits limits
+    lift_limits(&limits)
+    if range_radius is not None:
+        limits.squared_range = range_radius[row] * range_radius[row]
+    return sqrt(found[tree.search(&tree.points[place, 0], &limits, found, k) - 1].squared)
 
 
 cdef class Tree:
@@ -313,6 +324,11 @@ cdef class Tree:
             order(self, points, axis_scale, n_threads)
             box_leaves(self, points, n_threads)
             box_inner_nodes(self)
+
+    cdef unsigned char[:, ::1] scratch(self, Py_ssize_t k, int n_threads):
+        """Return room for what `search` finds, a row a thread; it finds no more than n points."""
+        n_found = max(min(k, self.n_points), 1)
+        return np.empty((n_threads, n_found * sizeof(Candidate)), dtype=np.uint8)
 
     cdef Py_ssize_t search(
         self, const double* query, const Limits* limits, Candidate* found, Py_ssize_t k
@@ -364,10 +380,9 @@ cdef class Tree:
         cdef Py_ssize_t n_queries = queries.shape[0]
         ids = np.full((n_queries, k), self.n_points, dtype=np.intp)
         distance = np.full((n_queries, k), np.inf)
-        scratch = np.empty((n_threads, k * sizeof(Candidate)), dtype=np.uint8)
         cdef Py_ssize_t[:, ::1] ids_view = ids
         cdef double[:, ::1] distance_view = distance
-        cdef unsigned char[:, ::1] scratch_view = scratch
+        cdef unsigned char[:, ::1] found = self.scratch(k, n_threads)
         cdef Py_ssize_t i
         if self.n_points:
             for i in prange(
@@ -375,6 +390,27 @@ cdef class Tree:
             ):
                 query_row(
                     self, &queries[i, 0], rows[i], half_range, range_radius, exclude_self,
-                    <Candidate*> &scratch_view[threadid(), 0], ids_view, distance_view
+                    <Candidate*> &found[threadid(), 0], ids_view, distance_view
                 )
         return ids, distance
+
+    def farthest(
+        self, const Py_ssize_t[::1] places, Py_ssize_t k, *, const double[::1] range_radius,
+        int n_threads
+    ):
+        """Return the distance of some of the tree's points to the farthest of their k nearest.
+
+        Row i belongs to the point at ``places[i]``; `range_radius` goes by the points' ids.
+        """
+        cdef Py_ssize_t n = places.shape[0]
+        distance = np.empty(n)
+        cdef double[::1] distance_view = distance
+        cdef unsigned char[:, ::1] found = self.scratch(k, n_threads)
+        cdef Py_ssize_t i
+        for i in prange(
+            n, nogil=True, schedule="dynamic", chunksize=256, num_threads=n_threads
+        ):
+            distance_view[i] = farthest_distance(
+                self, places[i], k, range_radius, <Candidate*> &found[threadid(), 0]
+            )
+        return distance

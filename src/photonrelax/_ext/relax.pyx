@@ -1,12 +1,10 @@
 """One simultaneous move of every photon by the repulsion of its neighbours (SJ13 §4.4)."""
 
 from cython.parallel cimport prange, threadid
-from libc.math cimport INFINITY, sqrt
-
-import numpy as np
+from libc.math cimport sqrt
 
 from .core cimport cross, dot
-from .kdtree cimport Candidate, Limits, Tree
+from .kdtree cimport Candidate, Limits, Tree, lift_limits
 
 # A photon with fewer photons in range than this has no neighbourhood to spread out in.
 cdef enum:
@@ -14,19 +12,24 @@ cdef enum:
 
 
 cdef class Sheet:
-    """What a move reads of each photon: normal, constraint basis, range and largest step."""
+    """What a move reads of each photon: normal, constraint, limits of its search, largest step.
+
+    `range_radius` and `reach` may be None for no limit.
+    """
 
     cdef const double[:, ::1] normal
     cdef const double[:, :, ::1] basis
     cdef const double[::1] constraint
-    cdef const double[::1] emitter_range
+    cdef const double[::1] range_radius
+    cdef const double[::1] reach
     cdef const double[::1] largest_step
 
-    def __init__(self, normal, structure, emitter_range, largest_step):
+    def __init__(self, normal, structure, *, range_radius, reach, largest_step):
         self.normal = normal
         self.basis = structure.basis
         self.constraint = structure.constraint
-        self.emitter_range = emitter_range
+        self.range_radius = range_radius
+        self.reach = reach
         self.largest_step = largest_step
 
 
@@ -38,7 +41,7 @@ def move(
 
     All positions read are the tree's, so the update is simultaneous: no order among photons.
     """
-    cdef unsigned char[:, ::1] found = np.empty((n_threads, k * sizeof(Candidate)), dtype=np.uint8)
+    cdef unsigned char[:, ::1] found = tree.scratch(k, n_threads)
     cdef Py_ssize_t place
     for place in prange(
         first, end, nogil=True, schedule="dynamic", chunksize=256, num_threads=n_threads
@@ -55,12 +58,11 @@ cdef void move_one(
     cdef Py_ssize_t axis, count
     cdef Limits limits
     cdef double[3] f
-    limits.squared_radius = INFINITY
-    limits.half_range = NULL
-    limits.excluded = -1
-    limits.squared_range = -1.0
-    if sheet.emitter_range is not None:
-        limits.squared_range = sheet.emitter_range[row] * sheet.emitter_range[row]
+    lift_limits(&limits)
+    if sheet.range_radius is not None:
+        limits.squared_range = sheet.range_radius[row] * sheet.range_radius[row]
+    if sheet.reach is not None:
+        limits.squared_radius = sheet.reach[row] * sheet.reach[row]
     count = tree.search(&tree.points[place, 0], &limits, found, k)
     f[0] = f[1] = f[2] = 0.0
     if count >= FEWEST:

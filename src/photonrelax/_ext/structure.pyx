@@ -1,12 +1,12 @@
 """Principal components of photon neighbourhoods and the constraints they imply (SJ13 §4.3)."""
 
 from cython.parallel cimport prange, threadid
-from libc.math cimport INFINITY, M_PI, atan2, cos, erf, hypot, sin, sqrt
+from libc.math cimport M_PI, atan2, cos, erf, hypot, sin, sqrt
 
 import numpy as np
 
 from .core cimport dot, orthonormal_frame
-from .kdtree cimport Candidate, Limits, Tree
+from .kdtree cimport Candidate, Limits, Tree, lift_limits
 
 # Below this many photons in range a neighbourhood says nothing about structure.
 cdef enum:
@@ -61,7 +61,7 @@ cdef struct Components:
 
 
 cdef class Targets:
-    """Views of the arrays of a `photonrelax.Structure` that is being filled."""
+    """Views of the arrays that will make a `photonrelax.Structure`."""
 
     cdef double[:, ::1] eigenvalues
     cdef double[::1] constraint
@@ -69,12 +69,12 @@ cdef class Targets:
     cdef double[::1] radius
     cdef int[::1] n_found
 
-    def __init__(self, structure):
-        self.eigenvalues = structure.eigenvalues
-        self.constraint = structure.constraint
-        self.basis = structure.basis
-        self.radius = structure.radius
-        self.n_found = structure.n_found
+    def __init__(self, *, eigenvalues, constraint, basis, radius, n_found):
+        self.eigenvalues = eigenvalues
+        self.constraint = constraint
+        self.basis = basis
+        self.radius = radius
+        self.n_found = n_found
 
 
 cdef Components decompose(const double* offsets, Py_ssize_t count) noexcept nogil:
@@ -131,27 +131,29 @@ cdef void write_components(
 
 
 def detect(
-    Tree tree, Py_ssize_t first, Py_ssize_t end, const double[:, ::1] normal, structure,
-    Py_ssize_t k, int n_threads
+    Tree tree, Py_ssize_t first, Py_ssize_t end, const double[:, ::1] normal, targets_by_name, *,
+    const double[::1] range_radius, const double[::1] reach, Py_ssize_t k, int n_threads
 ):
-    """Fill the rows of the photons at places first … end of the tree; see `detect_structure`."""
-    cdef Targets targets = Targets(structure)
-    cdef unsigned char[:, ::1] found = np.empty((n_threads, k * sizeof(Candidate)), dtype=np.uint8)
-    cdef double[:, ::1] offsets = np.empty((n_threads, 2 * k))
-    cdef const double[::1] emitter_range = structure.emitter_range
+    """Fill the rows of the photons at places first … end of the tree; see `detect_structure`.
+
+    `range_radius` and `reach` limit the search over the range axes and in space; None for none.
+    """
+    cdef Targets targets = Targets(**targets_by_name)
+    cdef unsigned char[:, ::1] found = tree.scratch(k, n_threads)
+    cdef double[:, ::1] offsets = np.empty((n_threads, 2 * min(k, tree.n_points)))
     cdef Py_ssize_t place
     for place in prange(
         first, end, nogil=True, schedule="dynamic", chunksize=256, num_threads=n_threads
     ):
         detect_one(
-            tree, place, normal, emitter_range, k, <Candidate*> &found[threadid(), 0],
+            tree, place, normal, range_radius, reach, k, <Candidate*> &found[threadid(), 0],
             &offsets[threadid(), 0], targets
         )
 
 
 cdef void detect_one(
-    Tree tree, Py_ssize_t place, const double[:, ::1] normal, const double[::1] emitter_range,
-    Py_ssize_t k, Candidate* found, double* offsets, Targets out
+    Tree tree, Py_ssize_t place, const double[:, ::1] normal, const double[::1] range_radius,
+    const double[::1] reach, Py_ssize_t k, Candidate* found, double* offsets, Targets out
 ) noexcept nogil:
     """Detect the structure around one photon; write its row only."""
     cdef Py_ssize_t row = tree.ids[place]
@@ -161,12 +163,11 @@ cdef void detect_one(
     cdef double[3] u
     cdef double[3] v
     cdef double scale
-    limits.squared_radius = INFINITY
-    limits.half_range = NULL
-    limits.excluded = -1
-    limits.squared_range = -1.0
-    if emitter_range is not None:
-        limits.squared_range = emitter_range[row] * emitter_range[row]
+    lift_limits(&limits)
+    if range_radius is not None:
+        limits.squared_range = range_radius[row] * range_radius[row]
+    if reach is not None:
+        limits.squared_radius = reach[row] * reach[row]
     count = tree.search(&tree.points[place, 0], &limits, found, k)
     orthonormal_frame(u, v, &normal[row, 0])
     pca.cosine = 1.0
