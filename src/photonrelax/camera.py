@@ -26,6 +26,9 @@ from .scene import (
     Scene,
 )
 
+# Between parallel mirrors rays of no loss never end.
+MAX_DEPTH = 10_000
+
 
 @dataclass(frozen=True, eq=False)
 class HitPoints:
@@ -188,7 +191,7 @@ def trace_hit_points(
     """
     threads = thread_count(n_threads)
     least = positive(min_weight, "min_weight")
-    count(max_depth, "max_depth", low=0)
+    count(max_depth, "max_depth", low=0, high=MAX_DEPTH)
     rays = _camera_rays(*pixel_rays(camera, rows, supersampling))
     found = caster.intersect(rays.origin, rays.direction, n_threads=threads)
     table = scene.material_table()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from . import __version__, _arrays
 from ._arrays import Floats
 from ._progress import Progress, Reporter
-from .camera import HitPoints, direct_irradiance, trace_hit_points
+from .camera import MAX_DEPTH, HitPoints, direct_irradiance, trace_hit_points
 from .estimate import Densities, GatherSettings, IrradianceField, check_method, irradiance_field
 from .image import Image
 from .photonmap import PhotonMap
@@ -71,18 +71,16 @@ def render(
 
     Raises
     ------
-    ValueError
-        If the scene has no camera, the method is not known, or no photon is stored.
+    TypeError, ValueError
+        If the scene has no camera, an argument is invalid, or no photon is stored.
     """
     if scene.camera is None:
         raise ValueError("scene should have a camera to be rendered")
-    check_method(method)
     supersampling = _arrays.count(supersampling, "supersampling")
-    max_depth = _arrays.count(max_depth, "max_depth", low=0)
-    _check_settings(structure, relax, gather)
+    max_depth = _arrays.count(max_depth, "max_depth", low=0, high=MAX_DEPTH)
+    _check(method, structure, relax, gather)
     pipeline = _Pipeline(scene, n_threads, progress)
-    if photons is None:
-        photons = pipeline.trace(n_emitted, seed)
+    photons = pipeline.trace(n_emitted, seed) if photons is None else photons
     field = pipeline.prepare(photons, method, structure, relax, gather)
     layers = pipeline.picture(field, scene.camera, supersampling, max_depth)
     used = _settings_used(field, structure, relax)
@@ -91,8 +89,9 @@ def render(
     return Image(layers, metadata, pipeline.stats(photons))
 
 
-def _check_settings(*settings: object) -> None:
-    """Raise TypeError for settings of the wrong kind, before anything is computed."""
+def _check(method: str, *settings: object) -> None:
+    """Refuse what the stages would refuse, before anything is computed."""
+    check_method(method)
     kinds = (StructureSettings, RelaxSettings, GatherSettings)
     for name, value, kind in zip(("structure", "relax", "gather"), settings, kinds, strict=True):
         if value is not None and not isinstance(value, kind):

@@ -107,9 +107,7 @@ class _How:
 def _checked(seed: int, paths: str, sampler: str, max_bounces: int) -> _How:
     check_choice(paths, "paths", PATHS)
     check_choice(sampler, "sampler", SAMPLERS)
-    max_bounces = count(max_bounces, "max_bounces")
-    if max_bounces > MAX_BOUNCES:
-        raise ValueError(f"max_bounces should be at most {MAX_BOUNCES}, but is {max_bounces}")
+    max_bounces = count(max_bounces, "max_bounces", high=MAX_BOUNCES)
     return _How(check_seed(seed), paths, sampler, max_bounces)
 
 

@@ -8,12 +8,7 @@ unbalance it. Every node has a bounding box on all axes, so ranges prune as dist
 
 from libc.math cimport INFINITY
 
-
-cdef struct Candidate:
-    # One neighbour found: squared distance, the caller's id, and the place in leaf order.
-    double squared
-    Py_ssize_t id
-    Py_ssize_t place
+from .heap cimport Candidate
 
 
 cdef struct Limits:

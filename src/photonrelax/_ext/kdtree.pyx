@@ -11,6 +11,8 @@ from libc.math cimport INFINITY, fabs, sqrt
 
 import numpy as np
 
+from .heap cimport Candidate, sift_down, sift_up, sort_heap, worse
+
 cdef enum:
     LEAF_SIZE = 16
     # Levels above which nodes are split one after the other; below, subtrees side by side.
@@ -36,50 +38,6 @@ cdef extern from *:
     cdef cppclass KeyId:
         double key
         Py_ssize_t id
-
-
-cdef inline bint worse(const Candidate* a, const Candidate* b) noexcept nogil:
-    """Order by distance, ties by id."""
-    return a.squared > b.squared or (a.squared == b.squared and a.id > b.id)
-
-
-cdef void sift_down(Candidate* heap, Py_ssize_t count, Py_ssize_t hole) noexcept nogil:
-    """Restore the heap (worst at the root) after its entry at `hole` became better."""
-    cdef Candidate moved = heap[hole]
-    cdef Py_ssize_t child = 2 * hole + 1
-    while child < count:
-        if child + 1 < count and worse(&heap[child + 1], &heap[child]):
-            child += 1
-        if not worse(&heap[child], &moved):
-            break
-        heap[hole] = heap[child]
-        hole = child
-        child = 2 * hole + 1
-    heap[hole] = moved
-
-
-cdef void sift_up(Candidate* heap, Py_ssize_t hole) noexcept nogil:
-    """Restore the heap after an entry was added at `hole`."""
-    cdef Candidate moved = heap[hole]
-    cdef Py_ssize_t parent
-    while hole > 0:
-        parent = (hole - 1) // 2
-        if not worse(&moved, &heap[parent]):
-            break
-        heap[hole] = heap[parent]
-        hole = parent
-    heap[hole] = moved
-
-
-cdef void sort_heap(Candidate* heap, Py_ssize_t count) noexcept nogil:
-    """Turn the heap into a list, nearest first."""
-    cdef Candidate worst
-    while count > 1:
-        count -= 1
-        worst = heap[0]
-        heap[0] = heap[count]
-        sift_down(heap, count, 0)
-        heap[count] = worst
 
 
 cdef void order(
