@@ -15,7 +15,7 @@ from ._progress import Progress, Reporter
 from .photonmap import PhotonMap
 from .raycast import Intersections, RayCaster
 from .scene import Scene
-from .structure import Structure, emitter_groups, photon_tree
+from .structure import Structure, neighbour_groups, photon_tree
 
 # The rays that put a photon back start this fraction of the scene before it, a few times what
 # float32 rays resolve, and reach this many times the length of the move.
@@ -120,7 +120,7 @@ def relax(
     surfaces = None if scene is None else _Surfaces(scene, photons, threads)
     report = Reporter(progress, "relax", len(photons) * sum(settings.n_iterations))
     position, normal = photons.position.copy(), photons.normal.copy()
-    for rows in emitter_groups(photons):
+    for rows in neighbour_groups(photons):
         sheets = _Sheets(photons.subset(rows), structure.subset(rows), settings, threads, report)
         position[rows], normal[rows] = sheets.relaxed(surfaces, rows)
     return photons.replace(position=position, normal=normal, well_spaced=True)
@@ -217,7 +217,7 @@ class _Surfaces:
         # Which side of its face a photon is on, 0 where it is on none and so will not move.
         self._side = np.zeros(len(photons))
         no_move = np.zeros(len(photons))
-        for rows in emitter_groups(photons):
+        for rows in neighbour_groups(photons):
             here = photons.subset(rows)
             found, _ = self._surface_at(here.position, here.normal, no_move[rows], rows)
             self._side[rows] = _facing(found.geometric_normal, here.normal)

@@ -28,10 +28,10 @@ __all__ = [
     "anisotropy_to_gradient",
     "constraint",
     "detect_structure",
-    "emitter_groups",
     "emitter_range",
     "isotropic_mean",
     "isotropic_sd",
+    "neighbour_groups",
     "noise_attenuation",
     "photon_tree",
     "principal_components",
@@ -41,6 +41,8 @@ __all__ = [
 # Photons on a face turned by more than 60° belong to another surface; this is the length of the
 # chord between unit normals at that angle.
 NORMAL_RANGE = 1.0
+# With more distinct normals than this a surface counts as curved.
+_MOST_FACES = 64
 
 
 @dataclass(frozen=True)
@@ -177,7 +179,7 @@ def detect_structure(
     threads = _arrays.thread_count(n_threads)
     ranges = emitter_range(photons, settings)
     report = Reporter(progress, "structure", len(photons))
-    groups = emitter_groups(photons)
+    groups = neighbour_groups(photons)
     parts = [
         _detect_group(photons.subset(rows), _rows(ranges, rows), settings, threads, report)
         for rows in groups
@@ -185,14 +187,36 @@ def detect_structure(
     return parts[0] if len(parts) == 1 else _merge(parts, groups, ranges)
 
 
-def emitter_groups(photons: PhotonMap) -> list[_arrays.Rows]:
-    """Return which rows belong to each emitter: photons of different emitters never mix."""
-    if photons.emitter_id is None or len(photons) == 0:
+def neighbour_groups(photons: PhotonMap) -> list[_arrays.Rows]:
+    """Return rows of photons that may be neighbours: of one emitter, on faces that face alike.
+
+    Only surfaces of few planes are told apart by their faces here; `photon_tree` does it for
+    the others.
+    """
+    label = _facing_label(photons.normal)
+    if photons.emitter_id is not None:
+        label = label + (label.max(initial=0) + 1) * photons.emitter_id.astype(np.intp)
+    present = np.unique(label)
+    if len(present) < 2:
         return [slice(None)]
-    present = np.unique(photons.emitter_id)
-    if len(present) == 1:
-        return [slice(None)]
-    return [np.flatnonzero(photons.emitter_id == emitter) for emitter in present]
+    return [np.flatnonzero(label == one) for one in present]
+
+
+def _facing_label(normal: Floats) -> NDArray[np.intp]:
+    """Return the same number for normals (n, 3) joined by steps of up to NORMAL_RANGE.
+
+    Zero for all where there are too many normals to compare them all.
+    """
+    if facing_alike(normal):
+        return np.zeros(len(normal), dtype=np.intp)
+    from scipy.sparse.csgraph import connected_components
+
+    distinct, index = np.unique(normal, axis=0, return_inverse=True)
+    if len(distinct) > _MOST_FACES:
+        return np.zeros(len(normal), dtype=np.intp)
+    apart = np.linalg.norm(distinct[:, np.newaxis] - distinct, axis=2)
+    label = connected_components(apart <= NORMAL_RANGE)[1]
+    return label.astype(np.intp)[index.ravel()]
 
 
 def emitter_range(photons: PhotonMap, settings: StructureSettings) -> Floats | None:
