@@ -135,6 +135,7 @@ def test_turning_the_scene_changes_no_more_than_another_seed(known):
     turned = transformed(scene, rotation=rotation)
     after = irradiance(turned, points @ rotation.T, normals @ rotation.T)
     reseeded = irradiance(scene, points, normals, seed=1)
+    # Among seeds, and among rotations, this varies by some 5 % about the same mean.
     assert relative_l1(after, before) < 1.1 * relative_l1(reseeded, before)
 
 
