@@ -138,7 +138,7 @@ def _check_structure(structure: Structure, photons: PhotonMap) -> None:
 
 
 class _Sheets:
-    """The photons of one emitter on the move."""
+    """One group of neighbours on the move; see `neighbour_groups`."""
 
     def __init__(
         self,
