@@ -30,11 +30,6 @@ _WELL_SPACED_BIAS = {"constant": (0.43, -1.0), "cone": (0.45, -1.5), "epanechnik
 _SAMPLE = 10_000
 _SHARE_OF_PHOTONS = 0.95
 _SHARE_OF_AREA = 0.05
-_WELL_SPACED_BIAS = {"constant": (0.43, -1.0), "cone": (0.45, -1.5), "epanechnikov": (0.57, -1.5)}
-# The automatic gather radius looks at no more photons than this, and lets this share of them
-# reach their k-th neighbour.
-_SAMPLE = 10_000
-_SHARE = 0.95
 
 
 @dataclass(frozen=True)
