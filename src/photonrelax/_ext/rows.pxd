@@ -1,0 +1,204 @@
+"""Passes over the rows that `order` moves: an id, then a key an axis, then padding.
+
+A row has a whole number of quads, which are loaded, compared and stored at once.
+"""
+
+from libc.stdint cimport int32_t, uint32_t
+
+cdef enum:
+    # Words of a quad.
+    QUAD = 4
+    MOST_BUCKET_BITS = 11
+    LEAST_BUCKET_BITS = 5
+    N_BUCKETS = 1 << MOST_BUCKET_BITS
+    # So few keys are sorted.
+    FEW = 16
+
+
+cdef extern from *:
+    """
+    static inline int bit_length(uint32_t x) { return x ? 32 - __builtin_clz(x) : 0; }
+    typedef int32_t Quad __attribute__((vector_size(16), aligned(4), may_alias));
+    static inline Quad lesser(Quad a, Quad b) { return a < b ? a : b; }
+    static inline Quad greater(Quad a, Quad b) { return a > b ? a : b; }
+    """
+    ctypedef struct Quad:
+        pass
+    int bit_length(uint32_t x) noexcept nogil
+    Quad lesser(Quad a, Quad b) noexcept nogil
+    Quad greater(Quad a, Quad b) noexcept nogil
+
+
+cdef struct Cut:
+    # Rows with less than `key` in this word belong to the lower half,
+    int word
+    int32_t key
+    # and so do the least `n_tied` of the rows that have just this key.
+    Py_ssize_t n_tied
+
+
+cdef struct Keys:
+    # Keys from `low` to `high`, every `step` words, and the rank of the one looked for.
+    const int32_t* first
+    Py_ssize_t step
+    Py_ssize_t count
+    Py_ssize_t rank
+    int32_t low
+    int32_t high
+
+
+cdef inline void bound_rows(
+    const int32_t* rows, Py_ssize_t count, int words, int32_t* low, int32_t* high
+) noexcept nogil:
+    """Write the least and the greatest of each word."""
+    cdef const Quad* quads
+    cdef Quad least, most
+    cdef Py_ssize_t i
+    cdef int quad
+    for quad in range(words // QUAD):
+        quads = <const Quad*> rows + quad
+        least = quads[0]
+        most = quads[0]
+        for i in range(count):
+            least = lesser(least, quads[i * (words // QUAD)])
+            most = greater(most, quads[i * (words // QUAD)])
+        (<Quad*> low)[quad] = least
+        (<Quad*> high)[quad] = most
+
+
+cdef inline int bucket_shift(const Keys* keys) noexcept nogil:
+    """Return how many low bits to drop, so that there is about a bucket a key."""
+    cdef int bits = bit_length(<uint32_t> keys.count) - 1
+    bits = min(max(bits, <int> LEAST_BUCKET_BITS), <int> MOST_BUCKET_BITS)
+    return max(bit_length(<uint32_t> keys.high - <uint32_t> keys.low) - bits, 0)
+
+
+cdef inline int count_keys(const Keys* keys, int shift, uint32_t* sizes) noexcept nogil:
+    """Count the keys of each bucket; return how many buckets there are."""
+    cdef int n_buckets = ((<uint32_t> keys.high - <uint32_t> keys.low) >> shift) + 1
+    cdef Py_ssize_t i
+    for i in range(n_buckets):
+        sizes[i] = 0
+    for i in range(keys.count):
+        sizes[(<uint32_t> keys.first[i * keys.step] - <uint32_t> keys.low) >> shift] += 1
+    return n_buckets
+
+
+cdef inline int enter_bucket(Keys* keys, int shift, const uint32_t* sizes) noexcept nogil:
+    """Narrow the bounds to the bucket that has the rank; return which it is."""
+    cdef int bucket = 0
+    while keys.rank >= sizes[bucket]:
+        keys.rank -= sizes[bucket]
+        bucket += 1
+    keys.low += bucket << shift
+    keys.high = keys.low + (1 << shift) - 1
+    return bucket
+
+
+cdef inline Py_ssize_t take_keys(const Keys* keys, int32_t* taken) noexcept nogil:
+    """Copy the keys within the bounds, to the same place if need be; return how many."""
+    cdef uint32_t width = <uint32_t> keys.high - <uint32_t> keys.low
+    cdef Py_ssize_t i, n_taken = 0
+    cdef int32_t key
+    for i in range(keys.count):
+        key = keys.first[i * keys.step]
+        taken[n_taken] = key
+        n_taken += (<uint32_t> key - <uint32_t> keys.low) <= width
+    return n_taken
+
+
+cdef inline void sort_keys(int32_t* keys, Py_ssize_t count) noexcept nogil:
+    cdef Py_ssize_t i, place
+    cdef int32_t key
+    for i in range(1, count):
+        key = keys[i]
+        place = i
+        while place > 0 and keys[place - 1] > key:
+            keys[place] = keys[place - 1]
+            place -= 1
+        keys[place] = key
+
+
+cdef inline void find_key(Keys keys, int32_t* scratch, Cut* cut) noexcept nogil:
+    """Set the cut's key to the one looked for; scratch has room for all."""
+    cdef uint32_t[N_BUCKETS] sizes
+    cdef int shift
+    while keys.count > FEW and keys.low < keys.high:
+        shift = bucket_shift(&keys)
+        count_keys(&keys, shift, sizes)
+        enter_bucket(&keys, shift, sizes)
+        keys.count = take_keys(&keys, scratch)
+        keys.first = scratch
+        keys.step = 1
+    cut.n_tied = keys.rank
+    cut.key = keys.low
+    if keys.low < keys.high:
+        find_among_few(keys, scratch, cut)
+
+
+cdef inline void find_among_few(Keys keys, int32_t* scratch, Cut* cut) noexcept nogil:
+    take_keys(&keys, scratch)
+    sort_keys(scratch, keys.count)
+    cut.key = scratch[keys.rank]
+    cut.n_tied = 0
+    while cut.n_tied < keys.rank and scratch[keys.rank - cut.n_tied - 1] == cut.key:
+        cut.n_tied += 1
+
+
+cdef inline void copy_row(int32_t* target, const int32_t* row, int words) noexcept nogil:
+    cdef int quad
+    for quad in range(words // QUAD):
+        (<Quad*> target)[quad] = (<const Quad*> row)[quad]
+
+
+cdef inline void divide_rows(
+    const int32_t* rows, Py_ssize_t count, int words, const Cut* cut, int32_t* halves,
+    Py_ssize_t lower, Py_ssize_t upper
+) noexcept nogil:
+    """Move rows to their half, the next free place of which is `lower` or `upper`."""
+    cdef Py_ssize_t i, place, is_lower
+    for i in range(count):
+        is_lower = rows[i * words + cut.word] < cut.key
+        # Halves are hard to foresee: a branch would cost more than all else here.
+        place = upper + ((lower - upper) & -is_lower)
+        copy_row(halves + place * words, rows + i * words, words)
+        lower += is_lower
+        upper += 1 - is_lower
+
+
+cdef inline Py_ssize_t count_lower(
+    const int32_t* rows, Py_ssize_t count, int words, const Cut* cut
+) noexcept nogil:
+    cdef Py_ssize_t i, n_lower = 0
+    for i in range(count):
+        n_lower += rows[i * words + cut.word] < cut.key
+    return n_lower
+
+
+cdef inline Py_ssize_t list_equal(
+    const int32_t* rows, Py_ssize_t count, int words, int word, int32_t key, int32_t other,
+    int32_t* places
+) noexcept nogil:
+    """List the rows that have one of two keys; return how many."""
+    cdef Py_ssize_t i, n = 0
+    for i in range(count):
+        places[n] = <int32_t> i
+        n += (rows[i * words + word] == key) | (rows[i * words + word] == other)
+    return n
+
+
+cdef inline void divide_marked(
+    int32_t* rows, Py_ssize_t count, int words, const Cut* cut, int32_t* halves,
+    Py_ssize_t upper
+) noexcept nogil:
+    """Move rows as `divide_rows` does; rows with a complemented id belong to the lower half."""
+    cdef Py_ssize_t i, place, is_lower, lower = 0
+    cdef int32_t* row
+    for i in range(count):
+        row = rows + i * words
+        is_lower = (row[cut.word] < cut.key) | (row[0] < 0)
+        row[0] ^= row[0] >> 31
+        place = upper + ((lower - upper) & -is_lower)
+        copy_row(halves + place * words, row, words)
+        lower += is_lower
+        upper += 1 - is_lower
