@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from photonrelax._ext import order
+from photonrelax._ext import curve, order
 
 BLOCK = 16
 
@@ -27,6 +27,28 @@ def split_order(points, axis_scale):
         )
 
     return below(np.arange(len(points)), 0, 0)
+
+
+def morton_order(points):
+    """Return the order along the curve from keys put together bit by bit."""
+    low, extent = points.min(axis=0), np.ptp(points, axis=0)
+    extent[extent <= 1e-290] = 0.0
+    if not extent.any():
+        return np.arange(len(points))
+    shares = np.zeros(len(extent), int)
+    axis_of_bit = []
+    for _ in range(32):
+        axis = np.argmax(extent / 2.0**shares)
+        axis_of_bit.append(axis)
+        shares[axis] += 1
+    key = np.zeros(len(points), np.int64)
+    for bit, axis in enumerate(axis_of_bit):
+        n_cells = 2.0 ** shares[axis]
+        cell = (points[:, axis] - low[axis]) * (n_cells / extent[axis])
+        cell = np.minimum(cell.astype(np.int64), int(n_cells) - 1)
+        n_lower = axis_of_bit[bit + 1 :].count(axis)
+        key = 2 * key + (cell >> n_lower) % 2
+    return np.argsort(key, kind="stable")
 
 
 def lattice(rng, n, d):
@@ -145,3 +167,46 @@ def test_without_an_axis_to_split_on_ids_ascend():
 def test_scales_that_do_not_fit_are_refused(d, axis_scale, message):
     with pytest.raises(ValueError, match=message):
         order.median_order(np.zeros((20, d)), axis_scale, 1)
+
+
+@given(
+    st.sampled_from(KINDS),
+    st.integers(1, 300),
+    st.integers(1, 5),
+    st.integers(1, 4),
+    st.integers(0, 2**32),
+)
+@settings(max_examples=200, deadline=None)
+def test_points_follow_the_curve(kind, n, n_axes, n_threads, seed):
+    rng = np.random.default_rng(seed)
+    points = kind(rng, n, n_axes) * rng.choice([0.01, 1.0, 3.0], n_axes)
+    ordered = curve.curve_order(np.hstack([points, rng.random((n, 1))]), n_axes, n_threads)
+    np.testing.assert_array_equal(ordered, morton_order(points))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_many_points_follow_the_curve_with_any_number_of_threads(kind):
+    points = kind(np.random.default_rng(5), 60_001, 3)
+    expected = morton_order(points)
+    for n_threads in (1, 2, 3, 7):
+        np.testing.assert_array_equal(curve.curve_order(points, 3, n_threads), expected)
+
+
+@pytest.mark.parametrize("n_axes", [1, 2, 3, 6])
+def test_points_that_follow_each_other_are_near(n_axes):
+    points = np.random.default_rng(6).random((20_000, n_axes))
+    along = np.diff(points[curve.curve_order(points, n_axes, 1)], axis=0)
+    at_random = np.diff(points, axis=0)
+    mean_step = [np.linalg.norm(step, axis=1).mean() for step in (along, at_random)]
+    assert mean_step[0] < 2.0 * 20_000 ** (-1 / n_axes) < mean_step[1]
+
+
+@pytest.mark.parametrize(("n", "n_axes"), [(0, 3), (1, 3), (5, 0)])
+def test_there_may_be_nothing_to_follow(n, n_axes):
+    np.testing.assert_array_equal(curve.curve_order(np.ones((n, 3)), n_axes, 2), np.arange(n))
+
+
+@pytest.mark.parametrize("n_axes", [-1, 4])
+def test_axes_that_are_not_there_are_refused(n_axes):
+    with pytest.raises(ValueError, match=f"n_axes.*3.*{n_axes}"):
+        curve.curve_order(np.ones((5, 3)), n_axes, 1)
