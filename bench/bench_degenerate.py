@@ -1,0 +1,43 @@
+"""Points that defeat trees: many at one place, on a line, on a lattice."""
+
+import pytest
+
+import photonrelax as pr
+
+from . import checks, inputs, peers
+
+WORK = {
+    "neighbours": lambda photons: pr.KDTree(photons.position, n_threads=1).query_self(
+        50, n_threads=1
+    ),
+    "structure": lambda photons: pr.detect_structure(photons, n_threads=1),
+}
+
+
+@pytest.fixture(scope="session")
+def n_degenerate(request):
+    return 4_000 if request.config.getoption("benchmark_disable") else 200_000
+
+
+@pytest.mark.parametrize("work", WORK)
+@pytest.mark.parametrize("kind", inputs.DEGENERATE)
+def test_degenerate(timed, medians, benchmark, n_degenerate, kind, work):
+    photons = inputs.degenerate(kind, n_degenerate)
+    result = timed(lambda: WORK[work](photons), n_degenerate, f"degenerate {work}", kind)
+    if benchmark.enabled:
+        seconds = medians[f"degenerate {work}"]
+        benchmark.extra_info["over_generic"] = seconds[kind] / seconds["generic"]
+    if work == "neighbours":
+        points = photons.position
+        checks.assert_nearest((result.ids, result.distance), points, points, 50, float("inf"))
+
+
+def test_peers_too(timed, n_degenerate):
+    """How pykdtree fares with many photons at one point."""
+    points = inputs.degenerate("coincident", n_degenerate).position
+    try:
+        tree = peers.Ordered(peers.named("pykdtree"), points)
+    except LookupError as error:
+        pytest.skip(str(error))
+    with peers.threads(1):
+        timed(lambda: tree.search(50, 1), n_degenerate, "coincident", "pykdtree", rounds=1)

@@ -1,0 +1,71 @@
+"""Wall and CPU time of alternatives, measured in turns so that a busy machine slows all alike."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from statistics import median
+from time import perf_counter, process_time
+from typing import Any
+
+
+@dataclass
+class Timing:
+    """Seconds of each round: on the clock, and of all threads' CPUs together."""
+
+    wall: list[float] = field(default_factory=list)
+    cpu: list[float] = field(default_factory=list)
+
+    def add(self, wall: float, cpu: float) -> None:
+        self.wall.append(wall)
+        self.cpu.append(cpu)
+
+    def scaled(self, factor: float) -> Timing:
+        """Return the time of a part of the work, or of work not measured apart."""
+        return Timing([factor * s for s in self.wall], [factor * s for s in self.cpu])
+
+    def to_dict(self) -> dict[str, float]:
+        seconds = {"wall": self.wall, "cpu": self.cpu}
+        values: dict[str, float] = {"rounds": len(self.wall)}
+        for clock, each in seconds.items():
+            values |= {f"{clock}_median": median(each), f"{clock}_min": min(each)}
+        return values
+
+
+@dataclass(frozen=True)
+class Case:
+    """One alternative: what is timed, on what `prepare` returns, which is not.
+
+    `rounds` limits how often something slow is run.
+    """
+
+    name: str
+    work: Callable[[Any], Any]
+    prepare: Callable[[], Any] = lambda: None
+    rounds: int | None = None
+
+
+def stopwatch(work: Callable[[], Any]) -> tuple[float, float, Any]:
+    """Return wall seconds, CPU seconds and the result of a call."""
+    cpu, wall = process_time(), perf_counter()
+    result = work()
+    return perf_counter() - wall, process_time() - cpu, result
+
+
+def interleave(cases: Iterable[Case], rounds: int) -> dict[str, Timing]:
+    """Run all cases in turn, `rounds` times over, and return the times by name."""
+    cases = list(cases)
+    timings = {case.name: Timing() for case in cases}
+    for turn in range(rounds):
+        for case in cases:
+            if case.rounds is None or turn < case.rounds:
+                timings[case.name].add(*_timed(case))
+    return timings
+
+
+def _timed(case: Case) -> tuple[float, float]:
+    subject = case.prepare()
+    gc.collect()
+    wall, cpu, _ = stopwatch(lambda: case.work(subject))
+    return wall, cpu
