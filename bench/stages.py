@@ -5,7 +5,7 @@ from __future__ import annotations
 from time import perf_counter, process_time
 
 import photonrelax as pr
-from photonrelax.emit import emit, plan_emission
+from photonrelax.emit import EmissionPlan, emit, plan_emission
 
 from . import inputs
 from .embree_clock import embree_clock
@@ -21,11 +21,16 @@ def tree(sheet: Sheet, constrained: bool) -> pr.KDTree:
     return pr.KDTree(sheet.points if constrained else sheet.position)
 
 
-def emission(n_emitted: int, n_threads: int) -> None:
+def emission(plan: EmissionPlan, n_threads: int) -> None:
     """Emit photons a batch at a time, as tracing does."""
-    plan = plan_emission(inputs.scene(), n_emitted, "caustic")
+    n_emitted = int(plan.counts[0])
     for first in range(0, n_emitted, _BATCH):
         emit(plan, 0, range(first, min(first + _BATCH, n_emitted)), n_threads=n_threads)
+
+
+def planned(n_emitted: int) -> EmissionPlan:
+    """Return what `emission` needs for the prism."""
+    return plan_emission(inputs.scene(), n_emitted, "caustic")
 
 
 def trace(n_emitted: int, n_threads: int) -> pr.PhotonMap:
@@ -50,7 +55,8 @@ def traced_apart(n_emitted: int) -> dict[str, Timing]:
     with embree_clock() as clock:
         trace(n_emitted, 1)
         wall, cpu = perf_counter() - clock.first_wall, process_time() - clock.first_cpu
-    emission_wall, emission_cpu, _ = stopwatch(lambda: emission(n_emitted, 1))
+    plan = planned(n_emitted)
+    emission_wall, emission_cpu, _ = stopwatch(lambda: emission(plan, 1))
     # Of the first batch it is over when embree is first called.
     later = max(1.0 - _BATCH / n_emitted, 0.0)
     return {

@@ -37,12 +37,13 @@ class Timing:
 class Case:
     """One alternative: what is timed, on what `prepare` returns, which is not.
 
-    `rounds` limits how often something slow is run.
+    `check` looks at the first result; `rounds` limits how often something slow is run.
     """
 
     name: str
     work: Callable[[Any], Any]
     prepare: Callable[[], Any] = lambda: None
+    check: Callable[[Any], None] = lambda result: None
     rounds: int | None = None
 
 
@@ -60,12 +61,14 @@ def interleave(cases: Iterable[Case], rounds: int) -> dict[str, Timing]:
     for turn in range(rounds):
         for case in cases:
             if case.rounds is None or turn < case.rounds:
-                timings[case.name].add(*_timed(case))
+                timings[case.name].add(*_timed(case, check=turn == 0))
     return timings
 
 
-def _timed(case: Case) -> tuple[float, float]:
+def _timed(case: Case, check: bool) -> tuple[float, float]:
     subject = case.prepare()
     gc.collect()
-    wall, cpu, _ = stopwatch(lambda: case.work(subject))
+    wall, cpu, result = stopwatch(lambda: case.work(subject))
+    if check:
+        case.check(result)
     return wall, cpu

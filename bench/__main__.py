@@ -1,0 +1,105 @@
+"""Comparisons by one command each; run from the root of a checkout.
+
+python -m bench                   compare with peers; the tables of the README, JSON and a plot
+python -m bench table1            SJ13's Table I beside the paper's own figures
+python -m bench memory            bytes a photon takes in each stage
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from . import compare, machine, memory, peers, plot, simd, table1
+from .report import Report
+
+
+def numbers(text: str) -> list[int]:
+    return [int(float(number)) for number in text.split(",")]
+
+
+def parsed(arguments: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m bench",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name, add in {"compare": _compare, "table1": _table1, "memory": _memory}.items():
+        add(commands.add_parser(name))
+    # Run by `compare` in a process of its own.
+    internal = commands.add_parser("simd")
+    for name in ("n", "n_threads", "rounds"):
+        internal.add_argument(name, type=int)
+    stage = commands.add_parser("stage")
+    stage.add_argument("name")
+    stage.add_argument("n", type=int)
+    stage.add_argument("folder", type=Path)
+    # Without a command, compare.
+    named = arguments and (arguments[0] in commands.choices or arguments[0] in ("-h", "--help"))
+    return parser.parse_args(arguments if named else ["compare", *arguments])
+
+
+def _compare(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--photons", type=float, help="of the tables, default 863e3")
+    parser.add_argument("--sweep", type=numbers, help="of the plot, default 1e5,863e3,4e6")
+    parser.add_argument("--threads", type=numbers, default=[1, 2], help="default 1,2")
+    parser.add_argument("--rounds", type=int, default=5, help="default 5")
+    parser.add_argument("--clock", choices=("wall", "cpu"), default="wall")
+    parser.add_argument("--quick", action="store_true", help="few photons: does it run?")
+    parser.add_argument("--out", type=Path, default=Path("build/bench"), help="folder for results")
+
+
+def _table1(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--emitted", type=float, default=20e6, help="default 20e6")
+    parser.add_argument("--stored", type=float, default=863e3, help="of the second column")
+    parser.add_argument("--threads", type=int, help="default all")
+    parser.add_argument("--quick", action="store_true", help="few photons: does it run?")
+
+
+def _memory(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--photons", type=numbers, default=[500_000, 1_000_000, 2_000_000])
+    parser.add_argument("--whole", type=float, help="so many photons through all stages, say 20e6")
+
+
+def run_compare(options: argparse.Namespace) -> None:
+    """Measure, print the tables, save them with the plot and all times."""
+    n = int(options.photons or (2e4 if options.quick else 863e3))
+    sweep = options.sweep or ([5_000, n] if options.quick else [100_000, n, 4_000_000])
+    rounds = 1 if options.quick else options.rounds
+    for line in peers.missing().values():
+        print(line, file=sys.stderr)
+    report = Report(n, rounds, machine.description(), clock=options.clock)
+    compare.fill(report, sweep, options.threads, pixels=60 if options.quick else 600)
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / "results.json").write_text(json.dumps(report.to_dict(), indent=1))
+    (options.out / "tables.md").write_text(report.markdown())
+    print(report.markdown())
+    try:
+        plot.save(report.sweep, options.out / "time.svg")
+    except ImportError:
+        print("no plot: pip install '.[bench]'", file=sys.stderr)
+    print(f"saved in {options.out}: tables.md, results.json, time.svg", file=sys.stderr)
+
+
+def main(arguments: list[str]) -> None:
+    options = parsed(arguments)
+    if options.command == "compare":
+        run_compare(options)
+    elif options.command == "table1":
+        stored, emitted = (2e4, 2e5) if options.quick else (options.stored, options.emitted)
+        print(table1.markdown(int(emitted), int(stored), options.threads))
+    elif options.command == "memory":
+        print(memory.markdown(options.photons))
+        if options.whole:
+            print(memory.whole(int(options.whole)))
+    elif options.command == "simd":
+        simd.main(options.n, options.n_threads, options.rounds)
+    else:
+        memory.stage(options.name, options.n, options.folder)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,212 @@
+"""What is measured side by side, and how it is set up."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+import photonrelax as pr
+from photonrelax.estimate import IrradianceField
+
+from . import checks, inputs, peers, simd, stages
+from .inputs import Sheet
+from .report import Report, Results
+from .timing import Case, Timing, interleave
+
+# One recipe takes minutes for more photons than this.
+_MOST_FOR_BALLS = 1_000_000
+# Iterations share a run, as its tree and its radii are shared by them in real use.
+_ITERATIONS = 7
+# Photons traced for each that is stored.
+_EMITTED = 3.2
+_N_DEGENERATE = 200_000
+
+
+class Workbench:
+    """Everything that can be timed on n photons of the caustic with some threads.
+
+    Parameters
+    ----------
+    n : int
+        Photons.
+    n_threads : int
+        Of photonrelax and of its peers.
+    pixels : int
+        Width and height of the picture whose hit points are gathered at.
+    """
+
+    def __init__(self, n: int, n_threads: int, pixels: int) -> None:
+        self.n, self.n_threads, self.pixels = n, n_threads, pixels
+        self.photons = inputs.caustic(n)
+
+    @cached_property
+    def structure(self) -> pr.Structure:
+        return pr.detect_structure(self.photons)
+
+    @cached_property
+    def hits(self) -> Any:
+        return inputs.hit_points(self.pixels)
+
+    @cached_property
+    def field(self) -> IrradianceField:
+        return IrradianceField(self.photons, n_threads=self.n_threads)
+
+    @cached_property
+    def _trees(self) -> dict[str, peers.Ordered]:
+        return {p.name: peers.Ordered(p, self.photons.position) for p in peers.available()}
+
+    def stages(self) -> Iterator[Case]:
+        """Yield photonrelax's own stages."""
+        photons, n_threads = self.photons, self.n_threads
+        n_emitted = int(_EMITTED * self.n)
+        yield Case("build", lambda _: pr.KDTree(photons.position, n_threads=n_threads))
+        yield Case("structure", lambda _: pr.detect_structure(photons, n_threads=n_threads))
+        for name, iterations in (
+            ("constrained", (_ITERATIONS, 0)),
+            ("collapsed", (0, _ITERATIONS)),
+        ):
+            yield Case(f"{name} iterations", partial(self._relax, iterations))
+        yield Case("gather", lambda _: self.field(self.hits.position, self.hits.normal))
+        plan = stages.planned(n_emitted)
+        yield Case("emission", lambda _: stages.emission(plan, n_threads))
+        yield Case("trace", lambda _: stages.trace(n_emitted, n_threads))
+
+    def _relax(self, iterations: tuple[int, int], _: None) -> pr.PhotonMap:
+        return stages.relaxed(self.photons, self.structure, iterations, self.n_threads)
+
+    def searches(self, k: int) -> Iterator[Case]:
+        """Yield the all-neighbours search of photonrelax and of its peers."""
+        points = self.photons.position
+
+        def check(found: peers.Found) -> None:
+            checks.assert_nearest(found, points, points, k, np.inf)
+
+        yield Case(
+            f"neighbours {k}",
+            lambda tree: _pair(tree.query_self(k, n_threads=self.n_threads)),
+            prepare=lambda: pr.KDTree(points),
+            check=check,
+        )
+        for name, tree in self._trees.items():
+            yield Case(
+                f"{name}: neighbours {k}",
+                lambda _, tree=tree: tree.search(k, self.n_threads),
+                check=lambda found, tree=tree: check(tree.unordered(found)),
+            )
+
+    def constrained(self, n_axes: int) -> Iterator[Case]:
+        """Yield the constrained search of photonrelax and the recipes for it."""
+        sheet = inputs.sheet(self.n, n_axes)
+        check = partial(checks.assert_nearest_in_range, sheet=sheet, k=50)
+        yield Case(
+            f"constrained {n_axes}",
+            lambda tree: _pair(
+                tree.query_self(50, range_radius=sheet.radius, n_threads=self.n_threads)
+            ),
+            prepare=lambda: stages.tree(sheet, constrained=True),
+            check=check,
+        )
+        for name, recipe in peers.RECIPES.items():
+            if name != "ball recipe" or self.n <= _MOST_FOR_BALLS:
+                work = partial(self._recipe, recipe, sheet)
+                yield Case(f"{name}: constrained {n_axes}", work, check=check, rounds=1)
+
+    def _recipe(self, recipe: Callable[..., peers.Found], sheet: Sheet, _: None) -> peers.Found:
+        return recipe(sheet, 50, self.n_threads)
+
+    def gather_peers(self) -> Iterator[Case]:
+        """Yield the search of peers at the hit points, as far as photonrelax looks."""
+        points, queries = self.photons.position, self.hits.position
+        limit = self.field.settings.gather_radius
+        for peer in peers.available():
+            tree = peers.Ordered(peer, points, queries)
+            yield Case(
+                f"{peer.name}: gather",
+                lambda _, tree=tree: tree.search(15, self.n_threads, limit),
+                check=lambda found, tree=tree: checks.assert_nearest(
+                    tree.unordered(found), points, queries, 15, limit
+                ),
+            )
+
+    def all(self) -> list[Case]:
+        """Return what the tables show."""
+        return [
+            *self.searches(50),
+            *self.searches(16),
+            *self.constrained(5),
+            *self.constrained(6),
+            *self.stages(),
+            *self.gather_peers(),
+        ]
+
+    def measured(self, cases: list[Case], rounds: int) -> Results:
+        """Time cases with the threads of this bench."""
+        with peers.threads(self.n_threads):
+            results = interleave(cases, rounds)
+        for name in ("constrained", "collapsed"):
+            if f"{name} iterations" in results:
+                each = results.pop(f"{name} iterations").scaled(1.0 / _ITERATIONS)
+                results[f"{name} iteration"] = each
+        return results
+
+
+def _pair(found: Any) -> peers.Found:
+    return found.ids, found.distance
+
+
+def tracing_parts(n: int, rounds: int) -> Results:
+    """Return how long embree, shading and emission take in tracing, on one thread."""
+    total: Results = {}
+    for _ in range(rounds):
+        for name, part in stages.traced_apart(int(_EMITTED * n)).items():
+            total.setdefault(name, Timing()).add(part.wall[0], part.cpu[0])
+    return total
+
+
+def degenerate(n: int, rounds: int) -> Results:
+    """Return times of awkward inputs, on one thread."""
+    cases = []
+    for kind in inputs.DEGENERATE:
+        photons = inputs.degenerate(kind, min(n, _N_DEGENERATE))
+        cases += [Case(f"{kind}: {name}", work) for name, work in _degenerate_calls(photons)]
+    return interleave(cases, rounds)
+
+
+def _degenerate_calls(photons: pr.PhotonMap) -> Iterator[tuple[str, Callable[[Any], Any]]]:
+    points, normals = photons.position, photons.normal
+    structure = pr.detect_structure(photons)
+    yield "neighbours", lambda _: pr.KDTree(points, n_threads=1).query_self(50, n_threads=1)
+    yield "structure", lambda _: pr.detect_structure(photons, n_threads=1)
+    yield "relaxation", lambda _: stages.relaxed(photons, structure, (1, 1), 1)
+    yield "gathering", lambda _: pr.estimate_irradiance(photons, points, normals, n_threads=1)
+
+
+def fill(report: Report, sweep: list[int], threads: list[int], pixels: int) -> None:
+    """Measure everything for a report and say on the way what is being measured."""
+    n, rounds = report.n, report.rounds
+    for n_threads in threads:
+        _say(f"{n:,} photons, threads: {n_threads}")
+        bench = Workbench(n, n_threads, pixels)
+        report.by_threads[n_threads] = bench.measured(bench.all(), rounds)
+    _say("tracing, awkward photons")
+    report.tracing = tracing_parts(n, rounds)
+    report.degenerate = degenerate(n, rounds)
+    for path in simd.PATHS:
+        _say(f"SIMD: {path}")
+        report.simd[path] = simd.measured(path, n, 1, rounds)
+    for count in sweep:
+        if count == n and 1 in threads:
+            report.sweep[n] = report.by_threads[1]
+            continue
+        _say(f"{count:,} photons, threads: 1")
+        bench = Workbench(count, 1, pixels)
+        cases = [*bench.searches(50), *bench.constrained(6), *bench.stages()]
+        report.sweep[count] = bench.measured(cases, min(rounds, 3))
+
+
+def _say(what: str) -> None:
+    print(f"... {what}", file=sys.stderr, flush=True)

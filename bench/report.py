@@ -1,0 +1,219 @@
+"""The tables of the README, from what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from statistics import median
+from typing import Any
+
+from . import inputs
+from .timing import Timing
+
+Results = dict[str, Timing]
+
+
+@dataclass
+class Report:
+    """All that was measured.
+
+    Attributes
+    ----------
+    n : int
+        Photons of the tables.
+    rounds : int
+        How often each was run.
+    description : str
+        Machine and versions.
+    by_threads : dict
+        Results of the workbench by the number of threads.
+    tracing, degenerate : Results
+        On one thread.
+    simd : dict
+        Results of all-neighbours searches by path.
+    sweep : dict
+        Results on one thread by the number of photons.
+    clock : {"wall", "cpu"}
+        Which time the tables show; that of two threads against one is always wall time.
+    """
+
+    n: int
+    rounds: int
+    description: str
+    by_threads: dict[int, Results] = field(default_factory=dict)
+    tracing: Results = field(default_factory=dict)
+    degenerate: Results = field(default_factory=dict)
+    simd: dict[str, Results] = field(default_factory=dict)
+    sweep: dict[int, Results] = field(default_factory=dict)
+    clock: str = "wall"
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "photons": self.n,
+            "rounds": self.rounds,
+            "description": self.description,
+            "threads": {str(n): _plain(results) for n, results in self.by_threads.items()},
+            "tracing": _plain(self.tracing),
+            "degenerate": _plain(self.degenerate),
+            "simd": {path: _plain(results) for path, results in self.simd.items()},
+            "sweep": {str(n): _plain(results) for n, results in self.sweep.items()},
+        }
+
+    def markdown(self) -> str:
+        """Return all tables and what they were measured with."""
+        parts = [
+            _table(self._speed_header(), self._speed_rows()),
+            _table(self._cost_header(), self._cost_rows()),
+            _table(["", *self._thread_names(), "times as fast"], self._scaling_rows()),
+            f"Medians of {self.rounds} interleaved rounds, {self._clock_name()}. "
+            f"{self.description}.",
+        ]
+        return "\n\n".join(part for part in parts if part) + "\n"
+
+    def seconds(self, results: Results, name: str) -> float | None:
+        """Return the median, by the chosen clock, of what was measured, None if it was not."""
+        return median(getattr(results[name], self.clock)) if name in results else None
+
+    def fastest(self, results: Results, task: str) -> str | None:
+        """Return the name of the fastest peer at a task."""
+        names = [name for name in results if name.endswith(f": {task}")]
+        return min(names, key=lambda name: median(getattr(results[name], self.clock)), default=None)
+
+    def _clock_name(self) -> str:
+        return {"wall": "wall time", "cpu": "CPU time"}[self.clock]
+
+    def _thread_names(self) -> list[str]:
+        return [_threads(n) for n in self.by_threads]
+
+    def _speed_header(self) -> list[str]:
+        others = [f"times as fast, {_threads(n)}" for n in self.by_threads]
+        return [f"{self.n:,} photons of a caustic", "time", "beside", "its time", *others]
+
+    def _speed_rows(self) -> Iterable[list[str]]:
+        for work, ours, task, prefix in SPEED:
+            rows = [self._pair(results, ours, task, prefix) for results in self.by_threads.values()]
+            if rows and rows[0]:
+                yield [work, *_pair_cells(rows[0]), *map(_times_faster, rows)]
+        for path, results in self.simd.items():
+            pair = self._pair(results, "neighbours 50", "neighbours 50", "")
+            blank = [""] * (len(self.by_threads) - 1)
+            if pair:
+                work = f"all neighbours, K = 50, {SIMD[path]}"
+                yield [work, *_pair_cells(pair), _times_faster(pair), *blank]
+
+    def _pair(
+        self, results: Results, ours: str, task: str, prefix: str
+    ) -> tuple[float, str, float] | None:
+        """Return our seconds, the name of the peer and its seconds."""
+        peer = f"{prefix}: {task}" if prefix else self.fastest(results, task)
+        mine = self.seconds(results, ours)
+        theirs = None if peer is None else self.seconds(results, peer)
+        if mine is None or theirs is None:
+            return None
+        return mine, peer.split(":")[0], theirs
+
+    def _cost_header(self) -> list[str]:
+        return ["time over time", *self._thread_names()]
+
+    def _cost_rows(self) -> Iterable[list[str]]:
+        for name, top, bottom in COSTS:
+            ratios = [self._ratio(results, top, bottom) for results in self.by_threads.values()]
+            if any(ratios):
+                yield [name, *ratios]
+        blank = [""] * (len(self.by_threads) - 1)
+        if self.tracing:
+            ratio = self._ratio(self.tracing, "shading", "embree")
+            yield ["tracing: shading over time inside embree", ratio, *blank]
+        yield from self._degenerate_rows(blank)
+
+    def _degenerate_rows(self, blank: list[str]) -> Iterable[list[str]]:
+        calls = [name.split(": ")[1] for name in self.degenerate if name.startswith("generic: ")]
+        for kind in inputs.DEGENERATE[1:]:
+            for call in calls:
+                ratio = self._ratio(self.degenerate, f"{kind}: {call}", f"generic: {call}")
+                yield [f"{call}: {kind} photons over a caustic's", ratio, *blank]
+
+    def _ratio(self, results: Results, top: str, bottom: str) -> str:
+        over, under = self.seconds(results, top), self.seconds(results, bottom)
+        return "" if over is None or under is None else f"{over / under:.2f}"
+
+    def _scaling_rows(self) -> Iterable[list[str]]:
+        for stage, name in STAGES.items():
+            seconds = [median(r[name].wall) for r in self.by_threads.values() if name in r]
+            if len(seconds) == len(self.by_threads):
+                gain = _times(seconds[0] / seconds[-1])
+                yield [stage, *(f"{s:.3g} s" for s in seconds), gain]
+
+
+SPEED = (
+    ("all neighbours, K = 50", "neighbours 50", "neighbours 50", ""),
+    ("all neighbours, K = 16", "neighbours 16", "neighbours 16", ""),
+    (
+        "structure detection, beside the plain search for K = 50 alone",
+        "structure",
+        "neighbours 50",
+        "",
+    ),
+    (
+        "one iteration of relaxation, beside the plain search for K = 16 alone",
+        "collapsed iteration",
+        "neighbours 16",
+        "",
+    ),
+    ("constrained neighbours, K = 50, 5-D", "constrained 5", "constrained 5", "block recipe"),
+    ("constrained neighbours, K = 50, 6-D", "constrained 6", "constrained 6", "block recipe"),
+    ("the same beside the usual recipe", "constrained 6", "constrained 6", "ball recipe"),
+    (
+        "irradiance at the hit points of a camera, K = 15, beside the search alone",
+        "gather",
+        "gather",
+        "",
+    ),
+)
+"""What is done, by what name; beside what task, by whom (the fastest where it is left open)."""
+
+COSTS = (
+    ("constrained over plain search, 5-D", "constrained 5", "neighbours 50"),
+    ("constrained over plain search, 6-D", "constrained 6", "neighbours 50"),
+)
+
+SIMD = {"avx2": "held to AVX2", "portable": "held to portable code"}
+
+STAGES = {
+    "emission": "emission",
+    "tracing": "trace",
+    "building a tree": "build",
+    "all neighbours, K = 50": "neighbours 50",
+    "constrained neighbours, K = 50, 6-D": "constrained 6",
+    "structure detection": "structure",
+    "one constrained iteration": "constrained iteration",
+    "one iteration in space": "collapsed iteration",
+    "gathering": "gather",
+}
+
+
+def _plain(results: Results) -> dict[str, dict[str, float]]:
+    return {name: timing.to_dict() for name, timing in results.items()}
+
+
+def _threads(n: int) -> str:
+    return "1 thread" if n == 1 else f"{n} threads"
+
+
+def _pair_cells(pair: tuple[float, str, float]) -> list[str]:
+    return [f"{pair[0]:.3g} s", pair[1], f"{pair[2]:.3g} s"]
+
+
+def _times_faster(pair: tuple[float, str, float] | None) -> str:
+    return "" if pair is None else _times(pair[2] / pair[0])
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.0f}×" if ratio >= 20.0 else f"{ratio:.2g}×"
+
+
+def _table(header: list[str], rows: Iterable[list[str]]) -> str:
+    """Return a table in Markdown, nothing if it has no rows."""
+    rows = list(rows)
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) if rows else ""

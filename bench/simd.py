@@ -1,0 +1,38 @@
+"""Neighbours with one kind of vector instructions, chosen when a process starts."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from .timing import Timing
+
+PATHS = ("avx2", "portable")
+_ROOT = Path(__file__).parents[1]
+
+
+def measured(path: str, n: int, n_threads: int, rounds: int) -> dict[str, Timing]:
+    """Return times of all-neighbours searches, K = 50, of photonrelax on a path and of peers."""
+    arguments = [str(number) for number in (n, n_threads, rounds)]
+    done = subprocess.run(
+        [sys.executable, "-m", "bench", "simd", *arguments],
+        env=os.environ | {"PHOTONRELAX_SIMD": path},
+        cwd=_ROOT,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    times = json.loads(done.stdout.splitlines()[-1])
+    return {name: Timing(**each) for name, each in times.items()}
+
+
+def main(n: int, n_threads: int, rounds: int) -> None:
+    """Measure in this process, whose environment chose the path, and print JSON."""
+    from .compare import Workbench
+
+    bench = Workbench(n, n_threads, pixels=1)
+    results = bench.measured(list(bench.searches(50)), rounds)
+    print(json.dumps({name: {"wall": t.wall, "cpu": t.cpu} for name, t in results.items()}))

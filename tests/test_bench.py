@@ -1,0 +1,110 @@
+"""What the benchmarks themselves must get right: inputs, recipes, tables."""
+
+import numpy as np
+import pytest
+from bench import inputs, peers, plot, report
+from bench.checks import assert_nearest, assert_nearest_in_range
+from bench.timing import Case, Timing, interleave
+
+K = 7
+
+
+@pytest.fixture
+def sheet():
+    """Two sheets over one another in space, apart on the emitter, dense where they start."""
+    coords = np.random.default_rng(1).random((600, 2)) ** 2
+    position = np.column_stack([coords % 0.5, np.zeros(600)])
+    return inputs.Sheet(position, coords, np.full(600, 0.1))
+
+
+def brute_force(sheet, k):
+    """The definition: sorted distances to those in range, infinite where there is none."""
+    apart = np.linalg.norm(sheet.coords[:, None] - sheet.coords, axis=2)
+    distance = np.linalg.norm(sheet.position[:, None] - sheet.position, axis=2)
+    distance[apart > sheet.radius[:, None]] = np.inf
+    return np.sort(distance, axis=1)[:, :k]
+
+
+@pytest.mark.parametrize("recipe", peers.RECIPES.values(), ids=peers.RECIPES)
+@pytest.mark.parametrize("n_threads", [1, 2])
+def test_recipes_are_exact(sheet, recipe, n_threads):
+    expected = brute_force(sheet, K)
+    ids, distance = recipe(sheet, K, n_threads)
+    assert np.isinf(expected).any()
+    assert np.isfinite(expected[:, -1]).any()
+    np.testing.assert_allclose(distance, expected, rtol=1e-12)
+    np.testing.assert_array_equal(ids == len(expected), np.isinf(expected))
+    assert_nearest_in_range((ids, distance), sheet, K)
+
+
+def test_a_neighbour_out_of_range_is_noticed(sheet):
+    ids, distance = peers.constrained_by_block(sheet, K)
+    ids[0, -1] = np.linalg.norm(sheet.coords - sheet.coords[0], axis=1).argmax()
+    with pytest.raises(AssertionError):
+        assert_nearest_in_range((ids, distance), sheet, K)
+
+
+@pytest.mark.parametrize("name", [peer.name for peer in peers.ALL])
+def test_peers_find_neighbours_of_points_and_of_queries(name):
+    if name in peers.missing():
+        pytest.skip(peers.missing()[name])
+    rng = np.random.default_rng(2)
+    points, queries = rng.random((500, 3)), rng.random((300, 3))
+    tree = peers.Ordered(peers.named(name), points)
+    assert_nearest(tree.unordered(tree.search(K, 1)), points, points, K, np.inf)
+    tree = peers.Ordered(peers.named(name), points, queries)
+    assert_nearest(tree.unordered(tree.search(K, 1, 0.1)), points, queries, K, 0.1)
+
+
+def test_morton_order_follows_the_curve():
+    cells = np.stack(np.meshgrid(range(4), range(4), range(4), indexing="ij"), axis=-1)
+    points = cells.reshape(-1, 3).astype(float)
+    # The bits of x, y, z in turn, x lowest, are the place on the curve.
+    bits = points.astype(int)
+    place = sum(((bits[:, a] >> b) & 1) << (3 * b + a) for a in range(3) for b in range(2))
+    np.testing.assert_array_equal(place[peers.morton_order(points)], np.arange(64))
+
+
+def test_the_chart_keeps_areas():
+    """A cap of height h about any axis near the middle has the area 2 π h of the sphere."""
+    rng = np.random.default_rng(3)
+    directions = rng.normal(size=(200_000, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    chart = inputs.equal_area_chart(directions[directions[:, 2] > 0.0])
+    inside = (np.linalg.norm(chart, axis=1) < 0.5).mean()
+    assert inside == pytest.approx(0.5**2 / 2.0, rel=0.02)
+
+
+def test_cases_take_turns_and_are_checked_once():
+    calls, checked = [], []
+    cases = [
+        Case("a", lambda x: calls.append(x), prepare=lambda: "a", check=checked.append),
+        Case("b", lambda _: calls.append("b"), rounds=1),
+    ]
+    timings = interleave(cases, 3)
+    assert calls == ["a", "b", "a", "a"]
+    assert len(checked) == 1
+    assert [len(timings[name].wall) for name in "ab"] == [3, 1]
+
+
+def test_tables_show_medians_the_fastest_peer_and_nothing_unmeasured():
+    one = {
+        "neighbours 50": Timing([1.0, 2.0, 9.0], [1.0, 1.0, 1.0]),
+        "slow: neighbours 50": Timing([50.0], [50.0]),
+        "fast: neighbours 50": Timing([30.0], [20.0]),
+        "constrained 6": Timing([3.0], [3.0]),
+    }
+    two = one | {"neighbours 50": Timing([1.0], [2.0])}
+    text = report.Report(863_000, 3, "here", {1: one, 2: two}).markdown()
+    assert "| 863,000 photons of a caustic |" in text
+    assert "| all neighbours, K = 50 | 2 s | fast | 30 s | 15× | 30× |" in text
+    assert "| constrained over plain search, 6-D | 1.50 | 3.00 |" in text
+    assert "| all neighbours, K = 50 | 2 s | 1 s | 2× |" in text
+    assert "5-D" not in text
+    assert "embree" not in text
+    cpu = report.Report(863_000, 3, "here", {1: one}, clock="cpu").markdown()
+    assert "| all neighbours, K = 50 | 1 s | fast | 20 s | 20× |" in cpu
+
+
+def test_slope_is_the_exponent():
+    assert plot.slope([10, 100, 1000], [0.2, 2.0, 20.0]) == pytest.approx(1.0)
