@@ -7,6 +7,7 @@ from libc.stdint cimport int32_t, uint32_t
 from .rows cimport QUAD, Cut, Keys, bound_rows, divide_marked, divide_rows, list_equal
 
 cdef enum:
+    FIRST_KEY = 1 << 23
     KEY_RANGE = 1 << 30
     # Nodes of less extent, in units of the keys, get new keys.
     COARSE = 1 << 12
@@ -116,7 +117,7 @@ cdef inline int exactly_widest(
     const Job* job, const Node* node, const int32_t* low, const int32_t* high
 ) noexcept nogil:
     cdef uint32_t most = widest_extent(job, low, high)
-    cdef int word, best = 0
+    cdef int word, best = 1
     cdef double scaled, greatest = -1.0
     for word in range(1, job.n_keys + 1):
         if extent(low, high, word) + CLOSE < most:
@@ -203,9 +204,15 @@ cdef inline void write_keys(
     for i in range(node.count):
         row = node.rows + i * job.words
         for axis in range(job.n_keys):
-            row[axis + 1] = <int32_t> (
+            row[axis + 1] = key_of(
                 (coordinate(job, row, axis + 1) - least[axis]) * job.scale[axis] * unit
             )
+
+
+cdef inline int32_t key_of(double position) noexcept nogil:
+    # Written so that even NaN comes to lie in the range: keys are used to index.
+    position = position if position > 0.0 else 0.0
+    return FIRST_KEY + <int32_t> (position if position < KEY_RANGE else <double> KEY_RANGE)
 
 
 # Equal keys
@@ -213,32 +220,49 @@ cdef inline void write_keys(
 cdef inline void divide_tied(const Job* job, const Node* node, const Cut* cut) noexcept nogil:
     """Divide where coordinates have to tell which of the equal keys belong to the lower half."""
     cdef int32_t* tied = node.halves
-    cdef Py_ssize_t i, n_coincident
     cdef Py_ssize_t n = list_equal(
         node.rows, node.count, job.words, cut.word, cut.key, cut.key, tied
     )
-    cdef double* x = <double*> (node.halves + (n + 1) // 2 * 2)
-    cdef double median = median_of(job, node, cut, n, x, &n_coincident)
+    mark_lower(job, node, cut, tied, n)
+    if job.words == QUAD:
+        divide_marked(node.rows, node.count, QUAD, cut, node.halves, node.n_lower)
+    else:
+        divide_marked(node.rows, node.count, job.words, cut, node.halves, node.n_lower)
+
+
+cdef inline void mark_lower(
+    const Job* job, const Node* node, const Cut* cut, const int32_t* tied, Py_ssize_t n
+) noexcept nogil:
+    """Complement the ids of the tied rows that belong to the lower half."""
+    cdef double* x = <double*> (tied + (n + 1) // 2 * 2)
+    cdef Py_ssize_t n_coincident = cut.n_tied
+    cdef Py_ssize_t i
+    cdef double median
     cdef bint is_equal, is_lower
+    if not read_tied(job, node, cut, tied, n, x):
+        for i in range(cut.n_tied):
+            node.rows[tied[i] * job.words] ^= -1
+        return
+    nth_element(x, x + cut.n_tied, x + n)
+    median = x[cut.n_tied]
+    for i in range(cut.n_tied):
+        n_coincident -= x[i] < median
     for i in range(n):
         x[0] = coordinate(job, node.rows + tied[i] * job.words, cut.word)
         is_equal = x[0] == median
         is_lower = (x[0] < median) | (is_equal & (n_coincident > 0))
         n_coincident -= is_equal
         node.rows[tied[i] * job.words] ^= -<int32_t> is_lower
-    divide_marked(node.rows, node.count, job.words, cut, node.halves, node.n_lower)
 
 
-cdef inline double median_of(
-    const Job* job, const Node* node, const Cut* cut, Py_ssize_t n, double* x,
-    Py_ssize_t* n_coincident
+cdef inline bint read_tied(
+    const Job* job, const Node* node, const Cut* cut, const int32_t* tied, Py_ssize_t n, double* x
 ) noexcept nogil:
-    """Return the least coordinate of the upper half, and how many of the lower half have it."""
+    """Read the coordinates of the tied rows; return False if they are all the same."""
+    cdef double least = INFINITY, most = -INFINITY
     cdef Py_ssize_t i
     for i in range(n):
-        x[i] = coordinate(job, node.rows + node.halves[i] * job.words, cut.word)
-    nth_element(x, x + cut.n_tied, x + n)
-    n_coincident[0] = 0
-    for i in range(cut.n_tied):
-        n_coincident[0] += x[i] == x[cut.n_tied]
-    return x[cut.n_tied]
+        x[i] = coordinate(job, node.rows + tied[i] * job.words, cut.word)
+        least = min(least, x[i])
+        most = max(most, x[i])
+    return least < most

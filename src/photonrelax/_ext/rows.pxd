@@ -18,7 +18,7 @@ cdef enum:
 cdef extern from *:
     """
     static inline int bit_length(uint32_t x) { return x ? 32 - __builtin_clz(x) : 0; }
-    typedef int32_t Quad __attribute__((vector_size(16), aligned(4), may_alias));
+    typedef float Quad __attribute__((vector_size(16), aligned(4), may_alias));
     static inline Quad lesser(Quad a, Quad b) { return a < b ? a : b; }
     static inline Quad greater(Quad a, Quad b) { return a > b ? a : b; }
     """
@@ -52,16 +52,18 @@ cdef inline void bound_rows(
 ) noexcept nogil:
     """Write the least and the greatest of each word."""
     cdef const Quad* quads
-    cdef Quad least, most
+    cdef Quad least, most, a, b
     cdef Py_ssize_t i
     cdef int quad
     for quad in range(words // QUAD):
         quads = <const Quad*> rows + quad
         least = quads[0]
         most = quads[0]
-        for i in range(count):
-            least = lesser(least, quads[i * (words // QUAD)])
-            most = greater(most, quads[i * (words // QUAD)])
+        for i in range(count % 2, count, 2):
+            a = quads[i * (words // QUAD)]
+            b = quads[(i + 1) * (words // QUAD)]
+            least = lesser(least, lesser(a, b))
+            most = greater(most, greater(a, b))
         (<Quad*> low)[quad] = least
         (<Quad*> high)[quad] = most
 
@@ -188,17 +190,18 @@ cdef inline Py_ssize_t list_equal(
 
 
 cdef inline void divide_marked(
-    int32_t* rows, Py_ssize_t count, int words, const Cut* cut, int32_t* halves,
+    const int32_t* rows, Py_ssize_t count, int words, const Cut* cut, int32_t* halves,
     Py_ssize_t upper
 ) noexcept nogil:
     """Move rows as `divide_rows` does; rows with a complemented id belong to the lower half."""
-    cdef Py_ssize_t i, place, is_lower, lower = 0
-    cdef int32_t* row
+    cdef Py_ssize_t i, is_lower, lower = 0
+    cdef const int32_t* row
+    cdef int32_t* target
     for i in range(count):
         row = rows + i * words
         is_lower = (row[cut.word] < cut.key) | (row[0] < 0)
-        row[0] ^= row[0] >> 31
-        place = upper + ((lower - upper) & -is_lower)
-        copy_row(halves + place * words, row, words)
+        target = halves + (upper + ((lower - upper) & -is_lower)) * words
+        copy_row(target, row, words)
+        target[0] = row[0] ^ (row[0] >> 31)
         lower += is_lower
         upper += 1 - is_lower
