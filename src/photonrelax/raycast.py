@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import Floats, float_array, thread_count
-from ._ext.raycast import Frame, Triangles
+from ._ext.raycast import Found, Frame, Triangles
 from ._meshes import hittable_faces
 from .scene import SceneObject
 
@@ -81,6 +81,13 @@ class RayCaster:
     objects : sequence of SceneObject
         At least one; positions in the sequence are the `object_id` of hits.
 
+    Attributes
+    ----------
+    frame : Frame
+        For kernels that bring their rays into embree's frame themselves.
+    triangles : Triangles
+        For kernels that resolve what `find` found themselves.
+
     Raises
     ------
     ImportError
@@ -90,25 +97,33 @@ class RayCaster:
     def __init__(self, objects: Sequence[SceneObject]) -> None:
         if not objects:
             raise ValueError("objects should not be empty")
-        parts = [_hittable_part(item) for item in objects]
-        sizes = [len(part.face_id) for part in parts]
-        first_vertex = np.cumsum([0, *(len(part.vertices) for part in parts)])
-        vertices = np.concatenate([part.vertices for part in parts])
-        faces = np.concatenate(
-            [part.faces + first for part, first in zip(parts, first_vertex, strict=False)]
-        )
-        embree = _embree(vertices, faces)
+        whole = _joined([_hittable_part(item) for item in objects])
+        vertices = np.ascontiguousarray(whole.corners[:, :3])
+        embree = _embree(vertices, whole.faces[:, :3])
         self._scene = embree.scene
         relative = vertices - embree.origin
-        self._frame = _frame(relative, embree)
-        self._triangles = Triangles(
-            relative,
-            np.concatenate([part.vertex_normals for part in parts]),
-            faces.astype(np.int32),
-            np.repeat(np.arange(len(objects), dtype=np.int32), sizes),
-            np.concatenate([part.face_id for part in parts]).astype(np.int32),
-            np.repeat(np.array([item.smooth for item in objects], dtype=np.uint8), sizes),
-        )
+        self.frame = _frame(relative, embree)
+        whole.corners[:, :3] = relative
+        smooth = np.array([item.smooth for item in objects], dtype=np.uint8)
+        self.triangles = Triangles(self.frame, whole.corners, whole.faces, whole.face_id, smooth)
+
+    def find(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> Found:
+        """Return what embree finds for rays (n, 3) that are in its frame already.
+
+        Raises
+        ------
+        ValueError
+            If shapes, types or layout are not what embree takes for granted.
+        """
+        for rays in (origins, directions):
+            of_type = rays.dtype == np.float32 and rays.flags.c_contiguous
+            if rays.shape != (len(origins), 3) or not of_type:
+                raise ValueError(
+                    f"rays should be C-contiguous float32 of shape ({len(origins)}, 3), "
+                    f"but are {rays.dtype} of shape {rays.shape} and strides {rays.strides}"
+                )
+        found = self._scene.run(origins, directions, query="INTERSECT", output=True)
+        return Found(found, len(origins))
 
     def intersect(
         self,
@@ -141,8 +156,7 @@ class RayCaster:
         def work(rows: slice) -> None:
             o, d = origins[rows], directions[rows]
             enter = self._enter(o, d, leaving[rows], _NO_LIMITS, first=rows.start)
-            found = self._scene.run(*enter[:2], query="INTERSECT", output=True)
-            self._triangles.resolve(self._frame, o, d, found, out[rows])
+            self.triangles.resolve(o, d, self.find(*enter[:2]), out[rows])
 
         _for_chunks(work, len(origins), n_threads)
         return out
@@ -193,7 +207,7 @@ class RayCaster:
             np.empty(origins.shape, dtype=np.float32),
             np.empty(limits.shape, dtype=np.float32),
         )
-        bad = self._frame.enter(origins, directions, leaving, limits, *out)
+        bad = self.frame.enter(origins, directions, leaving, limits, *out)
         if bad >= 0:
             raise ValueError(
                 "origins and directions should be finite and directions not zero, but ray "
@@ -204,21 +218,35 @@ class RayCaster:
 
 @dataclass(frozen=True)
 class _Part:
-    """The part of an object that rays can hit, in numbers of its own."""
+    """The part of an object that rays can hit, in numbers of its own; see `Triangles`."""
 
-    vertices: Floats
-    vertex_normals: Floats
-    faces: NDArray[np.intp]
-    face_id: NDArray[np.intp]
+    corners: Floats
+    faces: NDArray[np.int32]
+    face_id: NDArray[np.int32]
 
 
 def _hittable_part(item: SceneObject) -> _Part:
     face_id, faces = hittable_faces(item.mesh)
     # Vertices of no face would stretch the frame, at the price of precision.
-    used, renumbered = np.unique(faces, return_inverse=True)
-    vertices = np.ascontiguousarray(np.asarray(item.mesh.vertices)[used], dtype=np.float64)
-    normals = _vertex_normals(item.mesh)[used] if item.smooth else np.zeros_like(vertices)
-    return _Part(vertices, normals, renumbered.reshape(faces.shape), face_id)
+    used = np.zeros(len(item.mesh.vertices), dtype=bool)
+    used[faces] = True
+    corners = np.zeros((np.count_nonzero(used), 6))
+    corners[:, :3] = np.asarray(item.mesh.vertices)[used]
+    if item.smooth:
+        corners[:, 3:] = _vertex_normals(item.mesh)[used]
+    numbered = np.zeros((len(faces), 4), dtype=np.int32)
+    numbered[:, :3] = (np.cumsum(used, dtype=np.int32) - 1)[faces]
+    return _Part(corners, numbered, face_id.astype(np.int32))
+
+
+def _joined(parts: list[_Part]) -> _Part:
+    """Number the vertices of all objects through, and write each face's object beside them."""
+    first = 0
+    for object_id, part in enumerate(parts):
+        part.faces[:, :3] += first
+        part.faces[:, 3] = object_id
+        first += len(part.corners)
+    return _Part(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Part)))
 
 
 def _vertex_normals(mesh: trimesh.Trimesh) -> Floats:
@@ -234,7 +262,7 @@ def _vertex_normals(mesh: trimesh.Trimesh) -> Floats:
     return np.asarray(type(mesh)((vertices - low) / size, mesh.faces, process=False).vertex_normals)
 
 
-def _embree(vertices: Floats, faces: NDArray[np.intp]) -> Any:
+def _embree(vertices: Floats, faces: NDArray[np.int32]) -> Any:
     """Return trimesh's embree scene: `.scene` in the frame of `.origin` and `.scale`."""
     try:
         from trimesh.ray.ray_pyembree import RayMeshIntersector
