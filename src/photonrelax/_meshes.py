@@ -28,6 +28,19 @@ def hittable_faces(mesh: trimesh.Trimesh) -> tuple[NDArray[np.intp], NDArray]:
     return ids, faces[ids]
 
 
+def hittable_vertices(mesh: trimesh.Trimesh) -> Floats:
+    """Return the vertices (v, 3) that belong to a face with an area."""
+    vertices = np.asarray(mesh.vertices)
+    return vertices[vertices_of(hittable_faces(mesh)[1], len(vertices))]
+
+
+def vertices_of(faces: NDArray, n_vertices: int) -> NDArray[np.bool_]:
+    """Return which vertices belong to a face, (n_vertices,)."""
+    used = np.zeros(n_vertices, dtype=bool)
+    used[faces] = True
+    return used
+
+
 def check_mesh(mesh: trimesh.Trimesh) -> None:
     """Raise TypeError or ValueError unless the mesh is one that rays can hit."""
     if not hasattr(mesh, "vertices") or not hasattr(mesh, "faces"):

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import Floats, float_array, thread_count
 from ._ext.raycast import Found, Frame, Triangles
-from ._meshes import hittable_faces
+from ._meshes import hittable_faces, vertices_of
 from .scene import SceneObject
 
 if TYPE_CHECKING:
@@ -228,8 +228,7 @@ class _Part:
 def _hittable_part(item: SceneObject) -> _Part:
     face_id, faces = hittable_faces(item.mesh)
     # Vertices of no face would stretch the frame, at the price of precision.
-    used = np.zeros(len(item.mesh.vertices), dtype=bool)
-    used[faces] = True
+    used = vertices_of(faces, len(item.mesh.vertices))
     corners = np.zeros((np.count_nonzero(used), 6))
     corners[:, :3] = np.asarray(item.mesh.vertices)[used]
     if item.smooth:

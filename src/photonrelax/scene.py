@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import Floats, count, float_array, positive, rgb, unit_vectors
-from ._meshes import check_mesh, check_winding, hittable_faces
+from ._meshes import check_mesh, check_winding, hittable_vertices
 
 if TYPE_CHECKING:
     import trimesh
@@ -336,7 +336,7 @@ class Scene:
             raise ValueError("object_ids should name at least one object, but is empty")
         low, high = self._bounds(ids)
         centre = low + 0.5 * (high - low)
-        reach = [np.linalg.norm(self._vertices(i) - centre, axis=1).max() for i in ids]
+        reach = [np.linalg.norm(self._vertices[i] - centre, axis=1).max() for i in ids]
         return centre, float(max(reach))
 
     def material_table(self) -> MaterialTable:
@@ -354,12 +354,14 @@ class Scene:
             _tabulate(table, i, material)
         return table
 
-    def _vertices(self, object_id: int) -> Floats:
-        mesh = self.objects[object_id].mesh
-        return np.asarray(mesh.vertices)[np.unique(hittable_faces(mesh)[1])]
+    @cached_property
+    def _vertices(self) -> tuple[Floats, ...]:
+        """The vertices of each object that belong to a face rays can hit."""
+        return tuple(hittable_vertices(item.mesh) for item in self.objects)
 
     def _bounds(self, object_ids: Iterable[int]) -> tuple[Floats, Floats]:
-        corners = [(v.min(axis=0), v.max(axis=0)) for v in map(self._vertices, object_ids)]
+        vertices = [self._vertices[i] for i in object_ids]
+        corners = [(v.min(axis=0), v.max(axis=0)) for v in vertices]
         return np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
 
 
