@@ -204,15 +204,10 @@ def emit(
     planned = int(plan.counts[emitter_id])
     if photons.step != 1 or photons.start < 0 or photons.stop > planned:
         raise ValueError(f"photons should lie in {range(planned)} in steps of 1, but is {photons}")
-    aim = plan.aims[emitter_id]
-    rays = _empty_rays(emitter_id, len(photons), aim)
-    per_area = planned / aim.area if planned else 0.0
+    rays = _empty_rays(emitter_id, len(photons), plan.aims[emitter_id])
     _kernel.emit(
-        _kernel.Aim(aim.kind, aim.origin, aim.frame, aim.shape, aim.lead, per_area),
-        check_seed(seed),
-        emitter_id,
+        emission(plan, emitter_id, seed=seed, sampler=sampler),
         photons.start,
-        np.array(seed_shift(seed, emitter_id) if sampler == "halton" else ()),
         rays.origin,
         rays.direction,
         rays.emitter_coords,
@@ -220,6 +215,18 @@ def emit(
         thread_count(n_threads),
     )
     return rays
+
+
+def emission(plan: EmissionPlan, emitter_id: int, *, seed: int, sampler: str) -> _kernel.Emission:
+    """Return what kernels need to emit the photons of one emitter, each from its index."""
+    aim, planned = plan.aims[emitter_id], int(plan.counts[emitter_id])
+    per_area = planned / aim.area if planned else 0.0
+    return _kernel.Emission(
+        _kernel.Aim(aim.kind, aim.origin, aim.frame, aim.shape, aim.lead, per_area),
+        check_seed(seed),
+        emitter_id,
+        np.array(seed_shift(seed, emitter_id) if sampler == "halton" else ()),
+    )
 
 
 def _empty_rays(emitter_id: int, n: int, aim: Aim) -> PrimalRays:

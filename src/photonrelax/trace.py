@@ -1,8 +1,9 @@
 """Tracing: follows paths through the scene and deposits photons on diffuse surfaces.
 
 Paths are traced in batches, a thread each: embree finds what all rays of a batch hit, then one
-compiled pass takes every path through its surface. Photons, their order and the ledger are the
-same, to the bit, for any number of threads and any size of batch.
+compiled pass takes every path through its surface and writes the rays that embree is given next.
+Photons, their order and the ledger are the same, to the bit, for any number of threads and any
+size of batch.
 """
 
 from __future__ import annotations
@@ -12,15 +13,15 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from math import fsum
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ._arrays import Floats, count, thread_count
 from ._ext import trace as _kernel
+from ._ext.deposits import Columns, Deposits
 from ._progress import Progress, Reporter
-from .emit import LUMINANCE, PATHS, SAMPLERS, EmissionPlan, check_choice, emit, plan_emission
+from .emit import LUMINANCE, PATHS, SAMPLERS, EmissionPlan, check_choice, emission, plan_emission
 from .photonmap import FATES, EnergyLedger, PhotonMap
 from .raycast import RayCaster
 from .sampling import check_seed
@@ -28,9 +29,24 @@ from .scene import DIFFUSE, Scene
 
 # Far beyond any path that matters; a mirrored room would keep its light for ever.
 MAX_BOUNCES = 10_000
-# Photons whose energy is summed up together. Batches hold whole blocks, so the sums, like all
-# else, do not depend on the batches.
-_BLOCK = 1024
+# Photons a growing map makes room for beyond those its paths so far let expect.
+_MARGIN = 1.01
+
+Job = tuple[int, range]
+_DTYPES: dict[str, type] = {
+    "position": np.float64,
+    "normal": np.float64,
+    "wi": np.float64,
+    "flux": np.float64,
+    "emitter_coords": np.float64,
+    "emitter_density": np.float64,
+    "emitter_id": np.int32,
+    "path_signature": np.int64,
+    "n_bounces": np.int32,
+    "path_length": np.float64,
+    "object_id": np.int32,
+}
+_WIDTHS = dict.fromkeys(("position", "normal", "wi", "flux"), 3)
 
 
 def trace_photons(
@@ -43,7 +59,7 @@ def trace_photons(
     max_bounces: int = 32,
     n_threads: int | None = None,
     progress: Progress | None = None,
-    batch_size: int = 65536,
+    batch_size: int = 16384,
 ) -> PhotonMap:
     """Emit photons, follow their paths and store them where they land.
 
@@ -88,10 +104,16 @@ def trace_photons(
     """
     how = _checked(seed, paths, sampler, max_bounces)
     plan = plan_emission(scene, n_emitted, paths)
-    jobs = _jobs(plan, -(-count(batch_size, "batch_size") // _BLOCK) * _BLOCK)
+    most = min(count(batch_size, "batch_size"), int(plan.counts.max()))
+    tracer = _Tracer(scene, plan, how, -(-most // _kernel.BLOCK) * _kernel.BLOCK)
     report = Reporter(progress, "trace", int(plan.counts.sum()))
-    batches = _run(_Tracer(scene, plan, how), jobs, report, thread_count(n_threads))
-    return _photon_map(plan, how, batches)
+    columns, accounts = _Columns(plan), []
+    for batch in _in_order(tracer.trace, _jobs(plan, tracer.size), thread_count(n_threads)):
+        columns.append(batch.paths.deposits, batch.account)
+        tracer.put_away(batch.paths)
+        accounts.append(batch.account)
+        report.advance(batch.account.n_paths)
+    return _photon_map(plan, how, columns, accounts)
 
 
 @dataclass(frozen=True)
@@ -112,140 +134,134 @@ def _checked(seed: int, paths: str, sampler: str, max_bounces: int) -> _How:
 
 
 @dataclass(frozen=True, eq=False)
-class _Batch:
+class _Account:
     """What became of some paths of one emitter.
 
-    `photons` are columns of a PhotonMap; `energy` (blocks, fates, 3) is relative to the flux of a
-    photon; `ends` (fates,) counts paths.
+    `energy` (blocks, fates, 3) is relative to the flux of a photon; `ends` (fates,) counts paths.
     """
 
     emitter_id: int
     n_paths: int
-    photons: dict[str, NDArray]
     energy: Floats
     ends: NDArray[np.int64]
     n_met_specular: int
 
-    def __len__(self) -> int:
-        return len(self.photons["position"])
+
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """Paths at their ends: what they deposited is in `paths` until these are put away."""
+
+    paths: _kernel.Paths
+    account: _Account
 
 
 class _Tracer:
-    """A scene made ready to trace batches of paths, from several threads at once."""
+    """A scene made ready to trace batches of up to `size` paths, from several threads at once."""
 
-    def __init__(self, scene: Scene, plan: EmissionPlan, how: _How) -> None:
+    def __init__(self, scene: Scene, plan: EmissionPlan, how: _How, size: int) -> None:
         table = scene.material_table()
         if not (table.kind == DIFFUSE).any():
             raise ValueError(
                 "scene should have a Diffuse object to store photons on, "
                 f"but none of its {len(scene.objects)} objects is"
             )
+        self.size = size
         self._surfaces = _kernel.Surfaces(
             table.kind, table.reflectance, table.ior, table.exterior_ior, table.absorption
         )
         self._caster = RayCaster(scene.objects)
-        self._plan = plan
         self._how = how
-        emitting = (aim for aim, n in zip(plan.aims, plan.counts, strict=True) if n)
-        self._coords_width = 2 if all(aim.is_plane for aim in emitting) else 3
+        self._flux = plan.flux_per_photon
+        self._emissions = [
+            emission(plan, e, seed=how.seed, sampler=how.sampler) for e in range(len(plan.aims))
+        ]
+        self._put_away: list[_kernel.Paths] = []
 
-    def trace(self, job: tuple[int, range]) -> _Batch:
+    def trace(self, job: Job) -> _Batch:
         """Follow some photons of one emitter to their ends."""
         emitter_id, photons = job
-        seed, sampler = self._how.seed, self._how.sampler
-        primal = emit(self._plan, emitter_id, photons, seed=seed, sampler=sampler, n_threads=1)
-        n, flux = len(photons), self._plan.flux_per_photon[emitter_id]
-        rays = (primal.origin, primal.direction, np.empty((n, 3)))
-        energy = np.zeros((-(-n // _BLOCK), len(FATES), 3))
+        energy = np.zeros((-(-len(photons) // _kernel.BLOCK), len(FATES), 3))
         ends = np.zeros(len(FATES), dtype=np.int64)
-        paths = _kernel.Paths(
-            self._surfaces,
-            *rays,
-            **_path_arrays(n),
+        paths = self._paths()
+        paths.start(
+            self._emissions[emitter_id],
+            photons.start,
+            len(photons),
+            luminance=LUMINANCE * self._flux[emitter_id],
             ledger=energy,
             ends=ends,
-            luminance=LUMINANCE * flux,
-            wanted=PATHS.index(self._how.paths),
-            max_bounces=self._how.max_bounces,
-            block=_BLOCK,
         )
-        paths.start(seed, emitter_id, photons.start, primal.travelled)
-        deposits = self._follow(paths, rays)
-        path = deposits.pop("path")
-        deposits["flux"] = deposits.pop("throughput") * flux
-        deposits["emitter_coords"] = _padded(primal.emitter_coords, self._coords_width)[path]
-        deposits["emitter_density"] = primal.emitter_density[path]
-        deposits["emitter_id"] = np.full(len(path), emitter_id, dtype=np.int32)
-        return _Batch(emitter_id, n, deposits, energy, ends, paths.n_met_specular)
-
-    def _follow(self, paths: Any, rays: tuple[Floats, Floats, Floats]) -> dict[str, NDArray]:
-        """Advance paths until none is live; return the deposits in the order of the paths."""
-        passes = []
         while paths.n_live:
-            origin, direction, leaving = (array[: paths.n_live] for array in rays)
-            hits = self._caster.intersect(origin, direction, leaving=leaving)
-            room = _deposit_arrays(paths.n_live)
-            paths.advance(
-                _kernel.Hits(
-                    hits.object_id,
-                    hits.distance,
-                    hits.position,
-                    hits.geometric_normal,
-                    hits.shading_normal,
-                ),
-                _kernel.Deposits(**room),
+            paths.advance(self._caster.find(*paths.rays))
+        account = _Account(emitter_id, len(photons), energy, ends, paths.n_met_specular)
+        return _Batch(paths, account)
+
+    def put_away(self, paths: _kernel.Paths) -> None:
+        """Take paths back for another batch: memory just used is in the cache."""
+        self._put_away.append(paths)
+
+    def _paths(self) -> _kernel.Paths:
+        try:
+            return self._put_away.pop()
+        except IndexError:
+            return _kernel.Paths(
+                self._surfaces,
+                self._caster.frame,
+                self._caster.triangles,
+                self.size,
+                wanted=PATHS.index(self._how.paths),
+                max_bounces=self._how.max_bounces,
             )
-            passes.append({name: array[: paths.n_deposits] for name, array in room.items()})
-        joined = {name: np.concatenate([p[name] for p in passes]) for name in passes[0]}
-        order = np.argsort(joined["path"], kind="stable")
-        return {name: array[order] for name, array in joined.items()}
 
 
-def _path_arrays(n: int) -> dict[str, NDArray]:
-    return {
-        "path": np.empty(n, np.int32),
-        "throughput": np.empty((n, 3)),
-        "path_length": np.empty(n),
-        "signature": np.empty(n, np.uint64),
-        "key": np.empty(n, np.uint64),
-        "n_specular": np.empty(n, np.int32),
-        "n_diffuse": np.empty(n, np.int32),
-        "medium": np.empty(n, np.int32),
-    }
+class _Columns:
+    """The columns of a photon map that grows batch by batch, in place."""
+
+    def __init__(self, plan: EmissionPlan) -> None:
+        emitting = (aim for aim, n in zip(plan.aims, plan.counts, strict=True) if n)
+        widths = _WIDTHS | {"emitter_coords": 2 if all(aim.is_plane for aim in emitting) else 3}
+        self._arrays: dict[str, NDArray] = {
+            name: np.empty((0, widths[name]) if name in widths else 0, dtype)
+            for name, dtype in _DTYPES.items()
+        }
+        self._flux = plan.flux_per_photon
+        self._n_planned = int(plan.counts.sum())
+        self._n_traced = 0
+        self._n_stored = 0
+
+    def __len__(self) -> int:
+        return self._n_stored
+
+    def append(self, deposits: Deposits, account: _Account) -> None:
+        """Write what a batch deposited behind what is there."""
+        first, self._n_stored = self._n_stored, self._n_stored + len(deposits)
+        self._n_traced += account.n_paths
+        if self._n_stored > len(self._arrays["position"]):
+            self._resize(int(_MARGIN * self._n_stored * self._n_planned / self._n_traced) + 1)
+        flux = self._flux[account.emitter_id]
+        deposits.write(Columns(**self._arrays), first, flux, account.emitter_id)
+
+    def finished(self) -> dict[str, NDArray]:
+        """Return the columns, ready to be frozen without a copy."""
+        self._resize(self._n_stored)
+        for array in self._arrays.values():
+            array.setflags(write=False)
+        return self._arrays
+
+    def _resize(self, n: int) -> None:
+        # In place: the operating system moves pages, and gives those that are used.
+        for array in self._arrays.values():
+            array.resize((n, *array.shape[1:]), refcheck=False)
 
 
-def _deposit_arrays(n: int) -> dict[str, NDArray]:
-    return {
-        "path": np.empty(n, np.int32),
-        "position": np.empty((n, 3)),
-        "normal": np.empty((n, 3)),
-        "wi": np.empty((n, 3)),
-        "throughput": np.empty((n, 3)),
-        "path_length": np.empty(n),
-        "path_signature": np.empty(n, np.int64),
-        "n_bounces": np.empty(n, np.int32),
-        "object_id": np.empty(n, np.int32),
-    }
-
-
-def _jobs(plan: EmissionPlan, size: int) -> Iterator[tuple[int, range]]:
+def _jobs(plan: EmissionPlan, size: int) -> Iterator[Job]:
     for emitter_id, planned in enumerate(plan.counts.tolist()):
         for start in range(0, planned, size):
             yield emitter_id, range(start, min(start + size, planned))
 
 
-def _run(
-    tracer: _Tracer, jobs: Iterable[tuple[int, range]], report: Reporter, n_threads: int
-) -> list[_Batch]:
-    batches = []
-    for batch in _in_order(tracer.trace, jobs, n_threads):
-        batches.append(batch)
-        report.advance(batch.n_paths)
-    return batches
-
-
 def _in_order(
-    work: Callable[[tuple[int, range]], _Batch], jobs: Iterable[tuple[int, range]], n_threads: int
+    work: Callable[[Job], _Batch], jobs: Iterable[Job], n_threads: int
 ) -> Iterator[_Batch]:
     """Yield what `work` makes of the jobs, in their order; few are under way at a time."""
     if n_threads == 1:
@@ -265,16 +281,14 @@ def _in_order(
                 future.cancel()
 
 
-def _padded(coords: Floats, width: int) -> Floats:
-    return np.pad(coords, ((0, 0), (0, width - coords.shape[1])))
-
-
-def _photon_map(plan: EmissionPlan, how: _How, batches: list[_Batch]) -> PhotonMap:
-    ledger = _ledger(plan, batches)
-    if not any(len(batch) for batch in batches):
-        raise ValueError(_nothing_stored(ledger, batches, how))
+def _photon_map(
+    plan: EmissionPlan, how: _How, columns: _Columns, accounts: list[_Account]
+) -> PhotonMap:
+    ledger = _ledger(plan, accounts)
+    if not len(columns):
+        raise ValueError(_nothing_stored(ledger, accounts, how))
     return PhotonMap(
-        **_joined(batches),
+        **columns.finished(),
         n_emitted=int(plan.counts.sum()),
         well_spaced=how.sampler == "halton" and how.paths == "caustic",
         ledger=ledger,
@@ -284,25 +298,17 @@ def _photon_map(plan: EmissionPlan, how: _How, batches: list[_Batch]) -> PhotonM
     )
 
 
-def _joined(batches: list[_Batch]) -> dict[str, NDArray]:
-    """Return the columns of all batches end to end, ready to be frozen without a copy."""
-    columns = {}
-    for name in list(batches[0].photons):
-        columns[name] = np.concatenate([batch.photons.pop(name) for batch in batches])
-        columns[name].setflags(write=False)
-    return columns
-
-
-def _ledger(plan: EmissionPlan, batches: list[_Batch]) -> EnergyLedger:
+def _ledger(plan: EmissionPlan, accounts: list[_Account]) -> EnergyLedger:
     n_emitters, flux = len(plan.aims), plan.flux_per_photon
     totals = np.zeros((len(FATES), n_emitters, 3))
     ends = np.zeros((len(FATES), n_emitters), dtype=np.int64)
     for e in range(n_emitters):
-        mine = [batch for batch in batches if batch.emitter_id == e]
+        mine = [account for account in accounts if account.emitter_id == e]
         if mine:
-            blocks = np.concatenate([batch.energy for batch in mine]).reshape(-1, len(FATES) * 3)
+            blocks = np.concatenate([account.energy for account in mine])
+            blocks = blocks.reshape(-1, len(FATES) * 3)
             totals[:, e] = np.reshape([fsum(column) for column in blocks.T], (len(FATES), 3))
-            ends[:, e] = np.sum([batch.ends for batch in mine], axis=0)
+            ends[:, e] = np.sum([account.ends for account in mine], axis=0)
     return EnergyLedger(
         emitted=plan.counts[:, np.newaxis] * flux,
         **dict(zip(FATES, totals * flux, strict=True)),
@@ -310,9 +316,9 @@ def _ledger(plan: EmissionPlan, batches: list[_Batch]) -> EnergyLedger:
     )
 
 
-def _nothing_stored(ledger: EnergyLedger, batches: list[_Batch], how: _How) -> str:
+def _nothing_stored(ledger: EnergyLedger, accounts: list[_Account], how: _How) -> str:
     ends = {fate: int(ledger.ends[fate].sum()) for fate in FATES}
-    met = sum(batch.n_met_specular for batch in batches)
+    met = sum(account.n_met_specular for account in accounts)
     return (
         f'no photons were stored for paths="{how.paths}": of {sum(ends.values())} paths, '
         f"{met} met a specular object first, {ends['escaped']} escaped from the scene, "

@@ -1,5 +1,6 @@
 """Primal rays of one emitter, each from its index alone: the loop body writes only row i."""
 
+cimport cython
 from cython.parallel cimport prange
 from libc.math cimport sqrt
 from libc.stdint cimport uint64_t
@@ -37,13 +38,9 @@ cdef double ellipse_direction(double* out, const double* p, const double* shape)
     return out[2]
 
 
+@cython.final
 cdef class Aim:
     """The numbers of one `emit.Aim`, for the loop."""
-
-    cdef int kind
-    cdef double lead, density
-    cdef const double[::1] origin, shape
-    cdef const double[:, ::1] frame
 
     def __init__(
         self, int kind, const double[::1] origin, const double[:, ::1] frame,
@@ -112,32 +109,42 @@ cdef class Aim:
         return density
 
 
-cdef double _emit_row(
-    Aim aim, double* origin, double* direction, double* coords,
-    uint64_t index, uint64_t key, bint halton, const double* shift,
-) noexcept nogil:
-    cdef double u, v
-    if halton:
-        u = wrapped(radical_inverse_2(index), shift[0])
-        v = wrapped(radical_inverse_3(index), shift[1])
-    else:
-        u, v = uniform(key, 0), uniform(key, 1)
-    return aim.ray(origin, direction, coords, u, v)
+@cython.final
+cdef class Emission:
+    """The photons of one emitter, by index; an empty shift asks for random ones."""
+
+    def __init__(self, Aim aim, uint64_t seed, uint64_t emitter_id, const double[::1] shift):
+        self.aim = aim
+        self.seed = seed
+        self.emitter_id = emitter_id
+        self.halton = shift.shape[0] == 2
+        if self.halton:
+            self.shift[0], self.shift[1] = shift[0], shift[1]
+
+    cdef uint64_t key(self, uint64_t index) noexcept nogil:
+        """Return what the random numbers of a photon depend on."""
+        return hash_key(self.seed, self.emitter_id, index)
+
+    cdef double ray(
+        self, uint64_t index, double* origin, double* direction, double* coords
+    ) noexcept nogil:
+        """Write a photon's primal ray and emitter coordinates, and return its density."""
+        cdef double u, v
+        cdef uint64_t key
+        if self.halton:
+            u = wrapped(radical_inverse_2(index), self.shift[0])
+            v = wrapped(radical_inverse_3(index), self.shift[1])
+        else:
+            key = self.key(index)
+            u, v = uniform(key, 0), uniform(key, 1)
+        return self.aim.ray(origin, direction, coords, u, v)
 
 
 def emit(
-    Aim aim, uint64_t seed, uint64_t emitter_id, uint64_t first, const double[::1] shift,
-    double[:, ::1] origin, double[:, ::1] direction, double[:, ::1] coords, double[::1] density,
-    int n_threads,
+    Emission emission, uint64_t first, double[:, ::1] origin, double[:, ::1] direction,
+    double[:, ::1] coords, double[::1] density, int n_threads,
 ):
-    """Fill the rows with photons `first` and on; an empty shift asks for random ones."""
+    """Fill the rows with photons `first` and on."""
     cdef Py_ssize_t i
-    cdef bint halton = shift.shape[0] == 2
-    cdef double[2] start
-    if halton:
-        start[0], start[1] = shift[0], shift[1]
     for i in prange(density.shape[0], nogil=True, num_threads=n_threads, schedule="static"):
-        density[i] = _emit_row(
-            aim, &origin[i, 0], &direction[i, 0], &coords[i, 0],
-            first + i, hash_key(seed, emitter_id, first + i), halton, start,
-        )
+        density[i] = emission.ray(first + i, &origin[i, 0], &direction[i, 0], &coords[i, 0])

@@ -7,6 +7,16 @@ hemisphere) and little distortion, so evenly spaced points stay evenly spaced.
 from libc.math cimport M_PI, M_PI_2, M_PI_4, cos, fabs, sin, sqrt
 from libc.stdint cimport uint64_t
 
+cdef extern from *:
+    """
+    /* Three ternary digits in reverse. */
+    static const unsigned char mirrored_digits[27] = {
+        0, 9, 18, 3, 12, 21, 6, 15, 24, 1, 10, 19, 4, 13, 22, 7, 16, 25, 2, 11, 20, 5, 14, 23, 8,
+        17, 26
+    };
+    """
+    const unsigned char[27] mirrored_digits
+
 
 cdef inline double radical_inverse_2(uint64_t index) noexcept nogil:
     """The bits of the index mirrored at the binary point."""
@@ -23,6 +33,11 @@ cdef inline double radical_inverse_2(uint64_t index) noexcept nogil:
 cdef inline double radical_inverse_3(uint64_t index) noexcept nogil:
     """The ternary digits of the index mirrored at the point; exact for indices below 3^33."""
     cdef uint64_t mirrored = 0, scale = 1, rest
+    while index >= 27:
+        rest = index // 27
+        mirrored = 27 * mirrored + mirrored_digits[index - 27 * rest]
+        scale *= 27
+        index = rest
     while index > 0:
         rest = index // 3
         mirrored = 3 * mirrored + (index - 3 * rest)

@@ -1,15 +1,21 @@
 """What happens to paths where their rays hit: one pass over all live rays, without the GIL.
 
-Paths advance in their own order and live rays stay in it, so every sum is taken in the order of
-the photons however they are split into batches.
+A pass takes every ray from what embree found to what embree is given next: the exact hit, the
+event there, and the ray that leaves it. Live rays stay in the order of their paths, so every sum
+is taken in the order of the photons however they are split into batches.
 """
 
 cimport cython
-from libc.math cimport exp
+from libc.math cimport exp, isfinite
 from libc.stdint cimport int32_t, int64_t, uint64_t
 
-from .core cimport dot, hash_key, mix, orthonormal_frame, uniform
+import numpy as np
+
+from .core cimport dot, mix, orthonormal_frame, uniform
+from .deposits cimport Deposit, Deposits
+from .emit cimport Emission
 from .optics cimport facing_normal, fresnel_reflectance, reflect_into, refract_into
+from .raycast cimport Found, Frame, Hit, Triangles
 from .sampling cimport disk_point, hemisphere_direction
 
 # The values of scene.py, and the places of photonmap.FATES and emit.PATHS.
@@ -42,6 +48,14 @@ cdef enum:
     OF_DIRECTION = 2
 
 
+# Photons whose energy is summed up together: a row of the ledger. Batches hold whole blocks, so
+# the sums do not depend on the batches.
+cdef enum:
+    PER_BLOCK = 1024
+
+BLOCK = PER_BLOCK
+
+
 @cython.final
 cdef class Surfaces:
     """The materials, one row per object."""
@@ -61,69 +75,35 @@ cdef class Surfaces:
         self.absorption = absorption
 
 
-@cython.final
-cdef class Hits:
-    """What the live rays hit."""
-
-    cdef const int32_t[::1] object_id
-    cdef const double[::1] distance
-    cdef const double[:, ::1] position, geometric_normal, shading_normal
-
-    def __init__(
-        self, const int32_t[::1] object_id, const double[::1] distance,
-        const double[:, ::1] position, const double[:, ::1] geometric_normal,
-        const double[:, ::1] shading_normal,
-    ):
-        self.object_id = object_id
-        self.distance = distance
-        self.position = position
-        self.geometric_normal = geometric_normal
-        self.shading_normal = shading_normal
-
-
-@cython.final
-cdef class Deposits:
-    """Room for what one pass stores."""
-
-    cdef int32_t[::1] path, n_bounces, object_id
-    cdef double[:, ::1] position, normal, wi, throughput
-    cdef double[::1] path_length
-    cdef int64_t[::1] path_signature
-
-    def __init__(
-        self, int32_t[::1] path, double[:, ::1] position, double[:, ::1] normal,
-        double[:, ::1] wi, double[:, ::1] throughput, double[::1] path_length,
-        int64_t[::1] path_signature, int32_t[::1] n_bounces, int32_t[::1] object_id,
-    ):
-        self.path = path
-        self.position = position
-        self.normal = normal
-        self.wi = wi
-        self.throughput = throughput
-        self.path_length = path_length
-        self.path_signature = path_signature
-        self.n_bounces = n_bounces
-        self.object_id = object_id
+cdef struct Ray:
+    # A live path. `path` counts from the first of the batch; `medium` is an object or -1.
+    double[3] origin
+    double[3] direction
+    double[3] throughput
+    double path_length
+    uint64_t key, signature
+    int32_t path, n_specular, n_diffuse, medium
 
 
 cdef struct Event:
     # One ray at one surface: `towards` faces back to where the ray came from.
-    int32_t object_id
+    Ray* ray
+    Hit hit
     bint inside
-    const double* direction
-    const double* geometric
-    const double* shading
     double[3] towards
-    uint64_t key
     uint64_t counter
 
 
 cdef void orient(Event* event) noexcept nogil:
     """Find the side of the face that the ray comes from."""
     cdef int c
-    event.inside = dot(event.direction, event.geometric) > 0.0
+    event.inside = dot(event.ray.direction, event.hit.geometric) > 0.0
     for c in range(3):
-        event.towards[c] = -event.geometric[c] if event.inside else event.geometric[c]
+        event.towards[c] = -event.hit.geometric[c] if event.inside else event.hit.geometric[c]
+
+
+cdef double chance(const Event* event, int number) noexcept nogil:
+    return uniform(event.ray.key, event.counter + number)
 
 
 cdef void scatter(double* out, const Event* event) noexcept nogil:
@@ -134,250 +114,277 @@ cdef void scatter(double* out, const Event* event) noexcept nogil:
     cdef double[2] disk
     cdef int c
     orthonormal_frame(u, v, event.towards)
-    disk_point(
-        disk,
-        uniform(event.key, event.counter + OF_DIRECTION),
-        uniform(event.key, event.counter + OF_DIRECTION + 1),
-    )
+    disk_point(disk, chance(event, OF_DIRECTION), chance(event, OF_DIRECTION + 1))
     hemisphere_direction(local, disk)
     for c in range(3):
         out[c] = local[0] * u[c] + local[1] * v[c] + local[2] * event.towards[c]
 
 
+cdef void sign(Ray* ray, int32_t object_id, int what) noexcept nogil:
+    cdef uint64_t step = 4 * <uint64_t>object_id + what + 1
+    ray.signature = mix(ray.signature + step * <uint64_t>0x9E3779B97F4A7C15)
+
+
 @cython.final
 cdef class Paths:
-    """A batch of paths of one emitter.
+    """Room for batches of up to `size` paths of one emitter, one batch after the other.
 
-    `origin`, `direction`, `leaving` and `path` hold the live rays, packed at the front and
-    ordered by path; the other arrays have a row per path. Ledger rows belong to blocks of
-    `block` photons, counted from the emitter's first.
+    Live rays are packed at the front, in the order of their paths. Ledger rows belong to blocks
+    of `BLOCK` photons, counted from the emitter's first.
     """
 
     cdef Surfaces surfaces
-    cdef double[:, ::1] origin, direction, leaving
-    cdef int32_t[::1] path
-    cdef double[:, ::1] throughput
-    cdef double[::1] path_length
-    cdef uint64_t[::1] signature, key
-    cdef int32_t[::1] n_specular, n_diffuse, medium
+    cdef Frame frame
+    cdef Triangles triangles
+    cdef unsigned char[::1] memory
+    cdef Ray* ray
+    cdef object origin_array, direction_array
+    cdef float[:, ::1] origins, directions
+    cdef readonly Deposits deposits
     cdef double[:, :, ::1] ledger
     cdef int64_t[::1] ends
-    cdef const double[::1] luminance
-    cdef int wanted, max_bounces, block
-    cdef readonly Py_ssize_t n_live, n_deposits
+    cdef double[3] luminance
+    cdef int wanted, max_bounces
+    cdef bint sound
+    cdef readonly Py_ssize_t size, n_live
     cdef readonly int64_t n_met_specular
 
     def __init__(
-        self, Surfaces surfaces, double[:, ::1] origin, double[:, ::1] direction,
-        double[:, ::1] leaving, int32_t[::1] path, double[:, ::1] throughput,
-        double[::1] path_length, uint64_t[::1] signature, uint64_t[::1] key,
-        int32_t[::1] n_specular, int32_t[::1] n_diffuse, int32_t[::1] medium,
-        double[:, :, ::1] ledger, int64_t[::1] ends, *, const double[::1] luminance,
-        int wanted, int max_bounces, int block,
+        self, Surfaces surfaces, Frame frame, Triangles triangles, Py_ssize_t size, *,
+        int wanted, int max_bounces,
     ):
-        self.surfaces = surfaces
-        self.origin, self.direction, self.leaving, self.path = origin, direction, leaving, path
-        self.throughput, self.path_length = throughput, path_length
-        self.signature, self.key = signature, key
-        self.n_specular, self.n_diffuse, self.medium = n_specular, n_diffuse, medium
-        self.ledger, self.ends = ledger, ends
-        self.luminance = luminance
-        self.wanted, self.max_bounces, self.block = wanted, max_bounces, block
-        self.n_met_specular = 0
+        self.surfaces, self.frame, self.triangles = surfaces, frame, triangles
+        self.size = size
+        self.memory = np.empty(size * sizeof(Ray), np.uint8)
+        self.ray = <Ray*> &self.memory[0]
+        self.origins = self.origin_array = np.empty((size, 3), np.float32)
+        self.directions = self.direction_array = np.empty((size, 3), np.float32)
+        self.deposits = Deposits(size)
+        self.wanted, self.max_bounces = wanted, max_bounces
 
-    def start(self, uint64_t seed, uint64_t emitter_id, uint64_t first, double travelled):
-        """Make every path a live ray that has not met anything yet."""
+    @property
+    def rays(self):
+        """Origins and directions (n_live, 3) of the live rays, as embree takes them."""
+        return self.origin_array[: self.n_live], self.direction_array[: self.n_live]
+
+    def start(
+        self, Emission emission, uint64_t first, Py_ssize_t n, *, const double[::1] luminance,
+        double[:, :, ::1] ledger, int64_t[::1] ends,
+    ):
+        """Emit photons `first` and on, n of them, into live rays that have met nothing yet."""
         cdef Py_ssize_t i
         cdef int c
+        if n > self.size:
+            raise ValueError(f"n should be at most {self.size}, but is {n}")
+        self.ledger, self.ends = ledger, ends
+        self.n_met_specular = 0
+        self.deposits.clear(n)
+        for c in range(3):
+            self.luminance[c] = luminance[c]
+        self.sound = True
         with nogil:
-            for i in range(self.path.shape[0]):
-                self.path[i] = <int32_t>i
-                self.key[i] = hash_key(seed, emitter_id, first + i)
-                self.path_length[i] = travelled
-                self.n_specular[i] = self.n_diffuse[i] = 0
-                self.signature[i] = 0
-                self.medium[i] = -1
-                for c in range(3):
-                    self.leaving[i, c] = 0.0
-                    # Colours the emitter lacks stay out of every product.
-                    self.throughput[i, c] = 1.0 if self.luminance[c] > 0.0 else 0.0
-        self.n_live = self.path.shape[0]
+            for i in range(n):
+                self.emit(emission, i, first + i)
+        self.n_live = n
+        self.check_sound()
 
-    def advance(self, Hits hits, Deposits deposits):
+    cdef void emit(self, Emission emission, Py_ssize_t path, uint64_t index) noexcept nogil:
+        cdef Ray* ray = &self.ray[path]
+        cdef int c
+        ray.path = <int32_t>path
+        ray.key = emission.key(index)
+        ray.path_length = emission.aim.lead
+        ray.n_specular = ray.n_diffuse = 0
+        ray.signature = 0
+        ray.medium = -1
+        for c in range(3):
+            # Colours the emitter lacks stay out of every product.
+            ray.throughput[c] = 1.0 if self.luminance[c] > 0.0 else 0.0
+        self.deposits.coords[path, 2] = 0.0
+        self.deposits.density[path] = emission.ray(
+            index, ray.origin, ray.direction, &self.deposits.coords[path, 0]
+        )
+        self.enter(path, NULL)
+
+    def advance(self, Found found):
         """Take every live ray through the surface it hit; return how many are still live."""
-        cdef Py_ssize_t ray, live = 0
-        self.n_deposits = 0
+        cdef Py_ssize_t i, live = 0
+        if found.n_rays != self.n_live:
+            raise ValueError(f"found should be of {self.n_live} rays, but is of {found.n_rays}")
+        self.deposits.reserve(self.n_live)
         with nogil:
-            for ray in range(self.n_live):
-                # Row `live` is never beyond row `ray`, so the rays pack in place.
-                live += self.meet(ray, live, hits, deposits)
+            for i in range(self.n_live):
+                self.triangles.prefetch(found, i)
+                # Row `live` is never beyond row i, so the rays pack in place.
+                live += self.meet(found, i, live)
         self.n_live = live
+        self.check_sound()
         return live
 
-    cdef bint meet(
-        self, Py_ssize_t ray, Py_ssize_t target, Hits hits, Deposits deposits
-    ) noexcept nogil:
+    cdef check_sound(self):
+        if not self.sound:
+            raise ValueError("rays should be finite, but the scene leads some to infinity")
+
+    cdef void enter(self, Py_ssize_t row, const double* leaving) noexcept nogil:
+        """Write a ray as embree takes it."""
+        cdef Ray* ray = &self.ray[row]
+        cdef double skipped = self.frame.enter_one(
+            ray.origin, ray.direction, leaving, &self.origins[row, 0], &self.directions[row, 0]
+        )
+        if not isfinite(skipped):
+            self.sound = False
+
+    cdef bint meet(self, Found found, Py_ssize_t row, Py_ssize_t target) noexcept nogil:
         """Take one ray through what it hit; true if it goes on, from row `target`."""
-        cdef Py_ssize_t path = self.path[ray]
+        cdef Ray* ray = &self.ray[row]
         cdef Event event
         cdef double[3] out
-        event.object_id = hits.object_id[ray]
-        if event.object_id < 0:
-            return self.end(path, ESCAPED)
-        event.direction = &self.direction[ray, 0]
-        event.key = self.key[path]
-        event.counter = PER_EVENT * (1 + self.n_specular[path] + self.n_diffuse[path])
-        event.geometric = &hits.geometric_normal[ray, 0]
-        event.shading = &hits.shading_normal[ray, 0]
+        if not self.triangles.resolve_one(found, row, ray.origin, ray.direction, &event.hit):
+            return self.end(ray, ESCAPED)
+        event.ray = ray
+        event.counter = PER_EVENT * (1 + ray.n_specular + ray.n_diffuse)
         orient(&event)
-        self.path_length[path] += hits.distance[ray]
-        if not self.survives_medium(path, &event, hits.distance[ray]):
-            return self.end(path, ABSORBED)
-        if self.surfaces.kind[event.object_id] == DIFFUSE:
-            if not self.at_diffuse(out, path, ray, &event, hits, deposits):
+        ray.path_length += event.hit.distance
+        if not self.survives_medium(&event):
+            return self.end(ray, ABSORBED)
+        if self.surfaces.kind[event.hit.object_id] == DIFFUSE:
+            if not self.at_diffuse(out, &event):
                 return False
-        elif not self.at_specular(out, path, &event):
-            return self.end(path, ABSORBED)
-        if self.n_specular[path] + self.n_diffuse[path] > self.max_bounces:
-            return self.end(path, CUT)
-        self.go_on(target, path, &hits.position[ray, 0], out, event.towards)
+        elif not self.at_specular(out, &event):
+            return self.end(ray, ABSORBED)
+        if ray.n_specular + ray.n_diffuse > self.max_bounces:
+            return self.end(ray, CUT)
+        self.go_on(target, &event, out)
         return True
 
     cdef void go_on(
-        self, Py_ssize_t target, Py_ssize_t path, const double* position, const double* direction,
-        const double* leaving,
+        self, Py_ssize_t target, const Event* event, const double* direction
     ) noexcept nogil:
+        cdef Ray* ray = &self.ray[target]
         cdef int c
-        self.path[target] = <int32_t>path
+        if ray != event.ray:
+            ray[0] = event.ray[0]
         for c in range(3):
-            self.origin[target, c] = position[c]
-            self.direction[target, c] = direction[c]
-            self.leaving[target, c] = leaving[c]
+            ray.origin[c] = event.hit.position[c]
+            ray.direction[c] = direction[c]
+        self.enter(target, event.towards)
 
-    cdef bint survives_medium(
-        self, Py_ssize_t path, const Event* event, double distance
-    ) noexcept nogil:
+    cdef bint survives_medium(self, const Event* event) noexcept nogil:
         """Beer–Lambert over the way to this hit.
 
         A ray that hits a dielectric from inside was in it; any other was in what it last entered.
         """
-        cdef int32_t medium = self.medium[path]
         cdef double[3] transmittance
         cdef int c
-        if event.inside and self.surfaces.kind[event.object_id] == DIELECTRIC:
-            medium = self.medium[path] = event.object_id
-        if medium < 0:
+        if event.inside and self.surfaces.kind[event.hit.object_id] == DIELECTRIC:
+            event.ray.medium = event.hit.object_id
+        if event.ray.medium < 0:
             return True
         for c in range(3):
-            transmittance[c] = exp(-self.surfaces.absorption[medium, c] * distance)
-        return self.roulette(path, transmittance, event, OF_MEDIUM, ABSORBED)
+            transmittance[c] = exp(
+                -self.surfaces.absorption[event.ray.medium, c] * event.hit.distance
+            )
+        return self.roulette(transmittance, event, OF_MEDIUM, ABSORBED)
 
-    cdef bint at_specular(self, double* out, Py_ssize_t path, const Event* event) noexcept nogil:
+    cdef bint at_specular(self, double* out, const Event* event) noexcept nogil:
         """Leave a mirror or an interface in direction `out`; false if absorbed."""
-        cdef int32_t i = event.object_id
+        cdef int32_t i = event.hit.object_id
+        cdef Ray* ray = event.ray
         cdef int what = REFLECTED
         cdef double[3] normal
-        self.n_met_specular += self.n_specular[path] == 0 and self.n_diffuse[path] == 0
+        self.n_met_specular += ray.n_specular == 0 and ray.n_diffuse == 0
         if self.surfaces.kind[i] == MIRROR:
-            if not self.roulette(
-                path, &self.surfaces.reflectance[i, 0], event, OF_SURFACE, ABSORBED
-            ):
+            if not self.roulette(&self.surfaces.reflectance[i, 0], event, OF_SURFACE, ABSORBED):
                 return False
-            facing_normal(normal, event.direction, event.geometric, event.shading, 1.0, 1.0)
-            reflect_into(out, event.direction, normal)
+            facing_normal(normal, ray.direction, event.hit.geometric, event.hit.shading, 1.0, 1.0)
+            reflect_into(out, ray.direction, normal)
         else:
             what = self.through_interface(
-                out, path, event, self.surfaces.ior[i], self.surfaces.exterior_ior[i]
+                out, event, self.surfaces.ior[i], self.surfaces.exterior_ior[i]
             )
-        self.n_specular[path] += 1
-        self.sign(path, i, what)
+        ray.n_specular += 1
+        sign(ray, i, what)
         return True
 
     cdef int through_interface(
-        self, double* out, Py_ssize_t path, const Event* event, double inner, double outer
+        self, double* out, const Event* event, double inner, double outer
     ) noexcept nogil:
         """Reflect or refract, keep track of the medium, and return which it was."""
         cdef double n1 = inner if event.inside else outer
         cdef double n2 = outer if event.inside else inner
-        cdef double choice = uniform(event.key, event.counter + OF_SURFACE)
+        cdef const double* d = event.ray.direction
         cdef double[3] normal
-        facing_normal(normal, event.direction, event.geometric, event.shading, n1, n2)
-        if choice < fresnel_reflectance(min(-dot(event.direction, normal), 1.0), n1, n2):
-            reflect_into(out, event.direction, normal)
+        facing_normal(normal, d, event.hit.geometric, event.hit.shading, n1, n2)
+        if chance(event, OF_SURFACE) < fresnel_reflectance(min(-dot(d, normal), 1.0), n1, n2):
+            reflect_into(out, d, normal)
             return REFLECTED
-        refract_into(out, event.direction, normal, n1, n2)
-        self.medium[path] = -1 if event.inside else event.object_id
+        refract_into(out, d, normal, n1, n2)
+        event.ray.medium = -1 if event.inside else event.hit.object_id
         return LEFT if event.inside else ENTERED
 
-    cdef bint at_diffuse(
-        self, double* out, Py_ssize_t path, Py_ssize_t ray, const Event* event, Hits hits,
-        Deposits deposits,
-    ) noexcept nogil:
+    cdef bint at_diffuse(self, double* out, const Event* event) noexcept nogil:
         """Deposit what is wanted; true if the path is scattered on in direction `out`."""
+        cdef int32_t i = event.hit.object_id
+        cdef Ray* ray = event.ray
         cdef bint stored = True
         cdef int fate
         if self.wanted == CAUSTIC:
-            stored = self.n_specular[path] > 0
+            stored = ray.n_specular > 0
         elif self.wanted == GLOBAL:
-            stored = self.n_diffuse[path] > 0
+            stored = ray.n_diffuse > 0
         fate = STORED if stored else DISCARDED
         if stored:
-            self.deposit(path, event, &hits.position[ray, 0], deposits)
+            self.deposit(event)
         if self.wanted == CAUSTIC or not self.roulette(
-            path, &self.surfaces.reflectance[event.object_id, 0], event, OF_SURFACE, fate
+            &self.surfaces.reflectance[i, 0], event, OF_SURFACE, fate
         ):
-            return self.end(path, fate)
+            return self.end(ray, fate)
         scatter(out, event)
-        self.n_diffuse[path] += 1
-        self.sign(path, event.object_id, SCATTERED)
+        ray.n_diffuse += 1
+        sign(ray, i, SCATTERED)
         return True
 
-    cdef void deposit(
-        self, Py_ssize_t path, const Event* event, const double* position, Deposits deposits
-    ) noexcept nogil:
-        cdef Py_ssize_t row = self.n_deposits
+    cdef void deposit(self, const Event* event) noexcept nogil:
+        cdef Deposit* deposit = self.deposits.add()
+        cdef const Ray* ray = event.ray
         cdef int c
-        deposits.path[row] = <int32_t>path
-        deposits.n_bounces[row] = self.n_specular[path]
-        deposits.object_id[row] = event.object_id
-        deposits.path_length[row] = self.path_length[path]
-        deposits.path_signature[row] = <int64_t>self.signature[path]
+        deposit.path = ray.path
+        deposit.n_bounces = ray.n_specular
+        deposit.object_id = event.hit.object_id
+        deposit.path_length = ray.path_length
+        deposit.path_signature = <int64_t>ray.signature
         for c in range(3):
-            deposits.position[row, c] = position[c]
-            deposits.normal[row, c] = event.towards[c]
-            deposits.wi[row, c] = -event.direction[c]
-            deposits.throughput[row, c] = self.throughput[path, c]
-        self.n_deposits = row + 1
+            deposit.position[c] = event.hit.position[c]
+            deposit.normal[c] = event.towards[c]
+            deposit.wi[c] = -ray.direction[c]
+            deposit.throughput[c] = ray.throughput[c]
 
     cdef bint roulette(
-        self, Py_ssize_t path, const double* factor, const Event* event, int number, int fate
+        self, const double* factor, const Event* event, int number, int fate
     ) noexcept nogil:
         """Let a path survive with the share of its luminance that is left; true if it does.
 
         Survivors keep their luminance, so photons of an emitter all carry the same. What a
         survivor gains or loses per channel is booked under `fate`.
         """
+        cdef Ray* ray = event.ray
         cdef double before = 0.0, after = 0.0, kept
         cdef int c
         for c in range(3):
-            before += self.luminance[c] * self.throughput[path, c]
-            after += self.luminance[c] * self.throughput[path, c] * factor[c]
-        if uniform(event.key, event.counter + number) * before >= after:
+            before += self.luminance[c] * ray.throughput[c]
+            after += self.luminance[c] * ray.throughput[c] * factor[c]
+        if chance(event, number) * before >= after:
             return False
         for c in range(3):
-            kept = self.throughput[path, c] * factor[c] * (before / after)
-            self.ledger[path // self.block, fate, c] += self.throughput[path, c] - kept
-            self.throughput[path, c] = kept
+            kept = ray.throughput[c] * factor[c] * (before / after)
+            self.ledger[ray.path // PER_BLOCK, fate, c] += ray.throughput[c] - kept
+            ray.throughput[c] = kept
         return True
 
-    cdef void sign(self, Py_ssize_t path, int32_t object_id, int what) noexcept nogil:
-        cdef uint64_t step = 4 * <uint64_t>object_id + what + 1
-        self.signature[path] = mix(self.signature[path] + step * <uint64_t>0x9E3779B97F4A7C15)
-
-    cdef bint end(self, Py_ssize_t path, int fate) noexcept nogil:
+    cdef bint end(self, const Ray* ray, int fate) noexcept nogil:
         """Book what is left of a path; always false, for `it does not go on`."""
         cdef int c
         self.ends[fate] += 1
         for c in range(3):
-            self.ledger[path // self.block, fate, c] += self.throughput[path, c]
+            self.ledger[ray.path // PER_BLOCK, fate, c] += ray.throughput[c]
         return False

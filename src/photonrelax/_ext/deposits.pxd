@@ -1,0 +1,29 @@
+"""Deposits of a batch of paths, on their way into the columns of a photon map."""
+
+from libc.stdint cimport int32_t, int64_t
+
+
+cdef struct Deposit:
+    # As the columns, but for `throughput`, which is relative to the flux of a photon.
+    double[3] position
+    double[3] normal
+    double[3] wi
+    double[3] throughput
+    double path_length
+    int64_t path_signature
+    int32_t path, n_bounces, object_id
+
+
+cdef class Deposits:
+    cdef readonly Py_ssize_t n
+    cdef Py_ssize_t n_paths
+    cdef unsigned char[::1] memory
+    cdef Deposit* rows
+    cdef double[:, ::1] coords
+    cdef double[::1] density
+    cdef int32_t[::1] place
+
+    cdef void clear(self, Py_ssize_t n_paths)
+    cdef void reserve(self, Py_ssize_t n)
+    cdef Deposit* add(self) noexcept nogil
+    cdef void order(self) noexcept nogil

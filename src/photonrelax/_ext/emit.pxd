@@ -1,0 +1,31 @@
+"""Emission of single photons, for kernels that trace them."""
+
+from libc.stdint cimport uint64_t
+
+
+cdef class Aim:
+    cdef int kind
+    cdef double lead, density
+    cdef const double[::1] origin, shape
+    cdef const double[:, ::1] frame
+
+    cdef void to_world(self, double* out, const double* local) noexcept nogil
+    cdef double from_point(self, double* direction, double u, double v) noexcept nogil
+    cdef double from_plane(
+        self, double* origin, double* direction, double* coords, double u, double v
+    ) noexcept nogil
+    cdef double ray(
+        self, double* origin, double* direction, double* coords, double u, double v
+    ) noexcept nogil
+
+
+cdef class Emission:
+    cdef Aim aim
+    cdef uint64_t seed, emitter_id
+    cdef bint halton
+    cdef double[2] shift
+
+    cdef uint64_t key(self, uint64_t index) noexcept nogil
+    cdef double ray(
+        self, uint64_t index, double* origin, double* direction, double* coords
+    ) noexcept nogil
