@@ -261,6 +261,34 @@ def test_what_is_no_ray_is_refused(arguments, message):
         caster.occluded(*arguments, 1.0)
 
 
+@pytest.mark.parametrize(
+    "directions",
+    [np.ones((3, 3), np.float32), np.ones((4, 3)), np.ones((3, 4), np.float32).T],
+    ids=["too few", "float64", "another layout"],
+)
+def test_embree_is_given_only_what_it_reads_within_bounds(directions):
+    caster = RayCaster([diffuse(trimesh.creation.box())])
+    origins = np.zeros((4, 3), np.float32)
+    for rays in ((origins, directions), (directions, origins)):
+        with pytest.raises(ValueError, match="C-contiguous float32"):
+            caster.find(*rays)
+
+
+@pytest.mark.parametrize("name", ["primID", "u", "v"])
+def test_answers_of_embree_that_do_not_fit_the_rays_are_refused(monkeypatch, name):
+    class Broken:
+        def run(self, origins, directions, **_):
+            n = len(origins)
+            found = {"primID": np.zeros(n, np.int32)}
+            found |= {"u": np.zeros(n, np.float32), "v": np.zeros(n, np.float32)}
+            return found | {name: found[name][1:]}
+
+    caster = RayCaster([diffuse(trimesh.creation.box())])
+    monkeypatch.setattr(caster, "_scene", Broken())
+    with pytest.raises(ValueError, match=f"its {name} has shape"):
+        caster.intersect(np.zeros((5, 3)), np.ones((5, 3)))
+
+
 @pytest.mark.parametrize("limit", [-1.0, np.nan, [1.0, 2.0]])
 def test_bad_limits_are_refused(limit):
     caster = RayCaster([diffuse(trimesh.creation.box())])

@@ -1,3 +1,5 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 from tracing_scenes import DOWN, SCENES, ball, box, floor, glass_ball, leaning, sheet, slab
@@ -51,6 +53,32 @@ def test_photon_i_does_not_know_how_many_others_there_are(sampler, paths):
     for name in PER_PHOTON:
         scale = {"flux": 2.0, "emitter_density": 0.5}.get(name, 1)
         np.testing.assert_array_equal(getattr(few, name), getattr(many, name) * scale)
+
+
+def test_a_map_grows_when_a_later_emitter_stores_more_than_the_first():
+    blocked = pr.CollimatedEmitter([0, 0, 1])
+    scene = pr.Scene(SCENES["glass ball"].objects, [blocked, DOWN, blocked, DOWN])
+    whole = pr.trace_photons(scene, 20_000, batch_size=20_000)
+    grown = pr.trace_photons(scene, 20_000, batch_size=1024)
+    assert set(whole.emitter_id) == {1, 3}
+    assert_same_bytes(whole, grown)
+
+
+@pytest.mark.parametrize("n_threads", [1, 2])
+@pytest.mark.parametrize(
+    ("name", "paths"), [("glass ball", "caustic"), ("glass and mirror in an enclosure", "all")]
+)
+def test_memory_is_that_of_the_stored_photons_and_a_few_batches(name, paths, n_threads):
+    options = {"paths": paths, "n_threads": n_threads, "batch_size": 1024}
+    pr.trace_photons(SCENES[name], 1000, **options)  # what is made only once stays out of it
+    tracemalloc.start()
+    photons = pr.trace_photons(SCENES[name], 150_000, **options)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    stored = sum(getattr(photons, column).nbytes for column in PER_PHOTON)
+    batch = 1024 * (400 + 200 * len(photons) / 150_000)
+    assert stored > 10 * batch
+    assert peak < 1.06 * stored + (2 * n_threads + 2) * batch
 
 
 def test_seeds_differ_and_repeat():

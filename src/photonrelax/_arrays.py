@@ -15,6 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 # More threads than this the OpenMP runtime may refuse, and with it end the process.
 _MOST_THREADS = 1024
 
+# Numbers looked at together where an array is only checked.
+_PART = 32768
+
 Floats = NDArray[np.float64]
 Rows = slice | NDArray[np.intp]
 Shape = Sequence[int | None]
@@ -52,7 +55,7 @@ def float_array(
         raise TypeError(f"{name} should be an array of real numbers: {error}") from None
     if shape is not None:
         _check_shape(array.shape, name, shape)
-    if finite and not np.isfinite(array).all():
+    if finite and not _all_finite(array):
         bad = int(np.flatnonzero(~np.isfinite(array).ravel())[0])
         raise ValueError(
             f"{name} should be finite, but flat element {bad} of shape {array.shape} "
@@ -79,7 +82,7 @@ def int_array(
     if shape is not None:
         _check_shape(array.shape, name, shape)
     converted: NDArray = np.ascontiguousarray(array, dtype=dtype).reshape(array.shape)
-    if not np.array_equal(converted, array):
+    if converted.dtype != array.dtype and not np.array_equal(converted, array):
         raise ValueError(f"{name} should fit {np.dtype(dtype).name}, but some values do not")
     return converted
 
@@ -117,6 +120,18 @@ def unit_vectors(value: ArrayLike, name: str, shape: Shape) -> Floats:
         raise ValueError(f"{name} should hold directions, but vector {bad} is zero")
     array = array / largest
     return np.ascontiguousarray(array / np.linalg.norm(array, axis=-1, keepdims=True))
+
+
+def are_unit(vectors: Floats) -> bool:
+    """Return whether the rows of an (n, 3) array are unit vectors, to some roundings."""
+    tolerance = 4.0 * np.finfo(np.float64).eps
+    for first in range(0, len(vectors), _PART):
+        x, y, z = vectors[first : first + _PART].T
+        with np.errstate(over="ignore"):
+            length = np.sqrt(x * x + y * y + z * z)
+        if (np.abs(length - 1.0) > tolerance).any():
+            return False
+    return True
 
 
 def positive(value: float, name: str, *, allow_inf: bool = False) -> float:
@@ -167,6 +182,12 @@ def thread_count(n_threads: int | None) -> int:
             return len(os.sched_getaffinity(0))
         return os.cpu_count() or 1
     return count(n_threads, "n_threads", high=_MOST_THREADS)
+
+
+def _all_finite(array: Floats) -> bool:
+    """Check a cacheful at a time: a mask of the whole would take memory and time."""
+    flat = array.reshape(-1)
+    return all(np.isfinite(flat[i : i + _PART]).all() for i in range(0, len(flat), _PART))
 
 
 def _check_shape(actual: tuple[int, ...], name: str, wanted: Shape) -> None:

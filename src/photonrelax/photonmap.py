@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._arrays import Floats, count, float_array, int_array, unit_vectors
+from ._arrays import Floats, are_unit, count, float_array, int_array, unit_vectors
 from ._files import whole_file
 
 Ints = NDArray[np.int64]
@@ -258,15 +258,14 @@ def _read_only(array: NDArray) -> NDArray:
 def _directions(value: ArrayLike, name: str, n: int) -> Floats:
     array = float_array(value, name, (n, 3))
     # Leaving unit vectors untouched keeps saving, loading and replacing bit-exact.
-    lengths = np.linalg.norm(array, axis=1)
-    if (np.abs(lengths - 1.0) > 4.0 * np.finfo(np.float64).eps).any():
+    if not are_unit(array):
         array = unit_vectors(array, name, (n, 3))
     return _frozen(array)
 
 
 def _not_negative(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Floats:
     array = float_array(value, name, shape)
-    if (array < 0.0).any():
+    if array.min(initial=0.0) < 0.0:
         raise ValueError(f"{name} should not be negative, but its least value is {array.min()}")
     return _frozen(array)
 
