@@ -60,7 +60,7 @@ def _table1(parser: argparse.ArgumentParser) -> None:
 
 
 def _memory(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--photons", type=numbers, default=[500_000, 1_000_000, 2_000_000])
+    parser.add_argument("--photons", type=numbers, default=[1_000_000, 4_000_000])
     parser.add_argument("--whole", type=float, help="so many photons through all stages, say 20e6")
 
 
@@ -72,16 +72,22 @@ def run_compare(options: argparse.Namespace) -> None:
     for line in peers.missing().values():
         print(line, file=sys.stderr)
     report = Report(n, rounds, machine.description(), clock=options.clock)
-    compare.fill(report, sweep, options.threads, pixels=60 if options.quick else 600)
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "results.json").write_text(json.dumps(report.to_dict(), indent=1))
-    (options.out / "tables.md").write_text(report.markdown())
+    for task in compare.fill(report, sweep, options.threads, pixels=60 if options.quick else 600):
+        _save(report, options.out)
+        print(f"... {task}", file=sys.stderr, flush=True)
+    _save(report, options.out)
     print(report.markdown())
     try:
         plot.save(report.sweep, options.out / "time.svg")
     except ImportError:
         print("no plot: pip install '.[bench]'", file=sys.stderr)
     print(f"saved in {options.out}: tables.md, results.json, time.svg", file=sys.stderr)
+
+
+def _save(report: Report, folder: Path) -> None:
+    (folder / "results.json").write_text(json.dumps(report.to_dict(), indent=1))
+    (folder / "tables.md").write_text(report.markdown())
 
 
 def main(arguments: list[str]) -> None:

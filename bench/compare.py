@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from functools import cached_property, partial
 from typing import Any
@@ -17,7 +16,7 @@ from .inputs import Sheet
 from .report import Report, Results
 from .timing import Case, Timing, interleave
 
-# One recipe takes minutes for more photons than this.
+# The ball recipe takes minutes for more photons than this; in 5-D it does just as in 6-D.
 _MOST_FOR_BALLS = 1_000_000
 # Iterations share a run, as its tree and its radii are shared by them in real use.
 _ITERATIONS = 7
@@ -111,7 +110,7 @@ class Workbench:
             check=check,
         )
         for name, recipe in peers.RECIPES.items():
-            if name != "ball recipe" or self.n <= _MOST_FOR_BALLS:
+            if name != "ball recipe" or (n_axes == 6 and self.n <= _MOST_FOR_BALLS):
                 work = partial(self._recipe, recipe, sheet)
                 yield Case(f"{name}: constrained {n_axes}", work, check=check, rounds=1)
 
@@ -185,28 +184,25 @@ def _degenerate_calls(photons: pr.PhotonMap) -> Iterator[tuple[str, Callable[[An
     yield "gathering", lambda _: pr.estimate_irradiance(photons, points, normals, n_threads=1)
 
 
-def fill(report: Report, sweep: list[int], threads: list[int], pixels: int) -> None:
-    """Measure everything for a report and say on the way what is being measured."""
+def fill(report: Report, sweep: list[int], threads: list[int], pixels: int) -> Iterator[str]:
+    """Measure everything for a report; yield what is next, all before being in the report."""
     n, rounds = report.n, report.rounds
     for n_threads in threads:
-        _say(f"{n:,} photons, threads: {n_threads}")
+        yield f"{n:,} photons, threads: {n_threads}"
         bench = Workbench(n, n_threads, pixels)
         report.by_threads[n_threads] = bench.measured(bench.all(), rounds)
-    _say("tracing, awkward photons")
+    yield "tracing, shading apart"
     report.tracing = tracing_parts(n, rounds)
+    yield "awkward photons"
     report.degenerate = degenerate(n, rounds)
     for path in simd.PATHS:
-        _say(f"SIMD: {path}")
+        yield f"SIMD: {path}"
         report.simd[path] = simd.measured(path, n, 1, rounds)
     for count in sweep:
         if count == n and 1 in threads:
             report.sweep[n] = report.by_threads[1]
             continue
-        _say(f"{count:,} photons, threads: 1")
+        yield f"{count:,} photons, threads: 1"
         bench = Workbench(count, 1, pixels)
         cases = [*bench.searches(50), *bench.constrained(6), *bench.stages()]
         report.sweep[count] = bench.measured(cases, min(rounds, 3))
-
-
-def _say(what: str) -> None:
-    print(f"... {what}", file=sys.stderr, flush=True)

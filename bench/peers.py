@@ -161,6 +161,8 @@ def threads(n: int) -> Iterator[None]:
 
     pykdtree asks OpenMP, whose library comes with its wheel; numba has a number of its own.
     """
+    # What is to be held must have been imported.
+    available()
     if "numba" in sys.modules:
         sys.modules["numba"].set_num_threads(n)
     if "threadpoolctl" not in sys.modules:

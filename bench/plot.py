@@ -19,6 +19,7 @@ STAGES = ("trace", "structure", "constrained iteration", "collapsed iteration", 
 def save(sweep: dict[int, dict[str, Timing]], path: Path) -> None:
     """Plot the medians of a sweep over photon counts, on one thread."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
 
     figure = Figure(figsize=(13, 4.2), layout="constrained")
     panels = figure.subplots(1, 3)
@@ -33,6 +34,8 @@ def save(sweep: dict[int, dict[str, Timing]], path: Path) -> None:
     panels[2].set_title("stages of photonrelax")
     for axes in panels:
         axes.set(xscale="log", yscale="log", xlabel="photons", ylabel="s, one thread")
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.grid(which="major", alpha=0.3)
         axes.legend(fontsize="small")
     figure.savefig(path)
 
