@@ -140,7 +140,7 @@ class Report:
     def _scaling_rows(self) -> Iterable[list[str]]:
         for stage, name in STAGES.items():
             seconds = [median(r[name].wall) for r in self.by_threads.values() if name in r]
-            if len(seconds) == len(self.by_threads):
+            if seconds and len(seconds) == len(self.by_threads):
                 gain = _times(seconds[0] / seconds[-1])
                 yield [stage, *(f"{s:.3g} s" for s in seconds), gain]
 

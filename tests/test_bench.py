@@ -106,5 +106,9 @@ def test_tables_show_medians_the_fastest_peer_and_nothing_unmeasured():
     assert "| all neighbours, K = 50 | 1 s | fast | 20 s | 20× |" in cpu
 
 
+def test_a_report_of_nothing_has_no_tables():
+    assert "|" not in report.Report(863_000, 3, "here").markdown()
+
+
 def test_slope_is_the_exponent():
     assert plot.slope([10, 100, 1000], [0.2, 2.0, 20.0]) == pytest.approx(1.0)
