@@ -21,21 +21,20 @@ def sample(n: int) -> Ids:
     return np.unique(np.linspace(0, n - 1, min(n, _SAMPLE)).astype(np.intp))
 
 
-def assert_nearest(found: Found, points: Floats, queries: Floats, k: int, limit: float) -> None:
-    """Check ids and counts of neighbours against SciPy's, on some of the rows.
+def assert_nearest(found: Found, points: Floats, queries: Floats, limit: float = np.inf) -> None:
+    """Check ids and counts of neighbours against SciPy's.
 
     Parameters
     ----------
     found : (ids, distance)
         Each (m, k), nearest first; an id of n or more where there is none.
     points, queries : (n, 3) and (m, 3) float arrays
-    k : int
     limit : float
         Largest distance.
     """
-    rows = sample(len(queries))
-    distance, ids = cKDTree(points).query(queries[rows], k + 1, distance_upper_bound=limit)
-    _assert_same((found[0][rows], found[1][rows]), (ids, distance), len(points))
+    k = found[0].shape[1]
+    distance, ids = cKDTree(points).query(queries, k + 1, distance_upper_bound=limit)
+    _assert_same(found, (ids, distance), len(points))
 
 
 def assert_nearest_in_range(found: Found, sheet: Sheet, k: int) -> None:

@@ -6,8 +6,6 @@ from collections.abc import Callable, Iterator
 from functools import cached_property, partial
 from typing import Any
 
-import numpy as np
-
 import photonrelax as pr
 from photonrelax.estimate import IrradianceField
 
@@ -80,21 +78,19 @@ class Workbench:
     def searches(self, k: int) -> Iterator[Case]:
         """Yield the all-neighbours search of photonrelax and of its peers."""
         points = self.photons.position
-
-        def check(found: peers.Found) -> None:
-            checks.assert_nearest(found, points, points, k, np.inf)
-
+        rows = checks.sample(self.n)
+        check = partial(checks.assert_nearest, points=points, queries=points[rows])
         yield Case(
             f"neighbours {k}",
             lambda tree: _pair(tree.query_self(k, n_threads=self.n_threads)),
             prepare=lambda: pr.KDTree(points),
-            check=check,
+            check=lambda found: check((found[0][rows], found[1][rows])),
         )
         for name, tree in self._trees.items():
             yield Case(
                 f"{name}: neighbours {k}",
                 lambda _, tree=tree: tree.search(k, self.n_threads),
-                check=lambda found, tree=tree: check(tree.unordered(found)),
+                check=lambda found, tree=tree: check(tree.answers(found, rows)),
             )
 
     def constrained(self, n_axes: int) -> Iterator[Case]:
@@ -121,13 +117,14 @@ class Workbench:
         """Yield the search of peers at the hit points, as far as photonrelax looks."""
         points, queries = self.photons.position, self.hits.position
         limit = self.field.settings.gather_radius
+        rows = checks.sample(len(queries))
         for peer in peers.available():
             tree = peers.Ordered(peer, points, queries)
             yield Case(
                 f"{peer.name}: gather",
                 lambda _, tree=tree: tree.search(15, self.n_threads, limit),
                 check=lambda found, tree=tree: checks.assert_nearest(
-                    tree.unordered(found), points, queries, 15, limit
+                    tree.answers(found, rows), points, queries[rows], limit
                 ),
             )
 

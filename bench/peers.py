@@ -196,17 +196,16 @@ class Ordered:
         """Return what is timed: the neighbours, in its own order and numbers."""
         return self._peer.query(self._tree, self._queries, k, limit, n_threads)
 
-    def unordered(self, found: Found) -> Found:
-        """Return neighbours in the order of the queries and by the numbers of the points."""
+    def answers(self, found: Found, rows: Ids) -> Found:
+        """Return the neighbours of some queries, these and the points numbered as given."""
         n = len(self._order)
-        numbers = np.append(self._order, n)
+        place = np.empty(len(self._query_order), dtype=np.intp)
+        place[self._query_order] = np.arange(len(place))
+        ids, distance = (array[place[rows]] for array in found)
         # Packages differ in what they put where there is no neighbour.
-        none = (found[0] < 0) | (found[0] >= n)
-        ids = np.empty(found[0].shape, dtype=np.intp)
-        distance = np.empty(found[1].shape)
-        ids[self._query_order] = numbers[np.where(none, n, found[0]).astype(np.intp)]
-        distance[self._query_order] = np.where(none, np.inf, found[1])
-        return ids, distance
+        none = (ids < 0) | (ids >= n)
+        ids = np.append(self._order, n)[np.where(none, n, ids).astype(np.intp)]
+        return ids, np.where(none, np.inf, distance)
 
 
 def constrained_by_block(sheet: Sheet, k: int, n_threads: int = 1, size: int = 32) -> Found:
