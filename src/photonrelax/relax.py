@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import _arrays
 from ._arrays import Floats
 from ._ext import relax as _relax
 from ._progress import Progress, Reporter
+from ._surfaces import Surfaces
 from .photonmap import PhotonMap
-from .raycast import Intersections, RayCaster
 from .scene import Scene
 from .structure import Structure, neighbour_groups, photon_tree
-
-# The rays that put a photon back start this fraction of the scene before it, a few times what
-# float32 rays resolve, and reach this many times the length of the move.
-_START = 2e-6
-_REACH = 2.0
-# A photon put back on a face turned by more than this (cosine) has gone round a corner.
-_LEAST_ALIGNMENT = 0.5
 
 
 @dataclass(frozen=True)
@@ -117,7 +109,7 @@ def relax(
     if not any(settings.n_iterations) or len(photons) == 0:
         return photons
     threads = _arrays.thread_count(n_threads)
-    surfaces = None if scene is None else _Surfaces(scene, photons, threads)
+    surfaces = None if scene is None else Surfaces(scene, photons, threads)
     report = Reporter(progress, "relax", len(photons) * sum(settings.n_iterations))
     position, normal = photons.position.copy(), photons.normal.copy()
     for rows in neighbour_groups(photons):
@@ -157,7 +149,7 @@ class _Sheets:
         radius = structure.radius * np.sqrt(settings.k / structure.n_found)
         self._largest_step = settings.largest_step * radius
 
-    def relaxed(self, surfaces: _Surfaces | None, rows: _arrays.Rows) -> tuple[Floats, Floats]:
+    def relaxed(self, surfaces: Surfaces | None, rows: _arrays.Rows) -> tuple[Floats, Floats]:
         """Return positions and normals after all iterations."""
         position, normal = self._photons.position, self._photons.normal
         constrained, collapsed = self._settings.n_iterations
@@ -196,85 +188,3 @@ class _Sheets:
                 self._n_threads,
             )
         return moved
-
-
-class _Surfaces:
-    """The objects photons lie on."""
-
-    def __init__(self, scene: Scene, photons: PhotonMap, n_threads: int) -> None:
-        if photons.object_id is None:
-            raise ValueError("photons should have an object_id to be kept on the scene's objects")
-        n_objects = len(scene.objects)
-        if photons.object_id.min() < 0 or photons.object_id.max() >= n_objects:
-            raise ValueError(
-                f"object_id should be of the scene's {n_objects} objects, but ranges from "
-                f"{photons.object_id.min()} to {photons.object_id.max()}"
-            )
-        self._caster = RayCaster(scene.objects)
-        self._start = _START * scene.scale
-        self._object_id = photons.object_id
-        self._n_threads = n_threads
-        # Which side of its face a photon is on, 0 where it is on none and so will not move.
-        self._side = np.zeros(len(photons))
-        no_move = np.zeros(len(photons))
-        for rows in neighbour_groups(photons):
-            here = photons.subset(rows)
-            found, _ = self._surface_at(here.position, here.normal, no_move[rows], rows)
-            self._side[rows] = _facing(found.geometric_normal, here.normal)
-
-    def put_back(
-        self, position: Floats, normal: Floats, moved: Floats, rows: _arrays.Rows
-    ) -> tuple[Floats, Floats]:
-        """Return where moved photons meet their own object, and the normals there.
-
-        Where a photon meets nothing, another object or a face that is turned away, it has left
-        its surface, and the move is not made.
-        """
-        length = np.linalg.norm(moved - position, axis=1)
-        found, own = self._surface_at(moved, normal, length, rows)
-        side = self._side[rows]
-        stays = (own & (length > 0.0) & (side != 0.0))[:, np.newaxis]
-        stays &= (_facing(found.geometric_normal, normal) == side)[:, np.newaxis]
-        outward = side[:, np.newaxis] * found.geometric_normal
-        return np.where(stays, found.position, position), np.where(stays, outward, normal)
-
-    def _surface_at(
-        self, points: Floats, normal: Floats, length: Floats, rows: _arrays.Rows
-    ) -> tuple[Intersections, NDArray[np.bool_]]:
-        """Return what rays down the normals, else up, hit near points, and where it is their own.
-
-        Rays start just on the far side of the point, so nothing beyond it is in their way.
-        """
-        down = self._cast(points, -normal)
-        own = self._is_own(down, length, rows)
-        if own.all():
-            return down, own
-        up = self._cast(points, normal)
-        down = _merged(own, down, up)
-        return down, own | self._is_own(up, length, rows)
-
-    def _cast(self, points: Floats, direction: Floats) -> Intersections:
-        return self._caster.intersect(
-            points - self._start * direction, direction, n_threads=self._n_threads
-        )
-
-    def _is_own(
-        self, found: Intersections, length: Floats, rows: _arrays.Rows
-    ) -> NDArray[np.bool_]:
-        near = found.distance <= _REACH * length + 2.0 * self._start
-        return near & (found.object_id == self._object_id[rows])
-
-
-def _facing(geometric_normal: Floats, normal: Floats) -> Floats:
-    """Return +1 where normals point alike, -1 where opposite ways, 0 where neither."""
-    cosine = np.einsum("ij,ij->i", geometric_normal, normal)
-    return np.where(np.abs(cosine) >= _LEAST_ALIGNMENT, np.sign(cosine), 0.0)
-
-
-def _merged(first: NDArray[np.bool_], one: Intersections, other: Intersections) -> Intersections:
-    """Return rows of one set of intersections where `first` is set, else of the other."""
-    rows = {}
-    for field in fields(Intersections):
-        a, b = getattr(one, field.name), getattr(other, field.name)
-        rows[field.name] = np.where(first if a.ndim == 1 else first[:, np.newaxis], a, b)
-    return Intersections(**rows)

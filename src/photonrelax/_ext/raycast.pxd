@@ -10,6 +10,15 @@ cdef struct Hit:
     double[3] shading
 
 
+cdef struct Sight:
+    # A triangle and a ray, from the triangle's first corner.
+    const double* corner
+    double[3] ab
+    double[3] ac
+    double[3] origin
+    double[3] direction
+
+
 cdef class Found:
     # `triangle` is -1 where a ray meets nothing.
     cdef readonly Py_ssize_t n_rays
@@ -39,5 +48,14 @@ cdef class Triangles:
     cdef void prefetch(self, Found found, Py_ssize_t ray) noexcept nogil
     cdef bint resolve_one(
         self, Found found, Py_ssize_t ray, const double* origin, const double* direction, Hit* hit,
+    ) noexcept nogil
+    cdef bint meets(
+        self, int triangle, const double* origin, const double* direction, double reach, Hit* hit,
+    ) noexcept nogil
+    cdef void look(
+        self, Sight* sight, int triangle, const double* origin, const double* direction
+    ) noexcept nogil
+    cdef void write_hit(
+        self, Hit* hit, int triangle, double u, double v, const Sight* sight
     ) noexcept nogil
     cdef void interpolate_normal(self, int triangle, double u, double v, Hit* hit) noexcept nogil

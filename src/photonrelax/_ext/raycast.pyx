@@ -183,39 +183,64 @@ cdef class Triangles:
     ) noexcept nogil:
         """Write where a ray meets its triangle; false, and object -1, where it meets none."""
         cdef int triangle = found.triangle[ray]
-        cdef const double* a
-        cdef const double* b
-        cdef const double* c
-        cdef double[3] ab
-        cdef double[3] ac
-        cdef double[3] ao
-        cdef double[3] d
-        cdef int axis
-        cdef double u, v, distance = 0.0
+        cdef double u, v
+        cdef Sight sight
         if triangle < 0:
             hit.object_id = -1
             return False
-        a = &self.corners[self.faces[triangle, 0], 0]
-        b = &self.corners[self.faces[triangle, 1], 0]
-        c = &self.corners[self.faces[triangle, 2], 0]
         u, v = found.u[ray], found.v[ray]
+        self.look(&sight, triangle, origin, direction)
+        barycentric(&u, &v, &sight)
+        self.write_hit(hit, triangle, u, v, &sight)
+        return True
+
+    cdef bint meets(
+        self, int triangle, const double* origin, const double* direction, double reach, Hit* hit
+    ) noexcept nogil:
+        """Write where a ray meets a triangle, as `resolve_one` does; false where it does not.
+
+        The triangle itself is asked, not embree: another may lie before it, within `reach`.
+        """
+        cdef double u, v, t
+        cdef Sight sight
+        self.look(&sight, triangle, origin, direction)
+        if not (plane_point(&u, &v, &t, &sight) and 0.0 <= t <= reach):
+            return False
+        if not (u >= 0.0 and v >= 0.0 and u + v <= 1.0):
+            return False
+        self.write_hit(hit, triangle, u, min(v, 1.0 - u), &sight)
+        return True
+
+    cdef void look(
+        self, Sight* sight, int triangle, const double* origin, const double* direction
+    ) noexcept nogil:
+        """Write a ray as seen from the first corner of a triangle."""
+        cdef const double* b = &self.corners[self.faces[triangle, 1], 0]
+        cdef const double* c = &self.corners[self.faces[triangle, 2], 0]
+        cdef int axis
+        sight.corner = &self.corners[self.faces[triangle, 0], 0]
         for axis in range(3):
-            ab[axis] = b[axis] - a[axis]
-            ac[axis] = c[axis] - a[axis]
-            ao[axis] = (origin[axis] - self.frame.origin[axis]) - a[axis]
-            d[axis] = direction[axis]
-        normalise(d)
-        barycentric(&u, &v, ab, ac, ao, d)
-        cross(hit.geometric, ab, ac)
+            sight.ab[axis] = b[axis] - sight.corner[axis]
+            sight.ac[axis] = c[axis] - sight.corner[axis]
+            sight.origin[axis] = (origin[axis] - self.frame.origin[axis]) - sight.corner[axis]
+            sight.direction[axis] = direction[axis]
+        normalise(sight.direction)
+
+    cdef void write_hit(
+        self, Hit* hit, int triangle, double u, double v, const Sight* sight
+    ) noexcept nogil:
+        cdef double offset, distance = 0.0
+        cdef int axis
+        cross(hit.geometric, sight.ab, sight.ac)
         normalise(hit.geometric)
         for axis in range(3):
-            hit.position[axis] = a[axis] + u * ab[axis] + v * ac[axis]
-            distance += (u * ab[axis] + v * ac[axis] - ao[axis]) * d[axis]
+            offset = u * sight.ab[axis] + v * sight.ac[axis]
+            hit.position[axis] = sight.corner[axis] + u * sight.ab[axis] + v * sight.ac[axis]
+            distance += (offset - sight.origin[axis]) * sight.direction[axis]
             hit.position[axis] += self.frame.origin[axis]
         hit.distance = max(distance, 0.0)
         hit.object_id = self.faces[triangle, 3]
         self.interpolate_normal(triangle, u, v, hit)
-        return True
 
     cdef void interpolate_normal(self, int triangle, double u, double v, Hit* hit) noexcept nogil:
         """Write the interpolated normal, or the geometric one where that is not sensible."""
@@ -236,24 +261,31 @@ cdef class Triangles:
             hit.shading[axis] = hit.geometric[axis]
 
 
-cdef void barycentric(double* u, double* v, const double* ab, const double* ac,
-                      const double* ao, const double* d) noexcept nogil:
-    """Replace embree's u, v by exact ones (Möller & Trumbore 1997), clamped to the triangle.
+cdef bint plane_point(double* u, double* v, double* t, const Sight* sight) noexcept nogil:
+    """Write where a ray meets a triangle's plane (Möller & Trumbore 1997); false if nowhere."""
+    cdef double[3] p
+    cdef double[3] q
+    cdef double det
+    cross(p, sight.direction, sight.ac)
+    cross(q, sight.origin, sight.ab)
+    det = dot(sight.ab, p)
+    if det == 0.0:
+        return False
+    u[0] = dot(sight.origin, p) / det
+    v[0] = dot(sight.direction, q) / det
+    t[0] = dot(sight.ac, q) / det
+    return True
+
+
+cdef void barycentric(double* u, double* v, const Sight* sight) noexcept nogil:
+    """Replace embree's u, v by exact ones, clamped to the triangle.
 
     Embree's are kept where the exact ray does not meet the triangle, which happens at grazing
     angles: embree's ray starts a step off the surface.
     """
-    cdef double p[3]
-    cdef double q[3]
-    cdef double det, exact_u, exact_v, t
-    cross(p, d, ac)
-    cross(q, ao, ab)
-    det = dot(ab, p)
-    if det == 0.0:
+    cdef double exact_u, exact_v, t
+    if not plane_point(&exact_u, &exact_v, &t, sight):
         return
-    exact_u = dot(ao, p) / det
-    exact_v = dot(d, q) / det
-    t = dot(ac, q) / det
     # Written so that NaN fails.
     if not (t >= 0.0 and exact_u >= -OUTSIDE and exact_v >= -OUTSIDE
             and exact_u + exact_v <= 1.0 + OUTSIDE):
