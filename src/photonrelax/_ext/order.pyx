@@ -14,15 +14,14 @@ coordinates have the lowest ids, and no split has to compare ids.
 from cython.parallel cimport prange
 from libc.math cimport INFINITY
 from libc.stdint cimport INT32_MAX, INT32_MIN, int32_t, uint32_t
-from libc.string cimport memcpy, memmove, memset
+from libc.string cimport memcpy, memset
 
 from .nodes cimport (
     COARSE, MAX_AXES, MAX_WORDS, Job, Node, bound_keys, bound_points, divide,
     divide_tied, keys_of, keys_per_extent, renew_keys, widest, widest_extent, write_keys,
 )
 from .rows cimport (
-    N_BUCKETS, QUAD, Cut, Keys, bucket_shift, count_keys, count_lower, enter_bucket, find_key,
-    take_keys,
+    N_BUCKETS, QUAD, Cut, Keys, bucket_shift, count_keys, enter_bucket, find_key, take_keys,
 )
 
 import numpy as np
@@ -31,7 +30,7 @@ cdef enum:
     # Points of a leaf.
     BLOCK = 16
     # Threads go on by subtrees when there are so many a thread, for an even load,
-    SUBTREES = 8
+    SUBTREES = 4
     # or when nodes have fewer points.
     FEW_POINTS = 1 << 14
 
@@ -43,7 +42,8 @@ cdef struct Found:
     int32_t[MAX_WORDS] low
     int32_t[MAX_WORDS] high
     uint32_t[N_BUCKETS] sizes
-    Py_ssize_t count
+    Py_ssize_t n_taken
+    Py_ssize_t n_lower
 
 
 cdef struct Team:
@@ -295,20 +295,29 @@ cdef void bound_share(const Team* team, const Node* node, int thread) noexcept n
 cdef void find_together(
     const Team* team, const Node* node, Keys keys, Cut* cut
 ) noexcept nogil:
-    cdef uint32_t[N_BUCKETS] sizes
+    # The order of these points is not known before their last split.
+    cdef int32_t* scratch = <int32_t*> (team.job.order + node.first)
     cdef int shift = bucket_shift(&keys)
     cdef int thread, bucket
     for thread in prange(team.n_threads, num_threads=team.n_threads):
         count_share(team, node, thread, keys, cut.word, shift)
+    bucket = enter_common_bucket(team, &keys, shift)
+    for thread in prange(team.n_threads, num_threads=team.n_threads):
+        take_share(team, node, thread, keys, cut.word)
+    gather_taken(team, node, &keys, scratch)
+    find_key(keys, scratch, cut)
+    for thread in range(team.n_threads):
+        count_lower(&team.found[thread], bucket, share_of(team, node, thread).halves, cut.key)
+
+
+cdef int enter_common_bucket(const Team* team, Keys* keys, int shift) noexcept nogil:
+    cdef uint32_t[N_BUCKETS] sizes
+    cdef int thread, bucket
     for bucket in range(N_BUCKETS):
         sizes[bucket] = 0
         for thread in range(team.n_threads):
             sizes[bucket] += team.found[thread].sizes[bucket]
-    enter_bucket(&keys, shift, sizes)
-    for thread in prange(team.n_threads, num_threads=team.n_threads):
-        take_share(team, node, thread, keys, cut.word)
-    gather_taken(team, node, &keys)
-    find_key(keys, node.halves, cut)
+    return enter_bucket(keys, shift, sizes)
 
 
 cdef void count_share(
@@ -326,36 +335,41 @@ cdef void take_share(
     cdef Node share = share_of(team, node, thread)
     keys.first = share.rows + word
     keys.count = share.count
-    team.found[thread].count = take_keys(&keys, share.halves)
+    team.found[thread].n_taken = take_keys(&keys, share.halves)
 
 
-cdef void gather_taken(const Team* team, const Node* node, Keys* keys) noexcept nogil:
-    """Close the gaps between what the threads took."""
+cdef void gather_taken(
+    const Team* team, const Node* node, Keys* keys, int32_t* target
+) noexcept nogil:
+    """Put together what the threads took."""
     cdef int thread
-    keys.first = node.halves
+    keys.first = target
     keys.step = 1
     keys.count = 0
     for thread in range(team.n_threads):
-        memmove(
-            node.halves + keys.count, share_of(team, node, thread).halves,
-            team.found[thread].count * sizeof(int32_t)
+        memcpy(
+            target + keys.count, share_of(team, node, thread).halves,
+            team.found[thread].n_taken * sizeof(int32_t)
         )
-        keys.count += team.found[thread].count
+        keys.count += team.found[thread].n_taken
+
+
+cdef void count_lower(
+    Found* found, int bucket, const int32_t* taken, int32_t key
+) noexcept nogil:
+    """Count a thread's keys in the buckets before and the less ones of those it took."""
+    cdef Py_ssize_t i
+    found.n_lower = 0
+    for i in range(bucket):
+        found.n_lower += found.sizes[i]
+    for i in range(found.n_taken):
+        found.n_lower += taken[i] < key
 
 
 cdef void divide_together(const Team* team, const Node* node, const Cut* cut) noexcept nogil:
     cdef int thread
     for thread in prange(team.n_threads, num_threads=team.n_threads):
-        count_lower_share(team, node, thread, cut)
-    for thread in prange(team.n_threads, num_threads=team.n_threads):
         divide_share(team, node, thread, cut)
-
-
-cdef void count_lower_share(
-    const Team* team, const Node* node, int thread, const Cut* cut
-) noexcept nogil:
-    cdef Node share = share_of(team, node, thread)
-    team.found[thread].count = count_lower(share.rows, share.count, team.job.words, cut)
 
 
 cdef void divide_share(
@@ -365,7 +379,7 @@ cdef void divide_share(
     cdef Py_ssize_t lower = 0
     cdef int before
     for before in range(thread):
-        lower += team.found[before].count
+        lower += team.found[before].n_lower
     share.halves = node.halves
     divide(
         team.job, &share, cut, lower, node.n_lower + share.first - node.first - lower

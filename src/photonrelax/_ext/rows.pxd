@@ -168,15 +168,6 @@ cdef inline void divide_rows(
         upper += 1 - is_lower
 
 
-cdef inline Py_ssize_t count_lower(
-    const int32_t* rows, Py_ssize_t count, int words, const Cut* cut
-) noexcept nogil:
-    cdef Py_ssize_t i, n_lower = 0
-    for i in range(count):
-        n_lower += rows[i * words + cut.word] < cut.key
-    return n_lower
-
-
 cdef inline Py_ssize_t list_equal(
     const int32_t* rows, Py_ssize_t count, int words, int word, int32_t key, int32_t other,
     int32_t* places
