@@ -74,6 +74,7 @@ def kernels():
             f"photonrelax._ext.{source.stem}",
             [str(source)],
             include_dirs=[np.get_include()],
+            depends=[str(header) for header in folder.glob("*.h")],
             define_macros=[("NPY_NO_DEPRECATED_API", "NPY_2_0_API_VERSION")],
         )
         for source in sorted(folder.glob("*.pyx"))

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from . import _arrays
 from ._arrays import Floats
 from ._ext import estimate as _estimate
+from ._ext.curve import curve_order
 from ._progress import Progress, Reporter
 from .kdtree import KDTree
 from .photonmap import PhotonMap
@@ -192,8 +193,9 @@ class Densities:
         if len(photons) == 0:
             return out
         queries = points if flat else np.hstack([points, normals])
+        order = curve_order(points, 3, self._field._n_threads)
         for first, end in Reporter(progress, "estimate", len(points)).chunks(len(points)):
-            self._kernel.densities(queries, first, end, out, self._field._n_threads)
+            self._kernel.densities(queries, order[first:end], out, self._field._n_threads)
         if flat:
             turned = np.linalg.norm(normals - photons.normal[0], axis=1) > NORMAL_RANGE
             out[turned] = 0.0
@@ -234,15 +236,16 @@ def automatic_gather_radius(tree: KDTree, k: int, *, n_threads: int | None = Non
     ValueError
         If all photons are at one point.
     """
-    step = -(-len(tree) // _SAMPLE)
+    points = tree.sample(_SAMPLE)
     facing = NORMAL_RANGE if tree.n_axes > tree.n_metric else None
-    distance = np.sort(tree.farthest(k, step=step, range_radius=facing, n_threads=n_threads))
+    found = tree.query(points, k, range_radius=facing, n_threads=n_threads).distance
+    distance = np.sort(np.where(np.isfinite(found), found, 0.0).max(axis=1))
     area = np.cumsum(distance**2)
     lit = distance[np.searchsorted(area, _SHARE_OF_AREA * area[-1])]
     radius = float(max(np.quantile(distance, _SHARE_OF_PHOTONS), lit))
     if radius == 0.0:
         # Photons that each face another way have no neighbours; their extent must do.
-        radius = float(np.linalg.norm(np.ptp(np.asarray(tree.kernel.points)[:, :3], axis=0)))
+        radius = float(np.linalg.norm(np.subtract(tree.kernel.high, tree.kernel.low)[:3]))
     if radius == 0.0:
         raise ValueError(
             f"the map's {len(tree)} photons are all at one point, from which no gather radius "

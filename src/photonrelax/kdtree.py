@@ -10,9 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from . import _arrays
 from ._arrays import Floats
 from ._ext import kdtree as _kdtree
+from ._ext import neighbours as _neighbours
+from ._ext.curve import curve_order
 
 # Squared distances must stay finite.
 _LARGEST_EXTENT = 1e150
+# Blocks are numbered with 32 bits.
+_MOST_POINTS = 2**34
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,8 @@ class KDTree:
                 f"points should have at least n_metric = {self.n_metric} axes, "
                 f"but have {self.n_axes}"
             )
+        if self.n_points > _MOST_POINTS:
+            raise ValueError(f"points should be at most {_MOST_POINTS}, but are {self.n_points}")
         scale = _axis_scale(array, self.n_metric)
         self.kernel = _kdtree.Tree(array, self.n_metric, scale, _arrays.thread_count(n_threads))
 
@@ -127,15 +133,16 @@ class KDTree:
                 f"exclude_self leaves point i out of query i, so it needs {self.n_points} "
                 f"queries, but there are {len(array)}"
             )
-        return self._query(
+        ids, distance = _neighbours.query(
+            self.kernel,
             array,
-            np.arange(len(array)),
-            k,
-            half_range=half_range,
-            range_radius=range_radius,
-            exclude_self=exclude_self,
-            n_threads=n_threads,
+            curve_order(array, self.n_metric, _arrays.thread_count(n_threads)),
+            _arrays.count(k, "k"),
+            ranges=self._ranges(len(array), half_range, range_radius),
+            excluded=self._places() if exclude_self else None,
+            n_threads=_arrays.thread_count(n_threads),
         )
+        return Neighbours(ids, distance)
 
     def query_self(
         self,
@@ -149,33 +156,24 @@ class KDTree:
         """Find the k nearest points of each of the tree's own points; see `query`."""
         if self.n_axes == self.n_metric and (half_range is not None or range_radius is not None):
             raise ValueError(self._no_range_axes())
-        # In leaf order one query finds most of its points where the last one left the cache.
-        return self._query(
-            np.asarray(self.kernel.points),
-            np.asarray(self.kernel.ids),
-            k,
-            half_range=half_range,
-            range_radius=range_radius,
+        ids, distance = _neighbours.query_self(
+            self.kernel,
+            _arrays.count(k, "k"),
+            ranges=self._ranges(self.n_points, half_range, range_radius),
             exclude_self=exclude_self,
-            n_threads=n_threads,
+            n_threads=_arrays.thread_count(n_threads),
         )
+        return Neighbours(ids, distance)
 
     def farthest(
-        self,
-        k: int,
-        *,
-        step: int = 1,
-        range_radius: ArrayLike | None = None,
-        n_threads: int | None = None,
+        self, k: int, *, range_radius: ArrayLike | None = None, n_threads: int | None = None
     ) -> Floats:
-        """Return how far the k nearest points reach around the tree's own points.
+        """Return how far the k nearest points reach around each of the tree's own points.
 
         Parameters
         ----------
         k : int
             Neighbours, each point among its own; of fewer than k the farthest counts.
-        step : int
-            Take every `step`-th point only, in an order that spreads them evenly.
         range_radius : scalar or (n,) array_like, optional
             As in `query`.
         n_threads : int, optional
@@ -184,45 +182,35 @@ class KDTree:
         Returns
         -------
         (n,) float array
-            Distances in the order of the points or, with a step, of no matter which.
         """
-        places = np.arange(0, self.n_points, _arrays.count(step, "step"))
-        distance = self.kernel.farthest(
-            places,
+        return _neighbours.farthest(
+            self.kernel,
             _arrays.count(k, "k"),
-            range_radius=_ranges(range_radius, "range_radius", (self.n_points,)),
+            ranges=self._ranges(self.n_points, None, range_radius),
             n_threads=_arrays.thread_count(n_threads),
         )
-        if step > 1:
-            return distance
-        ordered = np.empty(self.n_points)
-        ordered[np.asarray(self.kernel.ids)] = distance
-        return ordered
 
-    def _query(
-        self,
-        queries: Floats,
-        rows: NDArray[np.intp],
-        k: int,
-        *,
-        half_range: ArrayLike | None,
-        range_radius: ArrayLike | None,
-        exclude_self: bool,
-        n_threads: int | None,
-    ) -> Neighbours:
-        """Search for checked queries, each answered in its row."""
-        ids, distance = self.kernel.query(
-            queries,
-            rows,
-            _arrays.count(k, "k"),
-            half_range=_ranges(
-                half_range, "half_range", (len(queries), self.n_axes - self.n_metric)
-            ),
-            range_radius=_ranges(range_radius, "range_radius", (len(queries),)),
-            exclude_self=exclude_self,
-            n_threads=_arrays.thread_count(n_threads),
+    def sample(self, n: int) -> Floats:
+        """Return the coordinates of about n of the points, spread evenly over the tree."""
+        places = np.arange(0, self.n_points, -(-self.n_points // n) if self.n_points else 1)
+        lanes = np.asarray(self.kernel.coords)
+        block = lanes.shape[2]
+        return lanes[places // block, :, places % block]
+
+    def _places(self) -> NDArray[np.intp]:
+        """Return where in the tree each point is."""
+        places = np.empty(self.n_points, dtype=np.intp)
+        places[np.asarray(self.kernel.ids)] = np.arange(self.n_points)
+        return places
+
+    def _ranges(
+        self, n_queries: int, half_range: ArrayLike | None, range_radius: ArrayLike | None
+    ) -> _neighbours.Ranges:
+        shape = (n_queries, self.n_axes - self.n_metric)
+        return _neighbours.Ranges(
+            _ranges(half_range, "half_range", shape),
+            _ranges(range_radius, "range_radius", shape[:1]),
         )
-        return Neighbours(ids, distance)
 
     def _no_range_axes(self) -> str:
         return f"the tree has no range axes: all its {self.n_axes} carry the metric"

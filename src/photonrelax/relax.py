@@ -14,7 +14,7 @@ from ._progress import Progress, Reporter
 from ._surfaces import Surfaces
 from .photonmap import PhotonMap
 from .scene import Scene
-from .structure import Structure, neighbour_groups, photon_tree
+from .structure import NORMAL_RANGE, Structure, neighbour_groups, photon_tree
 
 
 @dataclass(frozen=True)
@@ -146,45 +146,82 @@ class _Sheets:
         self._n_threads = n_threads
         self._report = report
         # The radius that held n_found photons, scaled to hold k.
-        radius = structure.radius * np.sqrt(settings.k / structure.n_found)
-        self._largest_step = settings.largest_step * radius
+        self._radius = structure.radius * np.sqrt(settings.k / structure.n_found)
 
     def relaxed(self, surfaces: Surfaces | None, rows: _arrays.Rows) -> tuple[Floats, Floats]:
         """Return positions and normals after all iterations."""
         position, normal = self._photons.position, self._photons.normal
-        constrained, collapsed = self._settings.n_iterations
-        for iteration in range(constrained + collapsed):
-            moved = self._moved(position, normal, iteration < constrained)
-            if surfaces is None:
-                position = moved
-            else:
-                position, normal = surfaces.put_back(position, normal, moved, rows)
+        for constrained, n in zip((True, False), self._settings.n_iterations, strict=True):
+            if n:
+                stage = _Stage(self, position, normal, constrained=constrained)
+                position, normal = stage.after(n, surfaces, rows)
         return position, normal
 
-    def _moved(self, position: Floats, normal: Floats, constrained: bool) -> Floats:
-        structure = self._structure
-        coords = self._photons.emitter_coords if constrained else None
+
+class _Stage:
+    """Iterations of one kind, on one tree.
+
+    Photons move, but the tree they are searched in keeps its nodes, whose boxes are drawn anew.
+    All that kernels read is kept in the order of the tree.
+    """
+
+    def __init__(
+        self, sheets: _Sheets, position: Floats, normal: Floats, *, constrained: bool
+    ) -> None:
+        photons, structure = sheets._photons, sheets._structure
+        self._sheets = sheets
+        self._n_threads = sheets._n_threads
+        coords = photons.emitter_coords if constrained else None
         ranges = structure.emitter_range if constrained else None
         tree, range_radius = photon_tree(
             position, normal, coords, ranges, n_threads=self._n_threads
         )
-        sheet = _relax.Sheet(
-            normal,
-            structure,
-            range_radius=range_radius,
-            reach=structure.reach if constrained else None,
-            largest_step=self._largest_step,
-        )
-        moved = np.empty_like(position)
-        for first, end in self._report.chunks(len(moved)):
+        self._tree = tree.kernel
+        self._order = np.asarray(tree.kernel.ids)
+        self._position, self._normal = position[self._order], normal[self._order]
+        # Normals are range axes, the last three, of trees that have any of their own.
+        self._first_normal_axis = 3 if coords is None else 3 + coords.shape[1]
+        self._normal_scale = 0.0 if range_radius is None else range_radius.max() / NORMAL_RANGE
+        self._placed = {
+            "along": structure.basis[self._order, 0],
+            "constraint": structure.constraint[self._order],
+            "range_radius": self._by_place(range_radius),
+            "reach": self._by_place(structure.reach if constrained else None),
+            "largest_step": sheets._settings.largest_step * sheets._radius[self._order],
+            "squared_radius": sheets._radius[self._order] ** 2,
+        }
+
+    def _by_place(self, array: Floats | None) -> Floats | None:
+        return None if array is None else array[self._order]
+
+    def after(
+        self, n_iterations: int, surfaces: Surfaces | None, rows: _arrays.Rows
+    ) -> tuple[Floats, Floats]:
+        """Return positions and normals, by row, after so many iterations."""
+        if surfaces is not None:
+            rows = self._order if isinstance(rows, slice) else rows[self._order]
+        for _ in range(n_iterations):
+            moved = self._moved()
+            if surfaces is None:
+                self._position = moved
+            else:
+                self._position, self._normal = surfaces.put_back(
+                    self._position, self._normal, moved, rows
+                )
+            self._refit()
+        return self._by_row(self._position), self._by_row(self._normal)
+
+    def _by_row(self, placed: Floats) -> Floats:
+        array = np.empty_like(placed)
+        array[self._order] = placed
+        return array
+
+    def _moved(self) -> Floats:
+        settings = self._sheets._settings
+        sheet = _relax.Sheet(normal=self._normal, **self._placed)
+        moved = np.empty_like(self._position)
+        for first, end in self._sheets._report.chunks(len(moved)):
             _relax.move(
-                tree.kernel,
-                first,
-                end,
-                sheet,
-                self._settings.k,
-                self._settings.step,
-                moved,
-                self._n_threads,
+                self._tree, first, end, sheet, settings.k, settings.step, moved, self._n_threads
             )
         return moved

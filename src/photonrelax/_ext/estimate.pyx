@@ -2,8 +2,11 @@
 
 from cython.parallel cimport prange, threadid
 from libc.math cimport M_PI, sqrt
+from libc.stdint cimport int64_t
 
-from .kdtree cimport Candidate, Limits, Tree, lift_limits
+from .kdtree cimport Tree
+from .lanes cimport BLOCK
+from .search cimport Batch, Query, find, limit_radius, limit_range, open_query, scratch
 
 cpdef enum:
     CONSTANT = 0
@@ -35,7 +38,8 @@ cdef class Gather:
     cdef readonly Py_ssize_t k
     cdef readonly int kernel
     cdef double nearest_scale
-    cdef Limits limits
+    cdef double radius
+    cdef double normal_range
 
     def __init__(self, tree, values, k, kernel, *, radius, normal_range, nearest_scale):
         self.tree = tree
@@ -43,54 +47,85 @@ cdef class Gather:
         self.k = k
         self.kernel = kernel
         self.nearest_scale = nearest_scale
-        lift_limits(&self.limits)
-        self.limits.squared_radius = radius * radius
-        if normal_range >= 0.0:
-            self.limits.squared_range = normal_range * normal_range
+        self.radius = radius
+        self.normal_range = normal_range
 
     def densities(
-        self, const double[:, ::1] queries, Py_ssize_t first, Py_ssize_t end,
-        double[:, ::1] out, int n_threads
+        self, const double[:, ::1] queries, const Py_ssize_t[::1] order, double[:, ::1] out,
+        int n_threads
     ):
-        """Write the values per area around queries first … end to their rows of `out` (m, c)."""
-        cdef unsigned char[:, ::1] found = self.tree.scratch(self.k, n_threads)
+        """Write the values per area around the queries named by `order` to their rows of `out`.
+
+        Queries that follow each other there should be near each other.
+        """
+        cdef Py_ssize_t n_batches = (order.shape[0] + BLOCK - 1) // BLOCK
+        cdef unsigned char[:, ::1] room = scratch(self.tree, self.k, n_threads)
         cdef Py_ssize_t i
         for i in prange(
-            first, end, nogil=True, schedule="dynamic", chunksize=256, num_threads=n_threads
+            n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
         ):
-            gather_one(self, i, queries, <Candidate*> &found[threadid(), 0], out)
+            gather_batch(self, <Batch*> &room[threadid(), 0], queries, order, i, out)
+
+
+cdef void gather_batch(
+    Gather photons, Batch* batch, const double[:, ::1] queries, const Py_ssize_t[::1] order,
+    Py_ssize_t number, double[:, ::1] out
+) noexcept nogil:
+    """Estimate the densities at 16 queries that follow each other; write their rows only."""
+    cdef Py_ssize_t i
+    cdef Query* query
+    batch.n_queries = 0
+    for i in range(BLOCK * number, min(BLOCK * number + BLOCK, order.shape[0])):
+        query = &batch.queries[batch.n_queries]
+        open_query(photons.tree, batch, &queries[order[i], 0])
+        limit_radius(query, photons.radius * photons.radius)
+        if photons.normal_range >= 0.0:
+            limit_range(query, photons.normal_range)
+    find(photons.tree, batch)
+    for i in range(batch.n_queries):
+        gather_one(photons, batch, &batch.queries[i], &out[order[BLOCK * number + i], 0])
 
 
 cdef void gather_one(
-    Gather photons, Py_ssize_t i, const double[:, ::1] queries, Candidate* found,
-    double[:, ::1] out
+    Gather photons, Batch* batch, const Query* query, double* out
 ) noexcept nogil:
-    """Estimate the density at one query; write its row only.
+    """Estimate the densities at one query from its neighbours.
 
     With k photons in reach the bandwidth is the distance to the k-th, whose own weight is zero;
     that makes the estimate unbiased for independent photons, as the mean of 1/r² is π ρ/(k − 1).
     With fewer, or all of them at the query itself, the bandwidth is the gather radius and all
     count.
     """
-    cdef Py_ssize_t count = photons.tree.search(
-        &queries[i, 0], &photons.limits, found, photons.k
-    )
-    cdef double squared_bandwidth = photons.limits.squared_radius
+    cdef double squared_bandwidth = photons.radius * photons.radius
     cdef double scale = 1.0
     cdef double weight
-    cdef Py_ssize_t j, channel
-    for channel in range(out.shape[1]):
-        out[i, channel] = 0.0
-    if count == photons.k and found[count - 1].squared > 0.0:
-        count -= 1
-        squared_bandwidth = found[count].squared
+    cdef int64_t j, channel, left_out = -1, n_channels = photons.values.shape[1]
+    photons.tree.lanes.list(&query.found, batch.squared, batch.place)
+    if query.found.count == photons.k and query.found.squared_radius > 0.0:
+        left_out = last_at(photons.tree, batch, query)
+        squared_bandwidth = query.found.squared_radius
         scale = photons.nearest_scale
-    for j in range(count):
-        weight = scale * kernel_weight(photons.kernel, found[j].squared / squared_bandwidth)
-        for channel in range(out.shape[1]):
-            out[i, channel] += weight * photons.values[found[j].place, channel]
-    for channel in range(out.shape[1]):
-        out[i, channel] /= M_PI * squared_bandwidth
+    for channel in range(n_channels):
+        out[channel] = 0.0
+    for j in range(query.found.count):
+        if j == left_out:
+            continue
+        weight = scale * kernel_weight(photons.kernel, batch.squared[j] / squared_bandwidth)
+        for channel in range(n_channels):
+            out[channel] += weight * photons.values[batch.place[j], channel]
+    for channel in range(n_channels):
+        out[channel] /= M_PI * squared_bandwidth
+
+
+cdef int64_t last_at(Tree tree, const Batch* batch, const Query* query) noexcept nogil:
+    """Return which neighbour in the list is the k-th: the farthest, of several the highest id."""
+    cdef int64_t j, last = -1
+    for j in range(query.found.count):
+        if batch.squared[j] == query.found.squared_radius and (
+            last < 0 or tree.ids[batch.place[j]] > tree.ids[batch.place[last]]
+        ):
+            last = j
+    return last
 
 
 cdef inline double kernel_weight(int kernel, double squared_ratio) noexcept nogil:

@@ -1,44 +1,52 @@
-"""k-d tree: exact k-nearest search on the metric axes, limited to a range on the others.
+"""k-d tree: points in blocks, and boxes around them on all axes.
 
-The tree is implicit. At level l there are 2**l nodes, and node j of them holds the points at
-places [(j * n) >> l, ((j + 1) * n) >> l) of the reordered arrays; the last level are the leaves.
-A median split fixes these counts whatever the coordinates are, so coincident points cannot
-unbalance it. Every node has a bounding box on all axes, so ranges prune as distances do.
+Points lie in blocks of 16, as described in lanes.h. The tree is implicit: node j of level l holds
+the blocks [(j * n_blocks) >> l, ((j + 1) * n_blocks) >> l), so a median split fixes all counts
+whatever the coordinates are, and coincident points cannot unbalance it. Every fourth level is
+kept: there 16 nodes with one ancestor four levels above form a group, whose boxes are tested at
+once. The first kept level has one group, of 16 nodes or fewer.
+
+The place of a point says where it is: lane `place % 16` of block `place // 16`.
 """
 
-from libc.math cimport INFINITY
+from libc.stdint cimport int64_t
 
-from .heap cimport Candidate
-
-
-cdef struct Limits:
-    # What a query may find. `squared_range` < 0 means no ball over the range axes, and
-    # `half_range` NULL no interval.
-    double squared_radius
-    double squared_range
-    const double* half_range
-    Py_ssize_t excluded
-
-
-cdef inline void lift_limits(Limits* limits) noexcept nogil:
-    limits.squared_radius = INFINITY
-    limits.squared_range = -1.0
-    limits.half_range = NULL
-    limits.excluded = -1
+from .lanes cimport BLOCK, Lanes
 
 
 cdef class Tree:
     cdef readonly Py_ssize_t n_points
     cdef readonly Py_ssize_t n_axes
     cdef readonly Py_ssize_t n_metric
+    cdef readonly Py_ssize_t n_blocks
     cdef readonly Py_ssize_t n_levels
-    cdef readonly double[:, ::1] points
-    cdef readonly Py_ssize_t[::1] ids
-    cdef readonly double[:, ::1] low
-    cdef readonly double[:, ::1] high
-    cdef readonly Py_ssize_t[::1] lowest_id
+    # (n_blocks, n_axes, 16)
+    cdef readonly double[:, :, ::1] coords
+    # The caller's number of each point, by place.
+    cdef readonly int64_t[::1] ids
+    # First group of each kept level, and the end of the last.
+    cdef Py_ssize_t[::1] first_group
+    # (groups, 2, n_axes, 16): least and greatest coordinates; (groups, 16): lowest id in each node.
+    cdef double[:, :, :, ::1] boxes
+    cdef int64_t[:, ::1] lowest_id
+    # The box of all points, (n_axes,) each, and its diagonal over the metric axes.
+    cdef readonly double[::1] low
+    cdef readonly double[::1] high
+    cdef double squared_diagonal
+    cdef const Lanes* lanes
 
-    cdef unsigned char[:, ::1] scratch(self, Py_ssize_t k, int n_threads)
-    cdef Py_ssize_t search(
-        self, const double* query, const Limits* limits, Candidate* found, Py_ssize_t k
-    ) noexcept nogil
+
+cdef inline Py_ssize_t first_block(Tree tree, Py_ssize_t node) noexcept nogil:
+    """Return the first block of a node of the last level, or of all nodes after it."""
+    return (node * tree.n_blocks) >> tree.n_levels
+
+
+cdef inline Py_ssize_t last_kept(Tree tree) noexcept nogil:
+    return tree.first_group.shape[0] - 2
+
+
+cdef inline Py_ssize_t fan_out(Tree tree, Py_ssize_t level) noexcept nogil:
+    """Return how many nodes a group of a kept level has."""
+    if level > 0:
+        return BLOCK
+    return 1 << (tree.n_levels - 4 * last_kept(tree))

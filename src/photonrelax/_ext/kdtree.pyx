@@ -1,261 +1,174 @@
-# distutils: language = c++
-"""Build and search of the tree; see kdtree.pxd for how it is laid out.
+# distutils: sources = src/photonrelax/_ext/lanes.c
+"""The tree: its points in blocks, boxes around them; see kdtree.pxd."""
 
-Distances are sums of squared differences in axis order, for boxes as for points. Rounding is
-monotone, so a box is never computed to be farther than a point in it: pruning is exact, and a
-brute-force loop over the axes in the same order gives the same bits.
-"""
+import os
 
-from cython.parallel cimport prange, threadid
-from libc.math cimport INFINITY, fabs, sqrt
+from cython.parallel cimport prange
+from libc.float cimport DBL_MAX
+from libc.math cimport INFINITY
 
 import numpy as np
 
-from .heap cimport Candidate, sift_down, sift_up, sort_heap, worse
+from .lanes cimport lanes_named
 
-cdef enum:
-    LEAF_SIZE = 16
-    # Levels above which nodes are split one after the other; below, subtrees side by side.
-    SERIAL_LEVELS = 6
-    # A depth-first search leaves at most one open node a level.
-    STACK_SIZE = 64
+from .order import median_order
 
 
-cdef extern from "<algorithm>" namespace "std" nogil:
-    void nth_element(KeyId* first, KeyId* nth, KeyId* last)
+def instruction_set():
+    """Return which of avx512, avx2 and portable searches use: the widest the processor has.
 
+    The environment variable PHOTONRELAX_SIMD asks for another; results are the same.
 
-cdef extern from *:
+    Raises
+    ------
+    ValueError
+        If the processor does not have what the variable asks for.
     """
-    struct KeyId {
-        double key;
-        Py_ssize_t id;
-        bool operator<(const KeyId& other) const {
-            return key < other.key || (key == other.key && id < other.id);
-        }
-    };
+    return chosen_lanes().name.decode()
+
+
+cdef const Lanes* chosen_lanes() except NULL:
+    wanted = os.environ.get("PHOTONRELAX_SIMD", "")
+    cdef const Lanes* lanes = lanes_named(wanted.encode())
+    if lanes == NULL:
+        raise ValueError(
+            "PHOTONRELAX_SIMD should be avx512, avx2 or portable, and the processor should have "
+            f"it, but is {wanted!r}; the widest here is {lanes_named(b'').name.decode()}"
+        )
+    return lanes
+
+
+cdef bint comes_after(const double[:, ::1] points, int64_t a, int64_t b) noexcept nogil:
+    """Order by the first coordinate that differs, points of equal coordinates by id."""
+    cdef Py_ssize_t axis
+    for axis in range(points.shape[1]):
+        if points[a, axis] != points[b, axis]:
+            return points[a, axis] > points[b, axis]
+    return a > b
+
+
+cdef void sort_block(Tree tree, const double[:, ::1] points, Py_ssize_t block) noexcept nogil:
+    """Put the block's points in an order that is that of their coordinates, not of their rows.
+
+    Sums over neighbours then have the same bits in whatever order the points come.
     """
-    cdef cppclass KeyId:
-        double key
-        Py_ssize_t id
+    cdef Py_ssize_t first = BLOCK * block
+    cdef Py_ssize_t place, hole
+    cdef int64_t own
+    for place in range(first + 1, first + points_of_block(tree, block)):
+        own = tree.ids[place]
+        hole = place
+        while hole > first and comes_after(points, tree.ids[hole - 1], own):
+            tree.ids[hole] = tree.ids[hole - 1]
+            hole -= 1
+        tree.ids[hole] = own
 
 
-cdef void order(
-    Tree tree, const double[:, ::1] points, const double[::1] axis_scale, int n_threads
-):
-    """Permute `ids` so that each node's points are contiguous."""
-    cdef double[:, ::1] scratch = np.empty((tree.n_points, 2))
-    cdef KeyId* keys = <KeyId*> &scratch[0, 0]
-    cdef Py_ssize_t last = tree.n_levels - 1
-    cdef Py_ssize_t serial = min(<Py_ssize_t> SERIAL_LEVELS, last)
-    cdef Py_ssize_t level, node
-    for level in range(serial):
-        for node in range(1 << level):
-            split(tree, points, axis_scale, keys, level, node)
-    for node in prange(1 << serial, nogil=True, schedule="dynamic", num_threads=n_threads):
-        split_subtree(tree, points, axis_scale, keys, serial, node)
-
-
-cdef void split_subtree(
-    Tree tree, const double[:, ::1] points, const double[::1] axis_scale, KeyId* keys,
-    Py_ssize_t top, Py_ssize_t root
-) noexcept nogil:
-    cdef Py_ssize_t level, node
-    for level in range(top, tree.n_levels - 1):
-        for node in range(root << (level - top), (root + 1) << (level - top)):
-            split(tree, points, axis_scale, keys, level, node)
-
-
-cdef void split(
-    Tree tree, const double[:, ::1] points, const double[::1] axis_scale, KeyId* keys,
-    Py_ssize_t level, Py_ssize_t node
-) noexcept nogil:
-    """Put the lower half of the node's points, by the chosen axis and then by id, first."""
-    cdef Py_ssize_t first = (node * tree.n_points) >> level
-    cdef Py_ssize_t end = ((node + 1) * tree.n_points) >> level
-    cdef Py_ssize_t middle = ((2 * node + 1) * tree.n_points) >> (level + 1)
-    cdef Py_ssize_t axis = widest_axis(tree, points, axis_scale, first, end)
-    cdef Py_ssize_t i
-    for i in range(first, end):
-        keys[i].id = tree.ids[i]
-        keys[i].key = points[keys[i].id, axis]
-    nth_element(keys + first, keys + middle, keys + end)
-    for i in range(first, end):
-        tree.ids[i] = keys[i].id
-
-
-cdef Py_ssize_t widest_axis(
-    Tree tree, const double[:, ::1] points, const double[::1] axis_scale, Py_ssize_t first,
-    Py_ssize_t end
-) noexcept nogil:
-    cdef Py_ssize_t axis, i, widest = 0
-    cdef double low, high, x, most = -1.0
-    for axis in range(tree.n_axes):
-        if axis_scale[axis] == 0.0:
-            continue
-        low = INFINITY
-        high = -INFINITY
-        for i in range(first, end):
-            x = points[tree.ids[i], axis]
-            low = min(low, x)
-            high = max(high, x)
-        if (high - low) * axis_scale[axis] > most:
-            most = (high - low) * axis_scale[axis]
-            widest = axis
-    return widest
-
-
-cdef void box_leaves(Tree tree, const double[:, ::1] points, int n_threads):
-    cdef Py_ssize_t leaf
-    cdef Py_ssize_t n_leaves = 1 << (tree.n_levels - 1)
-    for leaf in prange(n_leaves, nogil=True, schedule="static", num_threads=n_threads):
-        box_leaf(tree, points, leaf)
-
-
-cdef void box_leaf(Tree tree, const double[:, ::1] points, Py_ssize_t leaf) noexcept nogil:
-    """Copy the leaf's points into leaf order and box them."""
-    cdef Py_ssize_t last = tree.n_levels - 1
-    cdef Py_ssize_t node = (1 << last) - 1 + leaf
-    cdef Py_ssize_t place, axis
-    cdef double x
-    for place in range((leaf * tree.n_points) >> last, ((leaf + 1) * tree.n_points) >> last):
-        tree.lowest_id[node] = min(tree.lowest_id[node], tree.ids[place])
+cdef void place_block(Tree tree, const double[:, ::1] points, Py_ssize_t block) noexcept nogil:
+    """Copy the coordinates of the block's points from their rows."""
+    cdef Py_ssize_t lane, axis
+    sort_block(tree, points, block)
+    for lane in range(points_of_block(tree, block)):
         for axis in range(tree.n_axes):
-            x = points[tree.ids[place], axis]
-            tree.points[place, axis] = x
-            tree.low[node, axis] = min(tree.low[node, axis], x)
-            tree.high[node, axis] = max(tree.high[node, axis], x)
+            tree.coords[block, axis, lane] = points[tree.ids[BLOCK * block + lane], axis]
+    fill_lanes(tree, block)
 
 
-cdef void box_inner_nodes(Tree tree):
-    cdef Py_ssize_t node, child, axis
-    for node in range((1 << (tree.n_levels - 1)) - 2, -1, -1):
-        for child in range(2 * node + 1, 2 * node + 3):
-            tree.lowest_id[node] = min(tree.lowest_id[node], tree.lowest_id[child])
-            for axis in range(tree.n_axes):
-                tree.low[node, axis] = min(tree.low[node, axis], tree.low[child, axis])
-                tree.high[node, axis] = max(tree.high[node, axis], tree.high[child, axis])
-
-
-cdef inline bint pruned(
-    Tree tree, Py_ssize_t node, double squared, const Limits* limits, const Candidate* found,
-    Py_ssize_t k, Py_ssize_t count
+cdef void move_block(
+    Tree tree, const double[:, ::1] moved, Py_ssize_t first_axis, double scale, Py_ssize_t block
 ) noexcept nogil:
-    """Tell whether nothing in the node can be among the k nearest within the limits."""
-    if squared > limits.squared_radius or squared == INFINITY:
-        return True
-    if count < k:
-        return False
-    # Among equally distant points the lowest ids win; without this test many coincident
-    # points would all be visited by each of their queries.
-    return squared > found[0].squared or (
-        squared == found[0].squared and tree.lowest_id[node] > found[0].id
-    )
+    """Copy some coordinates, multiplied by `scale`, of the block's points from their places."""
+    cdef Py_ssize_t lane, axis
+    for lane in range(points_of_block(tree, block)):
+        for axis in range(moved.shape[1]):
+            tree.coords[block, first_axis + axis, lane] = scale * moved[BLOCK * block + lane, axis]
 
 
-cdef double box_distance(
-    Tree tree, Py_ssize_t node, const double* query, const Limits* limits
-) noexcept nogil:
-    """Return the squared distance to the box, infinite where it is out of range."""
-    cdef double squared = 0.0
-    cdef double squared_range = 0.0
-    cdef double gap
-    cdef Py_ssize_t axis
+cdef inline Py_ssize_t points_of_block(Tree tree, Py_ssize_t block) noexcept nogil:
+    return min(tree.n_points - BLOCK * block, <Py_ssize_t> BLOCK)
+
+
+cdef void fill_lanes(Tree tree, Py_ssize_t block) noexcept nogil:
+    """Put lanes without a point at infinity."""
+    cdef Py_ssize_t lane, axis
     for axis in range(tree.n_axes):
-        gap = max(tree.low[node, axis] - query[axis], query[axis] - tree.high[node, axis])
-        gap = max(gap, 0.0)
-        if axis < tree.n_metric:
-            squared += gap * gap
-        elif limits.half_range != NULL and gap > limits.half_range[axis - tree.n_metric]:
-            return INFINITY
-        elif limits.squared_range >= 0.0:
-            squared_range += gap * gap
-            if squared_range > limits.squared_range:
-                return INFINITY
-        elif limits.half_range == NULL:
-            break
-    return squared
+        for lane in range(points_of_block(tree, block), BLOCK):
+            tree.coords[block, axis, lane] = INFINITY
 
 
-cdef Py_ssize_t scan_leaf(
-    Tree tree, Py_ssize_t leaf, const double* query, const Limits* limits, Candidate* found,
-    Py_ssize_t k, Py_ssize_t count
-) noexcept nogil:
-    """Offer the leaf's points to the heap of the k nearest; return its new size."""
-    cdef Py_ssize_t last = tree.n_levels - 1
-    cdef Py_ssize_t place, axis
-    cdef Candidate candidate
-    cdef double gap
-    for place in range((leaf * tree.n_points) >> last, ((leaf + 1) * tree.n_points) >> last):
-        candidate.squared = 0.0
-        for axis in range(tree.n_metric):
-            gap = tree.points[place, axis] - query[axis]
-            candidate.squared += gap * gap
-        candidate.id = tree.ids[place]
-        candidate.place = place
-        if candidate.squared > limits.squared_radius or candidate.id == limits.excluded:
+cdef void box_leaf_group(Tree tree, Py_ssize_t g) noexcept nogil:
+    """Box the blocks of one group of the last kept level."""
+    cdef Py_ssize_t last = last_kept(tree)
+    cdef Py_ssize_t node = g * fan_out(tree, last)
+    cdef Py_ssize_t group = tree.first_group[last] + g
+    cdef Py_ssize_t child, block, axis
+    for child in range(fan_out(tree, last)):
+        block = first_block(tree, node + child)
+        if block == first_block(tree, node + child + 1):
             continue
-        if count == k and not worse(&found[0], &candidate):
-            continue
-        if not in_range(tree, place, query, limits):
-            continue
-        if count < k:
-            found[count] = candidate
-            sift_up(found, count)
-            count += 1
-        else:
-            found[0] = candidate
-            sift_down(found, k, 0)
-    return count
+        for axis in range(tree.n_axes):
+            box_lanes(
+                tree, group, child, axis, &tree.coords[block, axis, 0],
+                &tree.coords[block, axis, 0], points_of_block(tree, block)
+            )
 
 
-cdef bint in_range(
-    Tree tree, Py_ssize_t place, const double* query, const Limits* limits
+cdef void box_inner_group(Tree tree, Py_ssize_t level, Py_ssize_t g) noexcept nogil:
+    """Box the groups below one group of an inner kept level."""
+    cdef Py_ssize_t group = tree.first_group[level] + g
+    cdef Py_ssize_t child, below, axis
+    for child in range(fan_out(tree, level)):
+        below = tree.first_group[level + 1] + g * fan_out(tree, level) + child
+        for axis in range(tree.n_axes):
+            box_lanes(
+                tree, group, child, axis, &tree.boxes[below, 0, axis, 0],
+                &tree.boxes[below, 1, axis, 0], BLOCK
+            )
+
+
+cdef inline void box_lanes(
+    Tree tree, Py_ssize_t group, Py_ssize_t child, Py_ssize_t axis, const double* least,
+    const double* most, Py_ssize_t count
 ) noexcept nogil:
-    cdef double squared_range = 0.0
-    cdef double gap
-    cdef Py_ssize_t axis
-    if limits.half_range == NULL and limits.squared_range < 0.0:
-        return True
-    for axis in range(tree.n_metric, tree.n_axes):
-        gap = tree.points[place, axis] - query[axis]
-        if limits.half_range != NULL and fabs(gap) > limits.half_range[axis - tree.n_metric]:
-            return False
-        squared_range += gap * gap
-    return limits.squared_range < 0.0 or squared_range <= limits.squared_range
+    cdef double low = INFINITY
+    cdef double high = -INFINITY
+    cdef Py_ssize_t lane
+    for lane in range(count):
+        low = min(low, least[lane])
+        high = max(high, most[lane])
+    tree.boxes[group, 0, axis, child] = low
+    tree.boxes[group, 1, axis, child] = high
 
 
-cdef void query_row(
-    Tree tree, const double* query, Py_ssize_t row, const double[:, ::1] half_range,
-    const double[::1] range_radius, bint exclude_self, Candidate* found,
-    Py_ssize_t[:, ::1] ids, double[:, ::1] distance
-) noexcept nogil:
-    """Search for one query; write its row only."""
-    cdef Limits limits
-    cdef Py_ssize_t slot, count
-    lift_limits(&limits)
-    if exclude_self:
-        limits.excluded = row
-    if range_radius is not None:
-        limits.squared_range = range_radius[row] * range_radius[row]
-    if half_range is not None:
-        limits.half_range = &half_range[row, 0]
-    count = tree.search(query, &limits, found, ids.shape[1])
-    for slot in range(count):
-        ids[row, slot] = found[slot].id
-        distance[row, slot] = sqrt(found[slot].squared)
+cdef void find_lowest_ids(Tree tree) noexcept nogil:
+    """Note the lowest id of each node, from the blocks upwards."""
+    cdef Py_ssize_t last = last_kept(tree)
+    cdef Py_ssize_t level, g, child, node
+    for level in range(last, -1, -1):
+        for g in range(tree.first_group[level + 1] - tree.first_group[level]):
+            for child in range(fan_out(tree, level)):
+                node = g * fan_out(tree, level) + child
+                tree.lowest_id[tree.first_group[level] + g, child] = (
+                    lowest_of_block(tree, node) if level == last
+                    else lowest_of_group(tree, tree.first_group[level + 1] + node)
+                )
 
 
-cdef double farthest_distance(
-    Tree tree, Py_ssize_t place, Py_ssize_t k, const double[::1] range_radius, Candidate* found
-) noexcept nogil:
-    """Return the distance to the farthest of the k nearest points, the point itself counted."""
-    cdef Py_ssize_t row = tree.ids[place]
-    cdef Limits limits
-    lift_limits(&limits)
-    if range_radius is not None:
-        limits.squared_range = range_radius[row] * range_radius[row]
-    return sqrt(found[tree.search(&tree.points[place, 0], &limits, found, k) - 1].squared)
+cdef int64_t lowest_of_block(Tree tree, Py_ssize_t node) noexcept nogil:
+    cdef int64_t lowest = tree.n_points
+    cdef Py_ssize_t block, place
+    for block in range(first_block(tree, node), first_block(tree, node + 1)):
+        for place in range(BLOCK * block, BLOCK * block + points_of_block(tree, block)):
+            lowest = min(lowest, tree.ids[place])
+    return lowest
+
+
+cdef int64_t lowest_of_group(Tree tree, Py_ssize_t group) noexcept nogil:
+    cdef int64_t lowest = tree.n_points
+    cdef Py_ssize_t child
+    for child in range(BLOCK):
+        lowest = min(lowest, tree.lowest_id[group, child])
+    return lowest
 
 
 cdef class Tree:
@@ -266,109 +179,66 @@ cdef class Tree:
         int n_threads
     ):
         """Build; a node is split across the axis on which extent times `axis_scale` is largest."""
+        cdef Py_ssize_t block
+        self.lanes = chosen_lanes()
         self.n_points = points.shape[0]
         self.n_axes = points.shape[1]
         self.n_metric = n_metric
-        self.n_levels = 1
-        while (self.n_points >> (self.n_levels - 1)) > LEAF_SIZE:
-            self.n_levels += 1
-        cdef Py_ssize_t n_nodes = (1 << self.n_levels) - 1
-        self.points = np.empty((self.n_points, self.n_axes))
-        self.ids = np.arange(self.n_points, dtype=np.intp)
-        self.low = np.full((n_nodes, self.n_axes), np.inf)
-        self.high = np.full((n_nodes, self.n_axes), -np.inf)
-        self.lowest_id = np.full(n_nodes, self.n_points, dtype=np.intp)
-        if self.n_points:
-            order(self, points, axis_scale, n_threads)
-            box_leaves(self, points, n_threads)
-            box_inner_nodes(self)
+        self.n_blocks = (self.n_points + BLOCK - 1) // BLOCK
+        self.allocate()
+        if self.n_points == 0:
+            return
+        self.ids = median_order(points, axis_scale, n_threads)
+        for block in prange(self.n_blocks, nogil=True, schedule="static", num_threads=n_threads):
+            place_block(self, points, block)
+        find_lowest_ids(self)
+        self.box(n_threads)
 
-    cdef unsigned char[:, ::1] scratch(self, Py_ssize_t k, int n_threads):
-        """Return room for what `search` finds, a row a thread; it finds no more than n points."""
-        n_found = max(min(k, self.n_points), 1)
-        return np.empty((n_threads, n_found * sizeof(Candidate)), dtype=np.uint8)
+    def allocate(self):
+        """Make room for points and boxes; empty ones for nodes without points."""
+        self.n_levels = max(self.n_blocks - 1, 0).bit_length()
+        inner = max((self.n_levels - 1) // 4, 0)
+        first = self.n_levels - 4 * inner
+        sizes = [1] + [1 << (first + 4 * level) for level in range(inner)]
+        self.first_group = np.cumsum([0] + sizes, dtype=np.intp)
+        self.ids = np.empty(self.n_points, dtype=np.int64)
+        self.coords = np.empty((self.n_blocks, self.n_axes, BLOCK))
+        boxes = np.empty((sum(sizes), 2, self.n_axes, BLOCK))
+        boxes[:, 0] = np.inf
+        boxes[:, 1] = -np.inf
+        self.boxes = boxes
+        self.lowest_id = np.empty((sum(sizes), BLOCK), dtype=np.int64)
+        self.low = np.full(self.n_axes, np.inf)
+        self.high = np.full(self.n_axes, -np.inf)
 
-    cdef Py_ssize_t search(
-        self, const double* query, const Limits* limits, Candidate* found, Py_ssize_t k
-    ) noexcept nogil:
-        """Write the k nearest points within the limits, nearest first; return how many."""
-        cdef Py_ssize_t[STACK_SIZE] open_nodes
-        cdef double[STACK_SIZE] open_squared
-        cdef Py_ssize_t n_open = 1
-        cdef Py_ssize_t count = 0
-        cdef Py_ssize_t first_leaf = (1 << (self.n_levels - 1)) - 1
-        cdef Py_ssize_t node, near, far
-        cdef double squared, near_squared, far_squared
-        open_nodes[0] = 0
-        open_squared[0] = box_distance(self, 0, query, limits)
-        while n_open > 0:
-            n_open -= 1
-            node = open_nodes[n_open]
-            squared = open_squared[n_open]
-            if pruned(self, node, squared, limits, found, k, count):
-                continue
-            if node >= first_leaf:
-                count = scan_leaf(self, node - first_leaf, query, limits, found, k, count)
-                continue
-            near = 2 * node + 1
-            far = near + 1
-            near_squared = box_distance(self, near, query, limits)
-            far_squared = box_distance(self, far, query, limits)
-            if far_squared < near_squared:
-                near, far = far, near
-                near_squared, far_squared = far_squared, near_squared
-            open_nodes[n_open] = far
-            open_squared[n_open] = far_squared
-            open_nodes[n_open + 1] = near
-            open_squared[n_open + 1] = near_squared
-            n_open += 2
-        sort_heap(found, count)
-        return count
+    def move(self, const double[:, ::1] moved, Py_ssize_t first_axis, double scale, int n_threads):
+        """Give points, by place, new coordinates from an axis on; `box` has to follow."""
+        cdef Py_ssize_t block
+        if moved.shape[0] != self.n_points or first_axis + moved.shape[1] > self.n_axes:
+            raise ValueError("coordinates do not fit the tree")
+        for block in prange(self.n_blocks, nogil=True, schedule="static", num_threads=n_threads):
+            move_block(self, moved, first_axis, scale, block)
 
-    def query(
-        self, const double[:, ::1] queries, const Py_ssize_t[::1] rows, Py_ssize_t k, *,
-        const double[:, ::1] half_range, const double[::1] range_radius, bint exclude_self,
-        int n_threads
-    ):
-        """Return ids (m, k) and distances (m, k); see `photonrelax.KDTree.query`.
-
-        Query i is answered in row ``rows[i]``, which also tells its ranges and the point to
-        exclude; so queries can come in an order in which neighbours follow each other.
-        """
-        cdef Py_ssize_t n_queries = queries.shape[0]
-        ids = np.full((n_queries, k), self.n_points, dtype=np.intp)
-        distance = np.full((n_queries, k), np.inf)
-        cdef Py_ssize_t[:, ::1] ids_view = ids
-        cdef double[:, ::1] distance_view = distance
-        cdef unsigned char[:, ::1] found = self.scratch(k, n_threads)
-        cdef Py_ssize_t i
-        if self.n_points:
-            for i in prange(
-                n_queries, nogil=True, schedule="dynamic", chunksize=256, num_threads=n_threads
-            ):
-                query_row(
-                    self, &queries[i, 0], rows[i], half_range, range_radius, exclude_self,
-                    <Candidate*> &found[threadid(), 0], ids_view, distance_view
-                )
-        return ids, distance
-
-    def farthest(
-        self, const Py_ssize_t[::1] places, Py_ssize_t k, *, const double[::1] range_radius,
-        int n_threads
-    ):
-        """Return the distance of some of the tree's points to the farthest of their k nearest.
-
-        Row i belongs to the point at ``places[i]``; `range_radius` goes by the points' ids.
-        """
-        cdef Py_ssize_t n = places.shape[0]
-        distance = np.empty(n)
-        cdef double[::1] distance_view = distance
-        cdef unsigned char[:, ::1] found = self.scratch(k, n_threads)
-        cdef Py_ssize_t i
-        for i in prange(
-            n, nogil=True, schedule="dynamic", chunksize=256, num_threads=n_threads
+    def box(self, int n_threads):
+        """Box all nodes, from the blocks upwards; which points they hold stays as it is."""
+        cdef Py_ssize_t last = last_kept(self)
+        cdef Py_ssize_t g, level
+        for g in prange(
+            self.first_group[last + 1] - self.first_group[last], nogil=True, schedule="static",
+            num_threads=n_threads
         ):
-            distance_view[i] = farthest_distance(
-                self, places[i], k, range_radius, <Candidate*> &found[threadid(), 0]
-            )
-        return distance
+            box_leaf_group(self, g)
+        for level in range(last - 1, -1, -1):
+            for g in range(self.first_group[level + 1] - self.first_group[level]):
+                box_inner_group(self, level, g)
+        self.box_all()
+
+    def box_all(self):
+        cdef double squared = 0.0
+        cdef Py_ssize_t axis
+        boxes = np.asarray(self.boxes)[0]
+        self.low = boxes[0].min(axis=1)
+        self.high = boxes[1].max(axis=1)
+        for axis in range(self.n_metric):
+            squared += (self.high[axis] - self.low[axis]) * (self.high[axis] - self.low[axis])
+        self.squared_diagonal = min(squared, DBL_MAX)

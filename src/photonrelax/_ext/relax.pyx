@@ -4,7 +4,9 @@ from cython.parallel cimport prange, threadid
 from libc.math cimport sqrt
 
 from .core cimport cross, dot
-from .kdtree cimport Candidate, Limits, Tree, lift_limits
+from .kdtree cimport Tree
+from .lanes cimport BLOCK
+from .search cimport Batch, Query, find, limit_radius, limit_range, open_block, scratch
 
 # A photon with fewer photons in range than this has no neighbourhood to spread out in.
 cdef enum:
@@ -12,85 +14,97 @@ cdef enum:
 
 
 cdef class Sheet:
-    """What a move reads of each photon: normal, constraint, limits of its search, largest step.
+    """What a move reads of each photon, by place in the tree.
 
-    `range_radius` and `reach` may be None for no limit.
+    Parameters
+    ----------
+    normal, along : (n, 3) float64 arrays
+        Unit normal, and the direction in which the photon is free.
+    constraint : (n,) float64 array
+        Of the direction across.
+    range_radius, reach : (n,) float64 arrays or None
+        Limits over the range axes and in space; None for none.
+    largest_step : (n,) float64 array
+    squared_radius : (n,) float64 array
+        Squared distance to the farthest neighbour, or a guess of it, -1 for none; set by moves.
     """
 
     cdef const double[:, ::1] normal
-    cdef const double[:, :, ::1] basis
+    cdef const double[:, ::1] along
     cdef const double[::1] constraint
     cdef const double[::1] range_radius
     cdef const double[::1] reach
     cdef const double[::1] largest_step
+    cdef double[::1] squared_radius
 
-    def __init__(self, normal, structure, *, range_radius, reach, largest_step):
+    def __init__(
+        self, *, normal, along, constraint, range_radius, reach, largest_step, squared_radius
+    ):
         self.normal = normal
-        self.basis = structure.basis
-        self.constraint = structure.constraint
+        self.along = along
+        self.constraint = constraint
         self.range_radius = range_radius
         self.reach = reach
         self.largest_step = largest_step
+        self.squared_radius = squared_radius
 
 
 def move(
     Tree tree, Py_ssize_t first, Py_ssize_t end, Sheet sheet, Py_ssize_t k, double step,
     double[:, ::1] moved, int n_threads
 ):
-    """Write the new positions of the photons at places first … end of the tree to their rows.
+    """Write the new positions of the photons at places first … end, whole blocks, of the tree.
 
     All positions read are the tree's, so the update is simultaneous: no order among photons.
     """
-    cdef unsigned char[:, ::1] found = tree.scratch(k, n_threads)
-    cdef Py_ssize_t place
-    for place in prange(
-        first, end, nogil=True, schedule="dynamic", chunksize=256, num_threads=n_threads
+    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef Py_ssize_t block
+    for block in prange(
+        first // BLOCK, (end + BLOCK - 1) // BLOCK, nogil=True, schedule="dynamic", chunksize=16,
+        num_threads=n_threads
     ):
-        move_one(tree, place, sheet, k, step, <Candidate*> &found[threadid(), 0], moved)
+        move_block(tree, <Batch*> &room[threadid(), 0], block, sheet, step, moved)
+
+
+cdef void move_block(
+    Tree tree, Batch* batch, Py_ssize_t block, Sheet sheet, double step, double[:, ::1] moved
+) noexcept nogil:
+    """Move the photons of a block; write their places only."""
+    cdef Py_ssize_t lane, place
+    cdef Query* query
+    open_block(tree, batch, block)
+    for lane in range(batch.n_queries):
+        query = &batch.queries[lane]
+        place = BLOCK * block + lane
+        query.squared_guess = sheet.squared_radius[place]
+        if sheet.range_radius is not None:
+            limit_range(query, sheet.range_radius[place])
+        if sheet.reach is not None:
+            limit_radius(query, sheet.reach[place] * sheet.reach[place])
+    find(tree, batch)
+    for lane in range(batch.n_queries):
+        move_one(tree, batch, &batch.queries[lane], BLOCK * block + lane, sheet, step, moved)
 
 
 cdef void move_one(
-    Tree tree, Py_ssize_t place, Sheet sheet, Py_ssize_t k, double step, Candidate* found,
+    Tree tree, Batch* batch, const Query* query, Py_ssize_t place, Sheet sheet, double step,
     double[:, ::1] moved
 ) noexcept nogil:
-    """Move one photon; write its row only."""
-    cdef Py_ssize_t row = tree.ids[place]
-    cdef Py_ssize_t axis, count
-    cdef Limits limits
+    """Move one photon by the repulsion of its neighbours; write its place only."""
+    cdef Py_ssize_t axis
     cdef double[3] f
-    lift_limits(&limits)
-    if sheet.range_radius is not None:
-        limits.squared_range = sheet.range_radius[row] * sheet.range_radius[row]
-    if sheet.reach is not None:
-        limits.squared_radius = sheet.reach[row] * sheet.reach[row]
-    count = tree.search(&tree.points[place, 0], &limits, found, k)
     f[0] = f[1] = f[2] = 0.0
-    if count >= FEWEST:
-        force(f, tree, place, found, count)
-        project(f, &sheet.normal[row, 0], &sheet.basis[row, 0, 0], sheet.constraint[row])
-        shorten(f, step, sheet.largest_step[row])
+    if query.found.count >= FEWEST and query.found.squared_radius > 0.0:
+        tree.lanes.list(&query.found, batch.squared, batch.place)
+        tree.lanes.repulsion(
+            &tree.coords[0, 0, 0], tree.n_axes, batch.squared, batch.place, query.found.count,
+            place, sqrt(query.found.squared_radius), f
+        )
+        project(f, &sheet.normal[place, 0], &sheet.along[place, 0], sheet.constraint[place])
+        shorten(f, step, sheet.largest_step[place])
+    sheet.squared_radius[place] = query.found.squared_radius
     for axis in range(3):
-        moved[row, axis] = tree.points[place, axis] + f[axis]
-
-
-cdef void force(
-    double* f, Tree tree, Py_ssize_t place, const Candidate* found, Py_ssize_t count
-) noexcept nogil:
-    """Write the repulsion f of SJ13 Eq. 8, m.
-
-    A photon at the very same point repels in no direction; ε of Eq. 8 stands for that case alone.
-    """
-    cdef double radius = sqrt(found[count - 1].squared)
-    cdef double distance, weight
-    cdef Py_ssize_t j, axis
-    f[0] = f[1] = f[2] = 0.0
-    for j in range(count):
-        distance = sqrt(found[j].squared)
-        if distance == 0.0:
-            continue
-        weight = (radius / distance - 1.0) / count
-        for axis in range(3):
-            f[axis] += weight * (tree.points[place, axis] - tree.points[found[j].place, axis])
+        moved[place, axis] = query.reach.low[axis] + f[axis]
 
 
 cdef void project(

@@ -1,12 +1,14 @@
 """Principal components of photon neighbourhoods and the constraints they imply (SJ13 §4.3)."""
 
 from cython.parallel cimport prange, threadid
-from libc.math cimport M_PI, atan2, cos, erf, hypot, sin, sqrt
+from libc.math cimport M_PI, erf, fabs, sqrt
 
 import numpy as np
 
-from .core cimport dot, orthonormal_frame
-from .kdtree cimport Candidate, Limits, Tree, lift_limits
+from .core cimport orthonormal_frame
+from .kdtree cimport Tree
+from .lanes cimport BLOCK
+from .search cimport Batch, Query, find, limit_radius, limit_range, open_block, scratch
 
 # Below this many photons in range a neighbourhood says nothing about structure.
 cdef enum:
@@ -77,11 +79,42 @@ cdef class Targets:
         self.n_found = n_found
 
 
-cdef Components decompose(const double* offsets, Py_ssize_t count) noexcept nogil:
-    """Decompose the covariance (divisor `count`, about the mean) of planar offsets (count, 2)."""
+cdef Components decompose(double uu, double uv, double vv) noexcept nogil:
+    """Decompose the matrix ((uu, uv), (uv, vv))."""
     cdef Components pca
+    cdef double middle = 0.5 * (uu + vv)
+    cdef double difference = 0.5 * (uu - vv)
+    cdef double size = max(fabs(difference), fabs(uv))
+    cdef double spread, length
+    pca.first = pca.second = middle
+    pca.cosine = 1.0
+    pca.sine = 0.0
+    if size == 0.0:
+        return pca
+    # Divided by their size the squares stay in range.
+    difference /= size
+    uv /= size
+    spread = sqrt(difference * difference + uv * uv)
+    # The half of the angle whose cosine is difference / spread, without cancellation.
+    if difference >= 0.0:
+        pca.cosine = spread + difference
+        pca.sine = uv
+    else:
+        pca.cosine = fabs(uv)
+        pca.sine = spread - difference if uv >= 0.0 else difference - spread
+    length = sqrt(pca.cosine * pca.cosine + pca.sine * pca.sine)
+    pca.cosine /= length
+    pca.sine /= length
+    pca.first = middle + spread * size
+    # Rounding may leave photons on a line a variance just below zero across it.
+    pca.second = max(middle - spread * size, 0.0)
+    return pca
+
+
+cdef Components decompose_offsets(const double* offsets, Py_ssize_t count) noexcept nogil:
+    """Decompose the covariance (divisor `count`, about the mean) of planar offsets (count, 2)."""
     cdef double mean_u = 0.0, mean_v = 0.0, uu = 0.0, uv = 0.0, vv = 0.0
-    cdef double u, v, middle, spread, angle
+    cdef double u, v
     cdef Py_ssize_t j
     for j in range(count):
         mean_u += offsets[2 * j]
@@ -94,15 +127,7 @@ cdef Components decompose(const double* offsets, Py_ssize_t count) noexcept nogi
         uu += u * u
         uv += u * v
         vv += v * v
-    middle = 0.5 * (uu + vv) / count
-    spread = hypot(0.5 * (uu - vv), uv) / count
-    angle = 0.5 * atan2(uv, 0.5 * (uu - vv))
-    pca.first = middle + spread
-    # Rounding may leave photons on a line a variance just below zero across it.
-    pca.second = max(middle - spread, 0.0)
-    pca.cosine = cos(angle)
-    pca.sine = sin(angle)
-    return pca
+    return decompose(uu / count, uv / count, vv / count)
 
 
 def principal_components(const double[:, :, ::1] offsets, int n_threads):
@@ -123,7 +148,7 @@ cdef void write_components(
     double[:, ::1] vectors
 ) noexcept nogil:
     """Decompose set i; write row i only."""
-    cdef Components pca = decompose(&offsets[i, 0, 0], offsets.shape[1])
+    cdef Components pca = decompose_offsets(&offsets[i, 0, 0], offsets.shape[1])
     eigenvalues[i, 0] = pca.first
     eigenvalues[i, 1] = pca.second
     vectors[i, 0] = pca.cosine
@@ -134,73 +159,69 @@ def detect(
     Tree tree, Py_ssize_t first, Py_ssize_t end, const double[:, ::1] normal, targets_by_name, *,
     const double[::1] range_radius, const double[::1] reach, Py_ssize_t k, int n_threads
 ):
-    """Fill the rows of the photons at places first … end of the tree; see `detect_structure`.
+    """Fill the rows of the photons at places first … end, whole blocks, of the tree.
 
     `range_radius` and `reach` limit the search over the range axes and in space; None for none.
     """
     cdef Targets targets = Targets(**targets_by_name)
-    cdef unsigned char[:, ::1] found = tree.scratch(k, n_threads)
-    cdef double[:, ::1] offsets = np.empty((n_threads, 2 * min(k, tree.n_points)))
-    cdef Py_ssize_t place
-    for place in prange(
-        first, end, nogil=True, schedule="dynamic", chunksize=256, num_threads=n_threads
+    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef Py_ssize_t block
+    for block in prange(
+        first // BLOCK, (end + BLOCK - 1) // BLOCK, nogil=True, schedule="dynamic", chunksize=16,
+        num_threads=n_threads
     ):
-        detect_one(
-            tree, place, normal, range_radius, reach, k, <Candidate*> &found[threadid(), 0],
-            &offsets[threadid(), 0], targets
+        detect_block(
+            tree, <Batch*> &room[threadid(), 0], block, normal, range_radius, reach, targets
         )
 
 
-cdef void detect_one(
-    Tree tree, Py_ssize_t place, const double[:, ::1] normal, const double[::1] range_radius,
-    const double[::1] reach, Py_ssize_t k, Candidate* found, double* offsets, Targets out
+cdef void detect_block(
+    Tree tree, Batch* batch, Py_ssize_t block, const double[:, ::1] normal,
+    const double[::1] range_radius, const double[::1] reach, Targets out
 ) noexcept nogil:
-    """Detect the structure around one photon; write its row only."""
-    cdef Py_ssize_t row = tree.ids[place]
-    cdef Py_ssize_t axis, count
-    cdef Limits limits
+    """Detect the structure around the photons of a block; write their rows only."""
+    cdef Py_ssize_t lane, row
+    cdef Query* query
+    open_block(tree, batch, block)
+    for lane in range(batch.n_queries):
+        query = &batch.queries[lane]
+        row = tree.ids[BLOCK * block + lane]
+        if range_radius is not None:
+            limit_range(query, range_radius[row])
+        if reach is not None:
+            limit_radius(query, reach[row] * reach[row])
+    find(tree, batch)
+    for lane in range(batch.n_queries):
+        row = tree.ids[BLOCK * block + lane]
+        detect_one(tree, &batch.queries[lane], row, &normal[row, 0], out)
+
+
+cdef void detect_one(
+    Tree tree, const Query* query, Py_ssize_t row, const double* normal, Targets out
+) noexcept nogil:
+    """Detect the structure around one photon from its neighbours; write its row only."""
+    cdef Py_ssize_t axis
     cdef Components pca
-    cdef double[3] u
-    cdef double[3] v
-    cdef double scale
-    lift_limits(&limits)
-    if range_radius is not None:
-        limits.squared_range = range_radius[row] * range_radius[row]
-    if reach is not None:
-        limits.squared_radius = reach[row] * reach[row]
-    count = tree.search(&tree.points[place, 0], &limits, found, k)
-    orthonormal_frame(u, v, &normal[row, 0])
+    cdef double[6] frame
+    cdef double[3] moments
+    orthonormal_frame(frame, frame + 3, normal)
     pca.cosine = 1.0
     pca.sine = 0.0
-    out.n_found[row] = <int> count
-    out.radius[row] = sqrt(found[count - 1].squared)
+    out.n_found[row] = <int> query.found.count
+    out.radius[row] = sqrt(query.found.squared_radius)
     out.eigenvalues[row, 0] = 0.0
     out.eigenvalues[row, 1] = 0.0
     out.constraint[row] = 0.0
-    if count >= FEWEST and out.radius[row] > 0.0:
-        project(tree, place, found, count, u, v, offsets)
+    if query.found.count >= FEWEST and out.radius[row] > 0.0:
         # Dividing lengths, not squares, keeps very small and very large scenes in range.
-        scale = 1.0 / out.radius[row]
-        for axis in range(2 * count):
-            offsets[axis] *= scale
-        pca = decompose(offsets, count)
+        tree.lanes.moments(
+            &tree.coords[0, 0, 0], tree.n_axes, &query.found, query.reach.low, frame,
+            1.0 / out.radius[row], moments
+        )
+        pca = decompose(moments[0], moments[1], moments[2])
         out.eigenvalues[row, 0] = pca.first
         out.eigenvalues[row, 1] = pca.second
-        out.constraint[row] = constraint(pca.second, count)
+        out.constraint[row] = constraint(pca.second, query.found.count)
     for axis in range(3):
-        out.basis[row, 0, axis] = pca.cosine * u[axis] + pca.sine * v[axis]
-        out.basis[row, 1, axis] = pca.cosine * v[axis] - pca.sine * u[axis]
-
-
-cdef void project(
-    Tree tree, Py_ssize_t place, const Candidate* found, Py_ssize_t count, const double* u,
-    const double* v, double* offsets
-) noexcept nogil:
-    """Write the neighbours' offsets from the photon in its tangent plane, (count, 2)."""
-    cdef double[3] offset
-    cdef Py_ssize_t j, axis
-    for j in range(count):
-        for axis in range(3):
-            offset[axis] = tree.points[found[j].place, axis] - tree.points[place, axis]
-        offsets[2 * j] = dot(offset, u)
-        offsets[2 * j + 1] = dot(offset, v)
+        out.basis[row, 0, axis] = pca.cosine * frame[axis] + pca.sine * frame[3 + axis]
+        out.basis[row, 1, axis] = pca.cosine * frame[3 + axis] - pca.sine * frame[axis]

@@ -1,0 +1,323 @@
+/* One set of loops for each instruction set, and the choice among them. */
+#include "lanes.h"
+
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#define ALWAYS_INLINE inline __attribute__((always_inline))
+#define COUNT_BITS(x) __builtin_popcount(x)
+#define COUNT_LONG(x) __builtin_popcountll(x)
+#define LOWEST_BIT(x) __builtin_ctzll(x)
+#define JOIN_NAMES(a, b) a##_##b
+#define JOIN(a, b) JOIN_NAMES(a, b)
+#define NAME(x) JOIN(x, SET_SUFFIX)
+#define INLINE ALWAYS_INLINE TARGET
+
+/* The search for the key of the k-th nearest candidate: `fewer` are known to have less than `key`. */
+typedef struct {
+    const uint8_t *keys;
+    int64_t k, fewer;
+    int key;
+} Ranked;
+
+static inline int64_t n_chunks(const Found *found)
+{
+    return (BLOCK * found->n_blocks + KEYS - 1) / KEYS;
+}
+
+/* Return the number of a rank, counted from one, among n; reorders them. */
+static double of_rank(double *x, int64_t n, int64_t rank)
+{
+    int64_t low = 0, high = n - 1;
+    while (low < high) {
+        double pivot = x[low + (high - low) / 2];
+        int64_t i = low, j = high;
+        while (i <= j) {
+            while (x[i] < pivot) ++i;
+            while (x[j] > pivot) --j;
+            if (i <= j) {
+                double kept = x[i];
+                x[i++] = x[j];
+                x[j--] = kept;
+            }
+        }
+        if (rank - 1 <= j)
+            high = j;
+        else if (rank - 1 >= i)
+            low = i;
+        else
+            break;
+    }
+    return x[rank - 1];
+}
+
+/* Sort by insertion what is nearly sorted: by squared distance, then id. */
+static void sort_exactly(double *squared, int64_t *id, int64_t count)
+{
+    for (int64_t j = 1; j < count; ++j) {
+        double x = squared[j];
+        int64_t own = id[j], hole = j;
+        for (; hole > 0 && (squared[hole - 1] > x || (squared[hole - 1] == x && id[hole - 1] > own));
+             --hole) {
+            squared[hole] = squared[hole - 1];
+            id[hole] = id[hole - 1];
+        }
+        squared[hole] = x;
+        id[hole] = own;
+    }
+}
+
+static int64_t id_at(const Found *found, int64_t candidate, const int64_t *ids)
+{
+    return ids[BLOCK * (int64_t)found->blocks[candidate / BLOCK] + candidate % BLOCK];
+}
+
+/* Put out of reach candidates beyond the count that are as far away as the farthest, those of
+ * highest ids. `few` are the n distances next to it, `fewer` candidates are nearer than all these. */
+static void drop_ties(Found *found, double *few, int64_t n, int64_t fewer, const int64_t *ids)
+{
+    int64_t excess = fewer - found->count, equal = 0;
+    double highest;
+    for (int64_t j = 0; j < n; ++j) excess += few[j] <= found->squared_radius;
+    if (excess == 0) return;
+    for (int64_t j = 0; j < BLOCK * found->n_blocks; ++j)
+        if (found->squared[j] == found->squared_radius) few[equal++] = (double)id_at(found, j, ids);
+    highest = of_rank(few, equal, equal - excess);
+    for (int64_t j = 0; j < BLOCK * found->n_blocks; ++j)
+        if (found->squared[j] == found->squared_radius && (double)id_at(found, j, ids) > highest)
+            found->squared[j] = INFINITY;
+}
+
+/* ---- Any processor ---- */
+#define SET_SUFFIX portable
+#define SET_NAME "portable"
+#define TARGET
+#define WIDTH 1
+#define VECTOR double
+#define MASK unsigned
+#define SET(x) (x)
+#define LOAD(x) (*(x))
+#define STORE(x, v) (*(x) = (v))
+#define ADD(a, b) ((a) + (b))
+#define SUB(a, b) ((a) - (b))
+#define MUL(a, b) ((a) * (b))
+#define DIV(a, b) ((a) / (b))
+#define MAX(a, b) ((a) > (b) ? (a) : (b))
+#define MIN(a, b) ((a) < (b) ? (a) : (b))
+#define SQRT(a) sqrt(a)
+#define AT_MOST(a, b) ((unsigned)((a) <= (b)))
+#define BOTH(a, b) ((a) & (b))
+#define BITS(m) (m)
+#define PICK(m, a, b) ((m) ? (a) : (b))
+#define PACK(squared, place, m, v, first) (*(squared) = (v), *(place) = (first))
+#define GATHER(base, p, n_axes) ((base)[*(p) + (*(p) & ~(int64_t)(BLOCK - 1)) * ((n_axes) - 1)])
+
+#if defined(__SSE2__)
+#include <emmintrin.h>
+static ALWAYS_INLINE uint64_t keys_equal_portable(const uint8_t *keys, int key)
+{
+    uint64_t bits = 0;
+    for (int i = 0; i < KEYS; i += 16) {
+        __m128i x = _mm_loadu_si128((const __m128i *)(keys + i));
+        __m128i equal = _mm_cmpeq_epi8(x, _mm_set1_epi8((char)key));
+        bits |= (uint64_t)_mm_movemask_epi8(equal) << i;
+    }
+    return bits;
+}
+
+static ALWAYS_INLINE uint64_t keys_at_most_portable(const uint8_t *keys, int most)
+{
+    uint64_t bits = 0;
+    for (int i = 0; i < KEYS; i += 16) {
+        __m128i x = _mm_loadu_si128((const __m128i *)(keys + i));
+        __m128i less = _mm_cmpeq_epi8(_mm_min_epu8(x, _mm_set1_epi8((char)most)), x);
+        bits |= (uint64_t)_mm_movemask_epi8(less) << i;
+    }
+    return bits;
+}
+#else
+static uint64_t keys_equal_portable(const uint8_t *keys, int key)
+{
+    uint64_t bits = 0;
+    for (int i = 0; i < KEYS; ++i) bits |= (uint64_t)(keys[i] == key) << i;
+    return bits;
+}
+
+static uint64_t keys_at_most_portable(const uint8_t *keys, int most)
+{
+    uint64_t bits = 0;
+    for (int i = 0; i < KEYS; ++i) bits |= (uint64_t)(keys[i] <= most) << i;
+    return bits;
+}
+#endif
+
+#define store_keys_portable(to, v)                                   \
+    do {                                                             \
+        V8 key = (v);                                                \
+        for (int i = 0; i < LANES; ++i) (to)[i] = (uint8_t)key.part[i]; \
+    } while (0)
+
+#include "lanes_body.h"
+
+#if defined(__x86_64__)
+#include <immintrin.h>
+
+/* ---- AVX2 ---- */
+#define SET_SUFFIX avx2
+#define SET_NAME "avx2"
+#define TARGET __attribute__((target("avx2,popcnt,bmi")))
+#define WIDTH 4
+#define VECTOR __m256d
+#define MASK __m256d
+#define SET(x) _mm256_set1_pd(x)
+#define LOAD(x) _mm256_loadu_pd(x)
+#define STORE(x, v) _mm256_storeu_pd(x, v)
+#define ADD(a, b) _mm256_add_pd(a, b)
+#define SUB(a, b) _mm256_sub_pd(a, b)
+#define MUL(a, b) _mm256_mul_pd(a, b)
+#define DIV(a, b) _mm256_div_pd(a, b)
+#define MAX(a, b) _mm256_max_pd(a, b)
+#define MIN(a, b) _mm256_min_pd(a, b)
+#define SQRT(a) _mm256_sqrt_pd(a)
+#define AT_MOST(a, b) _mm256_cmp_pd(a, b, _CMP_LE_OQ)
+#define BOTH(a, b) _mm256_and_pd(a, b)
+#define BITS(m) ((unsigned)_mm256_movemask_pd(m))
+#define PICK(m, a, b) _mm256_blendv_pd(b, a, m)
+#define PACK(squared, place, m, v, first) pack_avx2(squared, place, BITS(m), v, first)
+#define GATHER(base, p, n_axes) gather_avx2(base, p, n_axes)
+
+#define LANE(i) 2 * (i), 2 * (i) + 1
+#define ROW(a, b, c, d) {LANE(a), LANE(b), LANE(c), LANE(d)}
+/* Which lanes of a mask lie one behind the other. */
+static const int32_t PACKED[16][8] = {
+    ROW(0, 0, 0, 0), ROW(0, 0, 0, 0), ROW(1, 0, 0, 0), ROW(0, 1, 0, 0),
+    ROW(2, 0, 0, 0), ROW(0, 2, 0, 0), ROW(1, 2, 0, 0), ROW(0, 1, 2, 0),
+    ROW(3, 0, 0, 0), ROW(0, 3, 0, 0), ROW(1, 3, 0, 0), ROW(0, 1, 3, 0),
+    ROW(2, 3, 0, 0), ROW(0, 2, 3, 0), ROW(1, 2, 3, 0), ROW(0, 1, 2, 3),
+};
+
+static INLINE void pack_avx2(double *squared, int64_t *place, unsigned mask, __m256d v, int64_t first)
+{
+    __m256i order = _mm256_loadu_si256((const __m256i *)PACKED[mask]);
+    __m256i p = _mm256_add_epi64(_mm256_set1_epi64x(first), _mm256_setr_epi64x(0, 1, 2, 3));
+    __m256i packed = _mm256_permutevar8x32_epi32(_mm256_castpd_si256(v), order);
+    _mm256_storeu_pd(squared, _mm256_castsi256_pd(packed));
+    _mm256_storeu_si256((__m256i *)place, _mm256_permutevar8x32_epi32(p, order));
+}
+
+static INLINE __m256d gather_avx2(const double *base, const int64_t *place, int64_t n_axes)
+{
+    __m256i p = _mm256_loadu_si256((const __m256i *)place);
+    __m256i block = _mm256_andnot_si256(_mm256_set1_epi64x(BLOCK - 1), p);
+    __m256i skipped = _mm256_mul_epu32(block, _mm256_set1_epi64x(n_axes - 1));
+    return _mm256_i64gather_pd(base, _mm256_add_epi64(p, skipped), 8);
+}
+
+static INLINE uint64_t keys_at_most_avx2(const uint8_t *keys, int most)
+{
+    __m256i limit = _mm256_set1_epi8((char)most);
+    __m256i a = _mm256_loadu_si256((const __m256i *)keys);
+    __m256i b = _mm256_loadu_si256((const __m256i *)(keys + 32));
+    uint32_t low = (uint32_t)_mm256_movemask_epi8(_mm256_cmpeq_epi8(_mm256_min_epu8(a, limit), a));
+    uint32_t high = (uint32_t)_mm256_movemask_epi8(_mm256_cmpeq_epi8(_mm256_min_epu8(b, limit), b));
+    return (uint64_t)high << 32 | low;
+}
+
+static INLINE uint64_t keys_equal_avx2(const uint8_t *keys, int key)
+{
+    __m256i same = _mm256_set1_epi8((char)key);
+    __m256i a = _mm256_loadu_si256((const __m256i *)keys);
+    __m256i b = _mm256_loadu_si256((const __m256i *)(keys + 32));
+    uint32_t low = (uint32_t)_mm256_movemask_epi8(_mm256_cmpeq_epi8(a, same));
+    uint32_t high = (uint32_t)_mm256_movemask_epi8(_mm256_cmpeq_epi8(b, same));
+    return (uint64_t)high << 32 | low;
+}
+
+#define store_keys_avx2(to, v)                                                            \
+    do {                                                                                  \
+        V8 key = (v);                                                                     \
+        __m128i four = _mm_packs_epi32(_mm256_cvttpd_epi32(key.part[0]),                  \
+                                       _mm256_cvttpd_epi32(key.part[1]));                 \
+        _mm_storel_epi64((__m128i *)(to), _mm_packus_epi16(four, four));                  \
+    } while (0)
+
+#include "lanes_body.h"
+
+/* ---- AVX-512 ---- */
+#define SET_SUFFIX avx512
+#define SET_NAME "avx512"
+#define TARGET __attribute__((target("avx512f,avx512bw,avx512dq,avx512vl,popcnt,bmi")))
+#define WIDTH 8
+#define VECTOR __m512d
+#define MASK __mmask8
+#define SET(x) _mm512_set1_pd(x)
+#define LOAD(x) _mm512_loadu_pd(x)
+#define STORE(x, v) _mm512_storeu_pd(x, v)
+#define ADD(a, b) _mm512_add_pd(a, b)
+#define SUB(a, b) _mm512_sub_pd(a, b)
+#define MUL(a, b) _mm512_mul_pd(a, b)
+#define DIV(a, b) _mm512_div_pd(a, b)
+#define MAX(a, b) _mm512_max_pd(a, b)
+#define MIN(a, b) _mm512_min_pd(a, b)
+#define SQRT(a) _mm512_sqrt_pd(a)
+#define AT_MOST(a, b) _mm512_cmp_pd_mask(a, b, _CMP_LE_OQ)
+#define BOTH(a, b) ((__mmask8)((a) & (b)))
+#define BITS(m) ((unsigned)(m))
+#define PICK(m, a, b) _mm512_mask_blend_pd(m, b, a)
+#define PACK(squared, place, m, v, first) pack_avx512(squared, place, m, v, first)
+#define GATHER(base, p, n_axes) gather_avx512(base, p, n_axes)
+
+static INLINE void pack_avx512(double *squared, int64_t *place, __mmask8 mask, __m512d v, int64_t first)
+{
+    __m512i p = _mm512_add_epi64(_mm512_set1_epi64(first), _mm512_setr_epi64(0, 1, 2, 3, 4, 5, 6, 7));
+    _mm512_storeu_pd(squared, _mm512_maskz_compress_pd(mask, v));
+    _mm512_storeu_si512(place, _mm512_maskz_compress_epi64(mask, p));
+}
+
+static INLINE __m512d gather_avx512(const double *base, const int64_t *place, int64_t n_axes)
+{
+    __m512i p = _mm512_loadu_si512(place);
+    __m512i block = _mm512_andnot_si512(_mm512_set1_epi64(BLOCK - 1), p);
+    __m512i skipped = _mm512_mul_epu32(block, _mm512_set1_epi64(n_axes - 1));
+    return _mm512_i64gather_pd(_mm512_add_epi64(p, skipped), base, 8);
+}
+
+static INLINE uint64_t keys_at_most_avx512(const uint8_t *keys, int most)
+{
+    return _mm512_cmple_epu8_mask(_mm512_loadu_si512(keys), _mm512_set1_epi8((char)most));
+}
+
+static INLINE uint64_t keys_equal_avx512(const uint8_t *keys, int key)
+{
+    return _mm512_cmpeq_epu8_mask(_mm512_loadu_si512(keys), _mm512_set1_epi8((char)key));
+}
+
+#define store_keys_avx512(to, v) \
+    _mm_storel_epi64((__m128i *)(to), _mm256_cvtepi32_epi8(_mm512_cvttpd_epi32((v).part[0])))
+
+#include "lanes_body.h"
+#endif
+
+static const Lanes *widest(void)
+{
+#if defined(__x86_64__)
+    __builtin_cpu_init();
+    if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
+        __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl"))
+        return &lanes_avx512;
+    if (__builtin_cpu_supports("avx2")) return &lanes_avx2;
+#endif
+    return &lanes_portable;
+}
+
+const Lanes *lanes_named(const char *name)
+{
+    const Lanes *best = widest();
+    if (name[0] == '\0' || strcmp(name, best->name) == 0) return best;
+    if (strcmp(name, "portable") == 0) return &lanes_portable;
+#if defined(__x86_64__)
+    if (strcmp(name, "avx2") == 0 && best == &lanes_avx512) return &lanes_avx2;
+#endif
+    return NULL;
+}

@@ -1,0 +1,206 @@
+# distutils: language = c++
+"""Neighbours for those who ask for them by name; see `photonrelax.KDTree`."""
+
+from cython.parallel cimport prange, threadid
+from libc.math cimport INFINITY, sqrt
+from libc.stdint cimport int64_t
+
+import numpy as np
+
+from .kdtree cimport Tree
+from .lanes cimport BLOCK, KEYS, prefetch_row
+from .search cimport (
+    Batch, Query, find, limit_range, open_block, open_query, scratch,
+)
+
+
+cdef extern from "<algorithm>" namespace "std" nogil:
+    void sort(Neighbour* first, Neighbour* last)
+
+
+cdef extern from *:
+    """
+    struct Neighbour {
+        double squared;
+        int64_t id;
+        bool operator<(const Neighbour& other) const {
+            return squared < other.squared || (squared == other.squared && id < other.id);
+        }
+    };
+    """
+    cdef cppclass Neighbour:
+        double squared
+        int64_t id
+
+
+cdef class Ranges:
+    """Limits over the range axes, a row a query, None for none; see `photonrelax.KDTree.query`."""
+
+    cdef const double[:, ::1] half_range
+    cdef const double[::1] range_radius
+
+    def __init__(self, half_range, range_radius):
+        self.half_range = half_range
+        self.range_radius = range_radius
+
+
+cdef class Table:
+    """What searches find: ids and distances, a row a query, and room to sort in, a row a thread."""
+
+    cdef readonly object ids
+    cdef readonly object distance
+    cdef int64_t[:, ::1] id_rows
+    cdef double[:, ::1] distance_rows
+    cdef unsigned char[:, ::1] room
+
+    def __init__(self, Py_ssize_t n_queries, Py_ssize_t k, int n_threads):
+        self.ids = np.empty((n_queries, k), dtype=np.int64)
+        self.distance = np.empty((n_queries, k))
+        self.id_rows = self.ids
+        self.distance_rows = self.distance
+        n_sorted = k if k > KEYS else 0
+        self.room = np.empty((n_threads, max(n_sorted * sizeof(Neighbour), 1)), dtype=np.uint8)
+
+
+cdef void limit_ranges(Tree tree, Query* query, Ranges ranges, Py_ssize_t row) noexcept nogil:
+    if ranges.range_radius is not None:
+        limit_range(query, ranges.range_radius[row])
+    if ranges.half_range is not None:
+        query.reach.half_range = &ranges.half_range[row, 0]
+
+
+cdef void write_rows(
+    Tree tree, Batch* batch, const int64_t* rows, Table table, int thread
+) noexcept nogil:
+    """Write what the queries of a batch found to their rows of the table."""
+    cdef Py_ssize_t i, k = table.id_rows.shape[1]
+    for i in range(batch.n_queries):
+        if i + 1 < batch.n_queries:
+            prefetch_row(&table.id_rows[rows[i + 1], 0], 8 * k)
+            prefetch_row(&table.distance_rows[rows[i + 1], 0], 8 * k)
+        write_row(tree, batch, &batch.queries[i], rows[i], table, <Neighbour*> &table.room[thread, 0])
+
+
+cdef void write_row(
+    Tree tree, Batch* batch, Query* query, Py_ssize_t row, Table table, Neighbour* room
+) noexcept nogil:
+    cdef int64_t* ids = &table.id_rows[row, 0]
+    cdef double* distance = &table.distance_rows[row, 0]
+    cdef Py_ssize_t j
+    if query.found.count <= KEYS:
+        tree.lanes.sorted(&query.found, &tree.ids[0], distance, ids)
+    else:
+        tree.lanes.list(&query.found, batch.squared, batch.place)
+        for j in range(query.found.count):
+            room[j].squared = batch.squared[j]
+            room[j].id = tree.ids[batch.place[j]]
+        sort(room, room + query.found.count)
+        for j in range(query.found.count):
+            distance[j] = sqrt(room[j].squared)
+            ids[j] = room[j].id
+    for j in range(query.found.count, table.id_rows.shape[1]):
+        ids[j] = tree.n_points
+        distance[j] = INFINITY
+
+
+def query(
+    Tree tree, const double[:, ::1] queries, const Py_ssize_t[::1] order, Py_ssize_t k, *,
+    Ranges ranges, const Py_ssize_t[::1] excluded, int n_threads
+):
+    """Return ids (m, k) and distances (m, k) of the k nearest of each query.
+
+    Queries are answered in `order`, in which near ones should follow each other. ``excluded[i]``
+    is the place that query i is not to find; None for no such thing.
+    """
+    cdef Py_ssize_t n_batches = (queries.shape[0] + BLOCK - 1) // BLOCK
+    cdef Table table = Table(queries.shape[0], k, n_threads)
+    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef Py_ssize_t i
+    if tree.n_points == 0:
+        table.ids[:] = 0
+        table.distance[:] = np.inf
+        return table.ids, table.distance
+    for i in prange(
+        n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
+    ):
+        query_batch(
+            tree, <Batch*> &room[threadid(), 0], queries, order, i, ranges, excluded, table,
+            threadid()
+        )
+    return table.ids, table.distance
+
+
+cdef void query_batch(
+    Tree tree, Batch* batch, const double[:, ::1] queries, const Py_ssize_t[::1] order,
+    Py_ssize_t number, Ranges ranges, const Py_ssize_t[::1] excluded, Table table, int thread
+) noexcept nogil:
+    """Answer 16 queries that follow each other; write their rows only."""
+    cdef Py_ssize_t i, row
+    cdef Query* query
+    batch.n_queries = 0
+    for i in range(BLOCK * number, min(BLOCK * number + BLOCK, queries.shape[0])):
+        row = order[i]
+        query = &batch.queries[batch.n_queries]
+        open_query(tree, batch, &queries[row, 0])
+        limit_ranges(tree, query, ranges, row)
+        if excluded is not None:
+            query.excluded = excluded[row]
+    find(tree, batch)
+    write_rows(tree, batch, <const int64_t*> &order[BLOCK * number], table, thread)
+
+
+def query_self(
+    Tree tree, Py_ssize_t k, *, Ranges ranges, bint exclude_self, int n_threads
+):
+    """Return ids (n, k) and distances (n, k) of the k nearest of each of the tree's points."""
+    cdef Table table = Table(tree.n_points, k, n_threads)
+    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef Py_ssize_t block
+    for block in prange(
+        tree.n_blocks, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
+    ):
+        query_block(
+            tree, <Batch*> &room[threadid(), 0], block, ranges, exclude_self, table, threadid()
+        )
+    return table.ids, table.distance
+
+
+cdef void query_block(
+    Tree tree, Batch* batch, Py_ssize_t block, Ranges ranges, bint exclude_self, Table table,
+    int thread
+) noexcept nogil:
+    """Answer the points of a block; write their rows only."""
+    cdef Py_ssize_t lane
+    open_block(tree, batch, block)
+    for lane in range(batch.n_queries):
+        limit_ranges(tree, &batch.queries[lane], ranges, tree.ids[BLOCK * block + lane])
+        if exclude_self:
+            batch.queries[lane].excluded = BLOCK * block + lane
+    find(tree, batch)
+    write_rows(tree, batch, &tree.ids[BLOCK * block], table, thread)
+
+
+def farthest(Tree tree, Py_ssize_t k, *, Ranges ranges, int n_threads):
+    """Return (n,) distances to the farthest of the k nearest of each of the tree's points."""
+    distance = np.empty(tree.n_points)
+    cdef double[::1] distance_view = distance
+    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef Py_ssize_t block
+    for block in prange(
+        tree.n_blocks, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
+    ):
+        farthest_of_block(tree, <Batch*> &room[threadid(), 0], block, ranges, distance_view)
+    return distance
+
+
+cdef void farthest_of_block(
+    Tree tree, Batch* batch, Py_ssize_t block, Ranges ranges, double[::1] distance
+) noexcept nogil:
+    """Search for the points of a block; write their rows only."""
+    cdef Py_ssize_t lane
+    open_block(tree, batch, block)
+    for lane in range(batch.n_queries):
+        limit_ranges(tree, &batch.queries[lane], ranges, tree.ids[BLOCK * block + lane])
+    find(tree, batch)
+    for lane in range(batch.n_queries):
+        distance[tree.ids[BLOCK * block + lane]] = sqrt(batch.queries[lane].found.squared_radius)
