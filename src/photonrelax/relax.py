@@ -225,3 +225,11 @@ class _Stage:
                 self._tree, first, end, sheet, settings.k, settings.step, moved, self._n_threads
             )
         return moved
+
+    def _refit(self) -> None:
+        self._tree.move(self._position, 0, 1.0, self._n_threads)
+        if self._first_normal_axis < self._tree.n_axes:
+            self._tree.move(
+                self._normal, self._first_normal_axis, self._normal_scale, self._n_threads
+            )
+        self._tree.box(self._n_threads)
