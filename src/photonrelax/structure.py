@@ -207,16 +207,31 @@ def _facing_label(normal: Floats) -> NDArray[np.intp]:
 
     Zero for all where there are too many normals to compare them all.
     """
-    if facing_alike(normal):
+    distinct, index = _few_distinct(normal)
+    if len(distinct) < 2:
         return np.zeros(len(normal), dtype=np.intp)
     from scipy.sparse.csgraph import connected_components
 
-    distinct, index = np.unique(normal, axis=0, return_inverse=True)
-    if len(distinct) > _MOST_FACES:
-        return np.zeros(len(normal), dtype=np.intp)
     apart = np.linalg.norm(distinct[:, np.newaxis] - distinct, axis=2)
     label = connected_components(apart <= NORMAL_RANGE)[1]
-    return label.astype(np.intp)[index.ravel()]
+    return label.astype(np.intp)[index]
+
+
+def _few_distinct(normal: Floats) -> tuple[Floats, NDArray[np.int8]]:
+    """Return the distinct normals and which of them each row has; no normals if they are many."""
+    index = np.full(len(normal), -1, dtype=np.int8)
+    distinct: list[Floats] = []
+    open_rows = np.arange(len(normal))
+    if len(np.unique(normal[: _MOST_FACES**2], axis=0)) > _MOST_FACES:
+        return np.empty((0, 3)), index
+    while len(open_rows):
+        if len(distinct) == _MOST_FACES:
+            return np.empty((0, 3)), index
+        same = (normal[open_rows] == normal[open_rows[0]]).all(axis=1)
+        index[open_rows[same]] = len(distinct)
+        distinct.append(normal[open_rows[0]])
+        open_rows = open_rows[~same]
+    return np.array(distinct).reshape(-1, 3), index
 
 
 def emitter_range(photons: PhotonMap, settings: StructureSettings) -> Floats | None:

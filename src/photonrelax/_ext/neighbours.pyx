@@ -78,7 +78,9 @@ cdef void write_rows(
         if i + 1 < batch.n_queries:
             prefetch_row(&table.id_rows[rows[i + 1], 0], 8 * k)
             prefetch_row(&table.distance_rows[rows[i + 1], 0], 8 * k)
-        write_row(tree, batch, &batch.queries[i], rows[i], table, <Neighbour*> &table.room[thread, 0])
+        write_row(
+            tree, batch, &batch.queries[i], rows[i], table, <Neighbour*> &table.room[thread, 0]
+        )
 
 
 cdef void write_row(

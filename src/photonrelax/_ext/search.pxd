@@ -44,6 +44,8 @@ cdef struct Batch:
     # How far queries look, and how far if that is not enough; from what was found before.
     double squared_first
     double squared_then
+    # What was found before as a share of the squared reach, for those who guess by it.
+    double share
     # What any query wants to reach; the highest of their highest ids if all have one, else -1.
     Reach reach
     int64_t highest_id

@@ -59,6 +59,7 @@ cdef Py_ssize_t lay_out(Tree tree, unsigned char* room, Py_ssize_t k):
     batch.k = k
     # As if points were spread evenly over a plane.
     batch.squared_first = batch.squared_then = tree.squared_diagonal * k / (4 * tree.n_points + 1)
+    batch.share = 0.1
     batch.at = <double*> take(&free, 8 * BLOCK * tree.n_axes)
     batch.low = <double*> take(&free, 8 * tree.n_axes)
     batch.high = <double*> take(&free, 8 * tree.n_axes)

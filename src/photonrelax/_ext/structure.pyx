@@ -1,7 +1,7 @@
 """Principal components of photon neighbourhoods and the constraints they imply (SJ13 §4.3)."""
 
 from cython.parallel cimport prange, threadid
-from libc.math cimport M_PI, erf, fabs, sqrt
+from libc.math cimport INFINITY, M_PI, erf, fabs, sqrt
 
 import numpy as np
 
@@ -179,9 +179,13 @@ cdef void detect_block(
     Tree tree, Batch* batch, Py_ssize_t block, const double[:, ::1] normal,
     const double[::1] range_radius, const double[::1] reach, Targets out
 ) noexcept nogil:
-    """Detect the structure around the photons of a block; write their rows only."""
+    """Detect the structure around the photons of a block; write their rows only.
+
+    How far a photon's neighbours are, compared with its reach, is much the same next to it.
+    """
     cdef Py_ssize_t lane, row
     cdef Query* query
+    cdef double squared_reach, share = 0.0
     open_block(tree, batch, block)
     for lane in range(batch.n_queries):
         query = &batch.queries[lane]
@@ -189,11 +193,17 @@ cdef void detect_block(
         if range_radius is not None:
             limit_range(query, range_radius[row])
         if reach is not None:
-            limit_radius(query, reach[row] * reach[row])
+            squared_reach = reach[row] * reach[row]
+            limit_radius(query, squared_reach)
+            if squared_reach < INFINITY:
+                query.squared_guess = batch.share * squared_reach
     find(tree, batch)
     for lane in range(batch.n_queries):
         row = tree.ids[BLOCK * block + lane]
         detect_one(tree, &batch.queries[lane], row, &normal[row, 0], out)
+        if reach is not None and reach[row] > 0.0:
+            share += batch.queries[lane].found.squared_radius / (reach[row] * reach[row])
+    batch.share = share / batch.n_queries
 
 
 cdef void detect_one(
