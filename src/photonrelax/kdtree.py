@@ -15,8 +15,8 @@ from ._ext.curve import curve_order
 
 # Squared distances must stay finite.
 _LARGEST_EXTENT = 1e150
-# Blocks are numbered with 32 bits.
-_MOST_POINTS = 2**34
+# The tree is built with numbers of 32 bits.
+_MOST_POINTS = 2**31 - 1
 
 
 @dataclass(frozen=True)
@@ -154,8 +154,6 @@ class KDTree:
         n_threads: int | None = None,
     ) -> Neighbours:
         """Find the k nearest points of each of the tree's own points; see `query`."""
-        if self.n_axes == self.n_metric and (half_range is not None or range_radius is not None):
-            raise ValueError(self._no_range_axes())
         ids, distance = _neighbours.query_self(
             self.kernel,
             _arrays.count(k, "k"),
@@ -206,6 +204,8 @@ class KDTree:
     def _ranges(
         self, n_queries: int, half_range: ArrayLike | None, range_radius: ArrayLike | None
     ) -> _neighbours.Ranges:
+        if self.n_axes == self.n_metric and (half_range is not None or range_radius is not None):
+            raise ValueError(self._no_range_axes())
         shape = (n_queries, self.n_axes - self.n_metric)
         return _neighbours.Ranges(
             _ranges(half_range, "half_range", shape),
@@ -259,5 +259,6 @@ def _axis_scale(points: Floats, n_metric: int) -> Floats:
     for axes in (slice(0, n_metric), slice(n_metric, None)):
         largest = extent[axes].max(initial=0.0)
         if largest > 0.0:
-            scale[axes] = 1.0 / largest
+            # The inverse of the least of numbers would be infinite.
+            scale[axes] = 1.0 / max(largest, 1e-300)
     return scale

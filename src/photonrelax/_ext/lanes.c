@@ -110,8 +110,7 @@ static void drop_ties(Found *found, double *few, int64_t n, int64_t fewer, const
 #define BOTH(a, b) ((a) & (b))
 #define BITS(m) (m)
 #define PICK(m, a, b) ((m) ? (a) : (b))
-#define PACK(squared, place, m, v, first) (*(squared) = (v), *(place) = (first))
-#define GATHER(base, p, n_axes) ((base)[*(p) + (*(p) & ~(int64_t)(BLOCK - 1)) * ((n_axes) - 1)])
+#define PACK(to, m, v) (*(to) = (v))
 
 #if defined(__SSE2__)
 #include <emmintrin.h>
@@ -184,8 +183,7 @@ static uint64_t keys_at_most_portable(const uint8_t *keys, int most)
 #define BOTH(a, b) _mm256_and_pd(a, b)
 #define BITS(m) ((unsigned)_mm256_movemask_pd(m))
 #define PICK(m, a, b) _mm256_blendv_pd(b, a, m)
-#define PACK(squared, place, m, v, first) pack_avx2(squared, place, BITS(m), v, first)
-#define GATHER(base, p, n_axes) gather_avx2(base, p, n_axes)
+#define PACK(to, m, v) pack_four(to, BITS(m), v)
 
 #define LANE(i) 2 * (i), 2 * (i) + 1
 #define ROW(a, b, c, d) {LANE(a), LANE(b), LANE(c), LANE(d)}
@@ -197,21 +195,11 @@ static const int32_t PACKED[16][8] = {
     ROW(2, 3, 0, 0), ROW(0, 2, 3, 0), ROW(1, 2, 3, 0), ROW(0, 1, 2, 3),
 };
 
-static INLINE void pack_avx2(double *squared, int64_t *place, unsigned mask, __m256d v, int64_t first)
+static INLINE void pack_four(double *to, unsigned mask, __m256d v)
 {
     __m256i order = _mm256_loadu_si256((const __m256i *)PACKED[mask]);
-    __m256i p = _mm256_add_epi64(_mm256_set1_epi64x(first), _mm256_setr_epi64x(0, 1, 2, 3));
     __m256i packed = _mm256_permutevar8x32_epi32(_mm256_castpd_si256(v), order);
-    _mm256_storeu_pd(squared, _mm256_castsi256_pd(packed));
-    _mm256_storeu_si256((__m256i *)place, _mm256_permutevar8x32_epi32(p, order));
-}
-
-static INLINE __m256d gather_avx2(const double *base, const int64_t *place, int64_t n_axes)
-{
-    __m256i p = _mm256_loadu_si256((const __m256i *)place);
-    __m256i block = _mm256_andnot_si256(_mm256_set1_epi64x(BLOCK - 1), p);
-    __m256i skipped = _mm256_mul_epu32(block, _mm256_set1_epi64x(n_axes - 1));
-    return _mm256_i64gather_pd(base, _mm256_add_epi64(p, skipped), 8);
+    _mm256_storeu_pd(to, _mm256_castsi256_pd(packed));
 }
 
 static INLINE uint64_t keys_at_most_avx2(const uint8_t *keys, int most)
@@ -265,23 +253,7 @@ static INLINE uint64_t keys_equal_avx2(const uint8_t *keys, int key)
 #define BOTH(a, b) ((__mmask8)((a) & (b)))
 #define BITS(m) ((unsigned)(m))
 #define PICK(m, a, b) _mm512_mask_blend_pd(m, b, a)
-#define PACK(squared, place, m, v, first) pack_avx512(squared, place, m, v, first)
-#define GATHER(base, p, n_axes) gather_avx512(base, p, n_axes)
-
-static INLINE void pack_avx512(double *squared, int64_t *place, __mmask8 mask, __m512d v, int64_t first)
-{
-    __m512i p = _mm512_add_epi64(_mm512_set1_epi64(first), _mm512_setr_epi64(0, 1, 2, 3, 4, 5, 6, 7));
-    _mm512_storeu_pd(squared, _mm512_maskz_compress_pd(mask, v));
-    _mm512_storeu_si512(place, _mm512_maskz_compress_epi64(mask, p));
-}
-
-static INLINE __m512d gather_avx512(const double *base, const int64_t *place, int64_t n_axes)
-{
-    __m512i p = _mm512_loadu_si512(place);
-    __m512i block = _mm512_andnot_si512(_mm512_set1_epi64(BLOCK - 1), p);
-    __m512i skipped = _mm512_mul_epu32(block, _mm512_set1_epi64(n_axes - 1));
-    return _mm512_i64gather_pd(_mm512_add_epi64(p, skipped), base, 8);
-}
+#define PACK(to, m, v) _mm512_storeu_pd(to, _mm512_maskz_compress_pd(m, v))
 
 static INLINE uint64_t keys_at_most_avx512(const uint8_t *keys, int most)
 {

@@ -68,10 +68,10 @@ typedef struct {
      * found from a point, along the two directions of `frame`, multiplied by `scale` first. */
     void (*moments)(const double *coords, int64_t n_axes, const Found *found, const double *at,
                     const double *frame, double scale, double *out);
-    /* The repulsion of SJ13 Eq. 8 on the point at place `own` from `count` listed neighbours: the
-     * mean of the offsets from them times (radius / distance - 1). */
-    void (*repulsion)(const double *coords, int64_t n_axes, double *squared, int64_t *place,
-                      int64_t count, int64_t own, double radius, double *out);
+    /* The repulsion of SJ13 Eq. 8 on a point by what was found: the mean of the offsets from it
+     * times (radius / distance - 1). */
+    void (*repulsion)(const double *coords, int64_t n_axes, const Found *found, const double *at,
+                      double *out);
 } Lanes;
 
 /* What turns squared distances up to a limit into keys up to FARTHEST. */

@@ -42,7 +42,7 @@ cdef extern from "lanes.h" nogil:
             const double*, int64_t, const Found*, const double*, const double*, double, double*
         ) noexcept nogil
         void (*repulsion)(
-            const double*, int64_t, double*, int64_t*, int64_t, int64_t, double, double*
+            const double*, int64_t, const Found*, const double*, double*
         ) noexcept nogil
 
     double key_scale(double squared_limit)

@@ -289,21 +289,28 @@ static TARGET void NAME(compact)(Found *found, double key_scale)
     found->n_blocks = kept;
 }
 
+/* Write the lanes chosen one behind the other, and more behind them; return how many. */
+static INLINE int NAME(pack)(double *to, M8 chosen, V8 a)
+{
+    int count = 0;
+    for (int i = 0; i < PARTS; ++i) {
+        PACK(to + count, chosen.part[i], a.part[i]);
+        count += COUNT_BITS(BITS(chosen.part[i]));
+    }
+    return count;
+}
+
 static TARGET void NAME(list)(const Found *found, double *squared, int64_t *place)
 {
     const V8 most = NAME(all)(found->squared_radius);
-    int64_t count = 0;
-    for (int64_t i = 0; i < found->n_blocks; ++i)
-        for (int half = 0; half < BLOCK; half += LANES) {
-            V8 x = NAME(load)(found->squared + BLOCK * i + half);
-            M8 chosen = NAME(at_most)(x, most);
-            int64_t first = BLOCK * (int64_t)found->blocks[i] + half;
-            for (int part = 0; part < PARTS; ++part) {
-                PACK(squared + count, place + count, chosen.part[part], x.part[part],
-                     first + WIDTH * part);
-                count += COUNT_BITS(BITS(chosen.part[part]));
-            }
-        }
+    for (int64_t i = 0; i < 2 * found->n_blocks; ++i) {
+        V8 x = NAME(load)(found->squared + LANES * i);
+        M8 chosen = NAME(at_most)(x, most);
+        unsigned bits = NAME(bits)(chosen);
+        int64_t first = BLOCK * (int64_t)found->blocks[i / 2] + i % 2 * LANES;
+        squared += NAME(pack)(squared, chosen, x);
+        for (; bits; bits &= bits - 1) *place++ = first + LOWEST_BIT(bits);
+    }
 }
 
 /* Write up to KEYS neighbours to their rough rank, that of their key and then of their place. */
@@ -330,6 +337,7 @@ static TARGET void NAME(sorted)(const Found *found, const int64_t *ids, double *
     double squared[2 * KEYS], sorted[KEYS];
     int64_t place[2 * KEYS], sorted_id[KEYS], j;
     NAME(list)(found, squared, place);
+    for (j = 0; j < LANES; ++j) squared[found->count + j] = 0.0;
     NAME(sort_roughly)(squared, place, found, ids, sorted, sorted_id);
     sort_exactly(sorted, sorted_id, found->count);
     for (j = 0; j + LANES <= found->count; j += LANES)
@@ -368,34 +376,46 @@ static TARGET void NAME(moments)(const double *coords, int64_t n_axes, const Fou
     out[2] = NAME(total)(vv) / n - mean_v * mean_v;
 }
 
-static INLINE V8 NAME(at_places)(const double *coords, const int64_t *place, int64_t n_axes)
+/* Add the repulsion by eight neighbours: offsets times (radius / distance - 1). */
+static INLINE void NAME(repel)(V8 *sum, const double (*from)[2 * LANES], const double *at, double radius)
 {
-    V8 out;
-    for (int i = 0; i < PARTS; ++i) out.part[i] = GATHER(coords, place + WIDTH * i, n_axes);
-    return out;
+    /* The offset of a photon at the very same point is zero; this keeps its weight finite. */
+    V8 distance = NAME(greater)(NAME(root)(NAME(load)(from[3])), NAME(all)(radius * 0x1p-500));
+    V8 weight = NAME(sub)(NAME(quotient)(NAME(all)(radius), distance), NAME(all)(1.0));
+    for (int axis = 0; axis < 3; ++axis) {
+        V8 offset = NAME(sub)(NAME(all)(at[axis]), NAME(load)(from[axis]));
+        sum[axis] = NAME(add)(sum[axis], NAME(mul)(weight, offset));
+    }
 }
 
-static TARGET void NAME(repulsion)(const double *coords, int64_t n_axes, double *squared,
-                                   int64_t *place, int64_t count, int64_t own, double radius,
-                                   double *out)
+static TARGET void NAME(repulsion)(const double *coords, int64_t n_axes, const Found *found,
+                                   const double *at, double *out)
 {
-    const double *at = coords + BLOCK * n_axes * (own / BLOCK) + own % BLOCK;
+    const V8 most = NAME(all)(found->squared_radius);
+    const double radius = sqrt(found->squared_radius);
     V8 sum[3] = {NAME(all)(0.0), NAME(all)(0.0), NAME(all)(0.0)};
-    for (int i = 0; i < LANES; ++i) {
-        squared[count + i] = 0.0;
-        place[count + i] = own;
+    /* Neighbours wait here, coordinates and squared distances, until they are eight. */
+    double from[4][2 * LANES];
+    int waiting = 0;
+    for (int64_t i = 0; i < 2 * found->n_blocks; ++i) {
+        const double *points = coords + BLOCK * n_axes * (int64_t)found->blocks[i / 2] + i % 2 * LANES;
+        V8 squared = NAME(load)(found->squared + LANES * i);
+        M8 chosen = NAME(at_most)(squared, most);
+        if (NAME(bits)(chosen) == 0) continue;
+        for (int axis = 0; axis < 3; ++axis)
+            NAME(pack)(from[axis] + waiting, chosen, NAME(load)(points + BLOCK * axis));
+        waiting += NAME(pack)(from[3] + waiting, chosen, squared);
+        if (waiting < LANES) continue;
+        NAME(repel)(sum, from, at, radius);
+        for (int row = 0; row < 4; ++row) NAME(store)(from[row], NAME(load)(from[row] + LANES));
+        waiting -= LANES;
     }
-    for (int64_t j = 0; j < count; j += LANES) {
-        /* The offset of a photon at the very same point is zero; this keeps its weight finite. */
-        V8 distance = NAME(greater)(NAME(root)(NAME(load)(squared + j)), NAME(all)(radius * 0x1p-500));
-        V8 weight = NAME(sub)(NAME(quotient)(NAME(all)(radius), distance), NAME(all)(1.0));
-        for (int axis = 0; axis < 3; ++axis) {
-            V8 x = NAME(sub)(NAME(all)(at[BLOCK * axis]),
-                             NAME(at_places)(coords + BLOCK * axis, place + j, n_axes));
-            sum[axis] = NAME(add)(sum[axis], NAME(mul)(weight, x));
-        }
+    for (; waiting < LANES; ++waiting) {
+        for (int axis = 0; axis < 3; ++axis) from[axis][waiting] = at[axis];
+        from[3][waiting] = 0.0;
     }
-    for (int axis = 0; axis < 3; ++axis) out[axis] = NAME(total)(sum[axis]) / count;
+    NAME(repel)(sum, from, at, radius);
+    for (int axis = 0; axis < 3; ++axis) out[axis] = NAME(total)(sum[axis]) / found->count;
 }
 
 static const Lanes NAME(lanes) = {SET_NAME, NAME(boxes_near), NAME(scan), NAME(nearest),
@@ -425,4 +445,3 @@ static const Lanes NAME(lanes) = {SET_NAME, NAME(boxes_near), NAME(scan), NAME(n
 #undef BITS
 #undef PICK
 #undef PACK
-#undef GATHER

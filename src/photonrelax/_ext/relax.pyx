@@ -83,11 +83,11 @@ cdef void move_block(
             limit_radius(query, sheet.reach[place] * sheet.reach[place])
     find(tree, batch)
     for lane in range(batch.n_queries):
-        move_one(tree, batch, &batch.queries[lane], BLOCK * block + lane, sheet, step, moved)
+        move_one(tree, &batch.queries[lane], BLOCK * block + lane, sheet, step, moved)
 
 
 cdef void move_one(
-    Tree tree, Batch* batch, const Query* query, Py_ssize_t place, Sheet sheet, double step,
+    Tree tree, const Query* query, Py_ssize_t place, Sheet sheet, double step,
     double[:, ::1] moved
 ) noexcept nogil:
     """Move one photon by the repulsion of its neighbours; write its place only."""
@@ -95,10 +95,8 @@ cdef void move_one(
     cdef double[3] f
     f[0] = f[1] = f[2] = 0.0
     if query.found.count >= FEWEST and query.found.squared_radius > 0.0:
-        tree.lanes.list(&query.found, batch.squared, batch.place)
         tree.lanes.repulsion(
-            &tree.coords[0, 0, 0], tree.n_axes, batch.squared, batch.place, query.found.count,
-            place, sqrt(query.found.squared_radius), f
+            &tree.coords[0, 0, 0], tree.n_axes, &query.found, query.reach.low, f
         )
         project(f, &sheet.normal[place, 0], &sheet.along[place, 0], sheet.constraint[place])
         shorten(f, step, sheet.largest_step[place])

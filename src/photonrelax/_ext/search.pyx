@@ -29,7 +29,7 @@ cdef double MOST_WIDENING = 16.0
 
 cdef Py_ssize_t most_candidates(Tree tree, Py_ssize_t k) noexcept nogil:
     """Return of how many blocks points may be candidates of a query at a time."""
-    return max(k, candidates_before_drop(k)) + BLOCK + 1
+    return min(max(k, candidates_before_drop(k)) + BLOCK, tree.n_blocks) + 1
 
 
 cdef inline Py_ssize_t candidates_before_drop(Py_ssize_t k) noexcept nogil:
@@ -182,7 +182,7 @@ cdef inline void look_as_far(Query* query, double squared_limit) noexcept nogil:
 cdef void set_outer_reach(Tree tree, Batch* batch) noexcept nogil:
     """Let the batch reach what any of its open queries wants to."""
     cdef Py_ssize_t i, axis
-    cdef Query* query
+    cdef const Query* query
     for axis in range(tree.n_axes):
         batch.low[axis] = INFINITY
         batch.high[axis] = -INFINITY
@@ -420,6 +420,9 @@ cdef bint close_query(Tree tree, Batch* batch, Query* query) noexcept nogil:
 cdef double wider(const Query* query, Py_ssize_t k) noexcept nogil:
     """Return how far to look, by what the number found suggests."""
     cdef double factor = MOST_WIDENING
+    cdef double farther
     if query.found.count > 1:
         factor = min(max(1.5 * k / query.found.count, LEAST_WIDENING), MOST_WIDENING)
-    return min(max(query.squared_wanted * factor, query.squared_most * 1e-24), query.squared_most)
+    farther = max(query.squared_wanted * factor, query.squared_most * 1e-24)
+    # Where squared distances underflow, steps would too.
+    return min(farther, query.squared_most) if farther > query.squared_wanted else query.squared_most

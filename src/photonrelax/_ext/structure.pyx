@@ -7,7 +7,7 @@ import numpy as np
 
 from .core cimport orthonormal_frame
 from .kdtree cimport Tree
-from .lanes cimport BLOCK
+from .lanes cimport BLOCK, prefetch_row
 from .search cimport Batch, Query, find, limit_radius, limit_range, open_block, scratch
 
 # Below this many photons in range a neighbourhood says nothing about structure.
@@ -190,6 +190,7 @@ cdef void detect_block(
     for lane in range(batch.n_queries):
         query = &batch.queries[lane]
         row = tree.ids[BLOCK * block + lane]
+        prefetch(out, row)
         if range_radius is not None:
             limit_range(query, range_radius[row])
         if reach is not None:
@@ -204,6 +205,15 @@ cdef void detect_block(
         if reach is not None and reach[row] > 0.0:
             share += batch.queries[lane].found.squared_radius / (reach[row] * reach[row])
     batch.share = share / batch.n_queries
+
+
+cdef inline void prefetch(Targets out, Py_ssize_t row) noexcept nogil:
+    """Have the rows that will be written brought into the cache: they are all over the map."""
+    prefetch_row(&out.eigenvalues[row, 0], 2 * sizeof(double))
+    prefetch_row(&out.constraint[row], sizeof(double))
+    prefetch_row(&out.basis[row, 0, 0], 6 * sizeof(double))
+    prefetch_row(&out.radius[row], sizeof(double))
+    prefetch_row(&out.n_found[row], sizeof(int))
 
 
 cdef void detect_one(
