@@ -188,7 +188,7 @@ class _Stage:
             "range_radius": self._by_place(range_radius),
             "reach": self._by_place(structure.reach if constrained else None),
             "largest_step": sheets._settings.largest_step * sheets._radius[self._order],
-            "squared_radius": sheets._radius[self._order] ** 2,
+            "squared_radius": sheets._radius[self._order] ** 2 if constrained else np.full(len(photons), -1.0),
         }
 
     def _by_place(self, array: Floats | None) -> Floats | None:

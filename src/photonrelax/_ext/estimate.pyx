@@ -6,7 +6,7 @@ from libc.stdint cimport int64_t
 
 from .kdtree cimport Tree
 from .lanes cimport BLOCK
-from .search cimport Batch, Query, find, limit_radius, limit_range, open_query, scratch
+from .search cimport Batch, Query, find, limit_radius, limit_range, list_places, open_query, scratch
 
 cpdef enum:
     CONSTANT = 0
@@ -82,12 +82,13 @@ cdef void gather_batch(
         if photons.normal_range >= 0.0:
             limit_range(query, photons.normal_range)
     find(photons.tree, batch)
+    list_places(photons.tree, batch)
     for i in range(batch.n_queries):
-        gather_one(photons, batch, &batch.queries[i], &out[order[BLOCK * number + i], 0])
+        gather_one(photons, batch, i, &out[order[BLOCK * number + i], 0])
 
 
 cdef void gather_one(
-    Gather photons, Batch* batch, const Query* query, double* out
+    Gather photons, const Batch* batch, Py_ssize_t i, double* out
 ) noexcept nogil:
     """Estimate the densities at one query from its neighbours.
 
@@ -96,13 +97,15 @@ cdef void gather_one(
     With fewer, or all of them at the query itself, the bandwidth is the gather radius and all
     count.
     """
+    cdef const Query* query = &batch.queries[i]
+    cdef const double* squared = batch.squared + i * batch.stride
+    cdef const int64_t* place = batch.place + i * batch.stride
     cdef double squared_bandwidth = photons.radius * photons.radius
     cdef double scale = 1.0
     cdef double weight
     cdef int64_t j, channel, left_out = -1, n_channels = photons.values.shape[1]
-    photons.tree.lanes.list(&query.found, batch.squared, batch.place)
     if query.found.count == photons.k and query.found.squared_radius > 0.0:
-        left_out = last_at(photons.tree, batch, query)
+        left_out = farthest(photons.tree, query, squared, place)
         squared_bandwidth = query.found.squared_radius
         scale = photons.nearest_scale
     for channel in range(n_channels):
@@ -110,19 +113,21 @@ cdef void gather_one(
     for j in range(query.found.count):
         if j == left_out:
             continue
-        weight = scale * kernel_weight(photons.kernel, batch.squared[j] / squared_bandwidth)
+        weight = scale * kernel_weight(photons.kernel, squared[j] / squared_bandwidth)
         for channel in range(n_channels):
-            out[channel] += weight * photons.values[batch.place[j], channel]
+            out[channel] += weight * photons.values[place[j], channel]
     for channel in range(n_channels):
         out[channel] /= M_PI * squared_bandwidth
 
 
-cdef int64_t last_at(Tree tree, const Batch* batch, const Query* query) noexcept nogil:
+cdef int64_t farthest(
+    Tree tree, const Query* query, const double* squared, const int64_t* place
+) noexcept nogil:
     """Return which neighbour in the list is the k-th: the farthest, of several the highest id."""
     cdef int64_t j, last = -1
     for j in range(query.found.count):
-        if batch.squared[j] == query.found.squared_radius and (
-            last < 0 or tree.ids[batch.place[j]] > tree.ids[batch.place[last]]
+        if squared[j] == query.found.squared_radius and (
+            last < 0 or tree.ids[place[j]] > tree.ids[place[last]]
         ):
             last = j
     return last

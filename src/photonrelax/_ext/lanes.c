@@ -110,7 +110,15 @@ static void drop_ties(Found *found, double *few, int64_t n, int64_t fewer, const
 #define BOTH(a, b) ((a) & (b))
 #define BITS(m) (m)
 #define PICK(m, a, b) ((m) ? (a) : (b))
-#define PACK(to, m, v) (*(to) = (v))
+#define PACK(to, m, v) memcpy(to, &(v), sizeof(double))
+#define PLACES(first) as_double(first)
+
+static ALWAYS_INLINE double as_double(int64_t x)
+{
+    double out;
+    memcpy(&out, &x, sizeof out);
+    return out;
+}
 
 #if defined(__SSE2__)
 #include <emmintrin.h>
@@ -184,6 +192,8 @@ static uint64_t keys_at_most_portable(const uint8_t *keys, int most)
 #define BITS(m) ((unsigned)_mm256_movemask_pd(m))
 #define PICK(m, a, b) _mm256_blendv_pd(b, a, m)
 #define PACK(to, m, v) pack_four(to, BITS(m), v)
+#define PLACES(first) \
+    _mm256_castsi256_pd(_mm256_add_epi64(_mm256_set1_epi64x(first), _mm256_setr_epi64x(0, 1, 2, 3)))
 
 #define LANE(i) 2 * (i), 2 * (i) + 1
 #define ROW(a, b, c, d) {LANE(a), LANE(b), LANE(c), LANE(d)}
@@ -195,7 +205,7 @@ static const int32_t PACKED[16][8] = {
     ROW(2, 3, 0, 0), ROW(0, 2, 3, 0), ROW(1, 2, 3, 0), ROW(0, 1, 2, 3),
 };
 
-static INLINE void pack_four(double *to, unsigned mask, __m256d v)
+static INLINE void pack_four(void *to, unsigned mask, __m256d v)
 {
     __m256i order = _mm256_loadu_si256((const __m256i *)PACKED[mask]);
     __m256i packed = _mm256_permutevar8x32_epi32(_mm256_castpd_si256(v), order);
@@ -254,6 +264,9 @@ static INLINE uint64_t keys_equal_avx2(const uint8_t *keys, int key)
 #define BITS(m) ((unsigned)(m))
 #define PICK(m, a, b) _mm512_mask_blend_pd(m, b, a)
 #define PACK(to, m, v) _mm512_storeu_pd(to, _mm512_maskz_compress_pd(m, v))
+#define PLACES(first)                                         \
+    _mm512_castsi512_pd(_mm512_add_epi64(_mm512_set1_epi64(first), \
+                                         _mm512_setr_epi64(0, 1, 2, 3, 4, 5, 6, 7)))
 
 static INLINE uint64_t keys_at_most_avx512(const uint8_t *keys, int most)
 {

@@ -59,19 +59,23 @@ typedef struct {
     void (*nearest)(Found *const *found, int n, int64_t k, const int64_t *ids);
     /* Keep only the blocks of what was found, put all else in them out of reach, and make keys anew. */
     void (*compact)(Found *found, double key_scale);
-    /* Write squared distances and places of what was found, in the order of the places; both
-     * arrays have room for LANES more. */
+    /* Write squared distances and places of what was found, in the order of the places. Lists have
+     * room for LANES more. What is listed is best not read at once: wide loads wait for stores. */
     void (*list)(const Found *found, double *squared, int64_t *place);
-    /* Write distances and ids of what was found, at most KEYS, nearest first, ties by id. */
-    void (*sorted)(const Found *found, const int64_t *ids, double *distance, int64_t *id);
+    /* The same with three coordinates instead of places, axis by axis, count + LANES apart. */
+    void (*list_points)(const double *coords, int64_t n_axes, const Found *found, double *squared,
+                        double *points);
+    /* Write distances and ids of what was listed, at most KEYS, nearest first, ties by id. */
+    void (*sorted)(double *squared, const int64_t *place, int64_t count, double squared_radius,
+                   const int64_t *ids, double *distance, int64_t *id);
     /* Second moments uu, uv, vv about the mean, divided by their number, of the offsets of what was
      * found from a point, along the two directions of `frame`, multiplied by `scale` first. */
     void (*moments)(const double *coords, int64_t n_axes, const Found *found, const double *at,
                     const double *frame, double scale, double *out);
-    /* The repulsion of SJ13 Eq. 8 on a point by what was found: the mean of the offsets from it
-     * times (radius / distance - 1). */
-    void (*repulsion)(const double *coords, int64_t n_axes, const Found *found, const double *at,
-                      double *out);
+    /* The repulsion of SJ13 Eq. 8 on a point by what was listed with its coordinates: the mean of
+     * the offsets from it times (radius / distance - 1). */
+    void (*repulsion)(double *squared, double *points, int64_t count, double squared_radius,
+                      const double *at, double *out);
 } Lanes;
 
 /* What turns squared distances up to a limit into keys up to FARTHEST. */

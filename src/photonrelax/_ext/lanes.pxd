@@ -37,12 +37,15 @@ cdef extern from "lanes.h" nogil:
         void (*nearest)(Found**, int, int64_t, const int64_t*) noexcept nogil
         void (*compact)(Found*, double) noexcept nogil
         void (*list)(const Found*, double*, int64_t*) noexcept nogil
-        void (*sorted)(const Found*, const int64_t*, double*, int64_t*) noexcept nogil
+        void (*list_points)(const double*, int64_t, const Found*, double*, double*) noexcept nogil
+        void (*sorted)(
+            double*, const int64_t*, int64_t, double, const int64_t*, double*, int64_t*
+        ) noexcept nogil
         void (*moments)(
             const double*, int64_t, const Found*, const double*, const double*, double, double*
         ) noexcept nogil
         void (*repulsion)(
-            const double*, int64_t, const Found*, const double*, double*
+            double*, double*, int64_t, double, const double*, double*
         ) noexcept nogil
 
     double key_scale(double squared_limit)

@@ -290,40 +290,65 @@ static TARGET void NAME(compact)(Found *found, double key_scale)
 }
 
 /* Write the lanes chosen one behind the other, and more behind them; return how many. */
-static INLINE int NAME(pack)(double *to, M8 chosen, V8 a)
+static INLINE int NAME(pack)(void *to, M8 chosen, V8 a)
 {
     int count = 0;
     for (int i = 0; i < PARTS; ++i) {
-        PACK(to + count, chosen.part[i], a.part[i]);
+        PACK((char *)to + sizeof(double) * count, chosen.part[i], a.part[i]);
         count += COUNT_BITS(BITS(chosen.part[i]));
     }
     return count;
 }
 
+/* Eight places that follow each other, as the bits of doubles. */
+static INLINE V8 NAME(places)(int64_t first)
+{
+    V8 out;
+    for (int i = 0; i < PARTS; ++i) out.part[i] = PLACES(first + WIDTH * i);
+    return out;
+}
+
 static TARGET void NAME(list)(const Found *found, double *squared, int64_t *place)
 {
     const V8 most = NAME(all)(found->squared_radius);
+    int64_t count = 0;
     for (int64_t i = 0; i < 2 * found->n_blocks; ++i) {
         V8 x = NAME(load)(found->squared + LANES * i);
         M8 chosen = NAME(at_most)(x, most);
-        unsigned bits = NAME(bits)(chosen);
         int64_t first = BLOCK * (int64_t)found->blocks[i / 2] + i % 2 * LANES;
-        squared += NAME(pack)(squared, chosen, x);
-        for (; bits; bits &= bits - 1) *place++ = first + LOWEST_BIT(bits);
+        NAME(pack)(place + count, chosen, NAME(places)(first));
+        count += NAME(pack)(squared + count, chosen, x);
+    }
+}
+
+static TARGET void NAME(list_points)(const double *coords, int64_t n_axes, const Found *found,
+                                     double *squared, double *points)
+{
+    const V8 most = NAME(all)(found->squared_radius);
+    const int64_t stride = found->count + LANES;
+    int64_t count = 0;
+    for (int64_t i = 0; i < 2 * found->n_blocks; ++i) {
+        const double *from = coords + BLOCK * n_axes * (int64_t)found->blocks[i / 2] + i % 2 * LANES;
+        V8 x = NAME(load)(found->squared + LANES * i);
+        M8 chosen = NAME(at_most)(x, most);
+        for (int axis = 0; axis < 3; ++axis)
+            NAME(pack)(points + axis * stride + count, chosen, NAME(load)(from + BLOCK * axis));
+        count += NAME(pack)(squared + count, chosen, x);
     }
 }
 
 /* Write up to KEYS neighbours to their rough rank, that of their key and then of their place. */
 static INLINE void NAME(sort_roughly)(const double *restrict squared, const int64_t *restrict place,
-                                      const Found *found, const int64_t *restrict ids,
-                                      double *restrict to, int64_t *restrict id)
+                                      int64_t count, double squared_radius,
+                                      const int64_t *restrict ids, double *restrict to,
+                                      int64_t *restrict id)
 {
-    const V8 scale = NAME(all)(key_scale(found->squared_radius));
+    const V8 scale = NAME(all)(key_scale(squared_radius));
     uint8_t keys[2 * KEYS];
-    for (int64_t j = 0; j < found->count; j += LANES)
+    for (int64_t j = 0; j < count; j += LANES)
         NAME(store_keys)(keys + j, NAME(mul)(NAME(load)(squared + j), scale));
-    memset(keys + found->count, OUTSIDE, KEYS);
-    for (int64_t j = 0; j < found->count; ++j) {
+    memset(keys + count, OUTSIDE, KEYS);
+    for (int64_t j = 0; j < count; ++j) {
         uint64_t less_or_equal = NAME(keys_at_most)(keys, keys[j]);
         uint64_t equal = NAME(keys_equal)(keys, keys[j]);
         int rank = COUNT_LONG(less_or_equal & ~(equal & (UINT64_MAX << j)));
@@ -332,18 +357,19 @@ static INLINE void NAME(sort_roughly)(const double *restrict squared, const int6
     }
 }
 
-static TARGET void NAME(sorted)(const Found *found, const int64_t *ids, double *distance, int64_t *id)
+static TARGET void NAME(sorted)(double *squared, const int64_t *place, int64_t count,
+                                double squared_radius, const int64_t *ids, double *distance,
+                                int64_t *id)
 {
-    double squared[2 * KEYS], sorted[KEYS];
-    int64_t place[2 * KEYS], sorted_id[KEYS], j;
-    NAME(list)(found, squared, place);
-    for (j = 0; j < LANES; ++j) squared[found->count + j] = 0.0;
-    NAME(sort_roughly)(squared, place, found, ids, sorted, sorted_id);
-    sort_exactly(sorted, sorted_id, found->count);
-    for (j = 0; j + LANES <= found->count; j += LANES)
+    double sorted[KEYS];
+    int64_t sorted_id[KEYS], j;
+    for (j = 0; j < LANES; ++j) squared[count + j] = 0.0;
+    NAME(sort_roughly)(squared, place, count, squared_radius, ids, sorted, sorted_id);
+    sort_exactly(sorted, sorted_id, count);
+    for (j = 0; j + LANES <= count; j += LANES)
         NAME(store)(distance + j, NAME(root)(NAME(load)(sorted + j)));
-    for (; j < found->count; ++j) distance[j] = sqrt(sorted[j]);
-    memcpy(id, sorted_id, found->count * sizeof(int64_t));
+    for (; j < count; ++j) distance[j] = sqrt(sorted[j]);
+    memcpy(id, sorted_id, count * sizeof(int64_t));
 }
 
 static TARGET void NAME(moments)(const double *coords, int64_t n_axes, const Found *found,
@@ -376,50 +402,31 @@ static TARGET void NAME(moments)(const double *coords, int64_t n_axes, const Fou
     out[2] = NAME(total)(vv) / n - mean_v * mean_v;
 }
 
-/* Add the repulsion by eight neighbours: offsets times (radius / distance - 1). */
-static INLINE void NAME(repel)(V8 *sum, const double (*from)[2 * LANES], const double *at, double radius)
+static TARGET void NAME(repulsion)(double *squared, double *points, int64_t count,
+                                   double squared_radius, const double *at, double *out)
 {
-    /* The offset of a photon at the very same point is zero; this keeps its weight finite. */
-    V8 distance = NAME(greater)(NAME(root)(NAME(load)(from[3])), NAME(all)(radius * 0x1p-500));
-    V8 weight = NAME(sub)(NAME(quotient)(NAME(all)(radius), distance), NAME(all)(1.0));
-    for (int axis = 0; axis < 3; ++axis) {
-        V8 offset = NAME(sub)(NAME(all)(at[axis]), NAME(load)(from[axis]));
-        sum[axis] = NAME(add)(sum[axis], NAME(mul)(weight, offset));
-    }
-}
-
-static TARGET void NAME(repulsion)(const double *coords, int64_t n_axes, const Found *found,
-                                   const double *at, double *out)
-{
-    const V8 most = NAME(all)(found->squared_radius);
-    const double radius = sqrt(found->squared_radius);
+    const int64_t stride = count + LANES;
+    const V8 radius = NAME(all)(sqrt(squared_radius));
     V8 sum[3] = {NAME(all)(0.0), NAME(all)(0.0), NAME(all)(0.0)};
-    /* Neighbours wait here, coordinates and squared distances, until they are eight. */
-    double from[4][2 * LANES];
-    int waiting = 0;
-    for (int64_t i = 0; i < 2 * found->n_blocks; ++i) {
-        const double *points = coords + BLOCK * n_axes * (int64_t)found->blocks[i / 2] + i % 2 * LANES;
-        V8 squared = NAME(load)(found->squared + LANES * i);
-        M8 chosen = NAME(at_most)(squared, most);
-        if (NAME(bits)(chosen) == 0) continue;
-        for (int axis = 0; axis < 3; ++axis)
-            NAME(pack)(from[axis] + waiting, chosen, NAME(load)(points + BLOCK * axis));
-        waiting += NAME(pack)(from[3] + waiting, chosen, squared);
-        if (waiting < LANES) continue;
-        NAME(repel)(sum, from, at, radius);
-        for (int row = 0; row < 4; ++row) NAME(store)(from[row], NAME(load)(from[row] + LANES));
-        waiting -= LANES;
+    for (int64_t j = count; j < stride; ++j) {
+        squared[j] = 0.0;
+        for (int axis = 0; axis < 3; ++axis) points[axis * stride + j] = at[axis];
     }
-    for (; waiting < LANES; ++waiting) {
-        for (int axis = 0; axis < 3; ++axis) from[axis][waiting] = at[axis];
-        from[3][waiting] = 0.0;
+    for (int64_t j = 0; j < count; j += LANES) {
+        /* The offset of a photon at the very same point is zero; this keeps its weight finite. */
+        V8 distance = NAME(greater)(NAME(root)(NAME(load)(squared + j)),
+                                    NAME(mul)(radius, NAME(all)(0x1p-500)));
+        V8 weight = NAME(sub)(NAME(quotient)(radius, distance), NAME(all)(1.0));
+        for (int axis = 0; axis < 3; ++axis) {
+            V8 offset = NAME(sub)(NAME(all)(at[axis]), NAME(load)(points + axis * stride + j));
+            sum[axis] = NAME(add)(sum[axis], NAME(mul)(weight, offset));
+        }
     }
-    NAME(repel)(sum, from, at, radius);
-    for (int axis = 0; axis < 3; ++axis) out[axis] = NAME(total)(sum[axis]) / found->count;
+    for (int axis = 0; axis < 3; ++axis) out[axis] = NAME(total)(sum[axis]) / count;
 }
 
 static const Lanes NAME(lanes) = {SET_NAME, NAME(boxes_near), NAME(scan), NAME(nearest),
-                                  NAME(compact), NAME(list), NAME(sorted), NAME(moments), NAME(repulsion)};
+                                  NAME(compact), NAME(list), NAME(list_points), NAME(sorted), NAME(moments), NAME(repulsion)};
 
 #undef V8
 #undef M8
@@ -445,3 +452,4 @@ static const Lanes NAME(lanes) = {SET_NAME, NAME(boxes_near), NAME(scan), NAME(n
 #undef BITS
 #undef PICK
 #undef PACK
+#undef PLACES

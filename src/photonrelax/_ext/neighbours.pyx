@@ -8,9 +8,9 @@ from libc.stdint cimport int64_t
 import numpy as np
 
 from .kdtree cimport Tree
-from .lanes cimport BLOCK, KEYS, prefetch_row
+from .lanes cimport BLOCK, KEYS, Found, prefetch_row
 from .search cimport (
-    Batch, Query, find, limit_range, open_block, open_query, scratch,
+    Batch, Query, find, limit_range, list_places, open_block, open_query, scratch,
 )
 
 
@@ -73,36 +73,42 @@ cdef void write_rows(
     Tree tree, Batch* batch, const int64_t* rows, Table table, int thread
 ) noexcept nogil:
     """Write what the queries of a batch found to their rows of the table."""
-    cdef Py_ssize_t i, k = table.id_rows.shape[1]
+    cdef Py_ssize_t i, j, count, k = table.id_rows.shape[1]
+    list_places(tree, batch)
     for i in range(batch.n_queries):
         if i + 1 < batch.n_queries:
             prefetch_row(&table.id_rows[rows[i + 1], 0], 8 * k)
             prefetch_row(&table.distance_rows[rows[i + 1], 0], 8 * k)
+        count = batch.queries[i].found.count
         write_row(
-            tree, batch, &batch.queries[i], rows[i], table, <Neighbour*> &table.room[thread, 0]
+            tree, batch, i, &table.distance_rows[rows[i], 0], &table.id_rows[rows[i], 0],
+            <Neighbour*> &table.room[thread, 0]
         )
+        for j in range(count, k):
+            table.id_rows[rows[i], j] = tree.n_points
+            table.distance_rows[rows[i], j] = INFINITY
 
 
 cdef void write_row(
-    Tree tree, Batch* batch, Query* query, Py_ssize_t row, Table table, Neighbour* room
+    Tree tree, Batch* batch, Py_ssize_t i, double* distance, int64_t* ids, Neighbour* room
 ) noexcept nogil:
-    cdef int64_t* ids = &table.id_rows[row, 0]
-    cdef double* distance = &table.distance_rows[row, 0]
+    """Write what one query found, nearest first."""
+    cdef const Found* found = &batch.queries[i].found
+    cdef double* squared = batch.squared + i * batch.stride
+    cdef const int64_t* place = batch.place + i * batch.stride
     cdef Py_ssize_t j
-    if query.found.count <= KEYS:
-        tree.lanes.sorted(&query.found, &tree.ids[0], distance, ids)
-    else:
-        tree.lanes.list(&query.found, batch.squared, batch.place)
-        for j in range(query.found.count):
-            room[j].squared = batch.squared[j]
-            room[j].id = tree.ids[batch.place[j]]
-        sort(room, room + query.found.count)
-        for j in range(query.found.count):
-            distance[j] = sqrt(room[j].squared)
-            ids[j] = room[j].id
-    for j in range(query.found.count, table.id_rows.shape[1]):
-        ids[j] = tree.n_points
-        distance[j] = INFINITY
+    if found.count <= KEYS:
+        tree.lanes.sorted(
+            squared, place, found.count, found.squared_radius, &tree.ids[0], distance, ids
+        )
+        return
+    for j in range(found.count):
+        room[j].squared = squared[j]
+        room[j].id = tree.ids[place[j]]
+    sort(room, room + found.count)
+    for j in range(found.count):
+        distance[j] = sqrt(room[j].squared)
+        ids[j] = room[j].id
 
 
 def query(

@@ -6,7 +6,7 @@ from libc.math cimport sqrt
 from .core cimport cross, dot
 from .kdtree cimport Tree
 from .lanes cimport BLOCK
-from .search cimport Batch, Query, find, limit_radius, limit_range, open_block, scratch
+from .search cimport Batch, Query, find, limit_radius, limit_range, list_points, open_block, scratch
 
 # A photon with fewer photons in range than this has no neighbourhood to spread out in.
 cdef enum:
@@ -82,21 +82,24 @@ cdef void move_block(
         if sheet.reach is not None:
             limit_radius(query, sheet.reach[place] * sheet.reach[place])
     find(tree, batch)
+    list_points(tree, batch)
     for lane in range(batch.n_queries):
-        move_one(tree, &batch.queries[lane], BLOCK * block + lane, sheet, step, moved)
+        move_one(tree, batch, lane, BLOCK * block + lane, sheet, step, moved)
 
 
 cdef void move_one(
-    Tree tree, const Query* query, Py_ssize_t place, Sheet sheet, double step,
+    Tree tree, Batch* batch, Py_ssize_t lane, Py_ssize_t place, Sheet sheet, double step,
     double[:, ::1] moved
 ) noexcept nogil:
     """Move one photon by the repulsion of its neighbours; write its place only."""
+    cdef const Query* query = &batch.queries[lane]
     cdef Py_ssize_t axis
     cdef double[3] f
     f[0] = f[1] = f[2] = 0.0
     if query.found.count >= FEWEST and query.found.squared_radius > 0.0:
         tree.lanes.repulsion(
-            &tree.coords[0, 0, 0], tree.n_axes, &query.found, query.reach.low, f
+            batch.squared + lane * batch.stride, batch.points + 3 * lane * batch.stride,
+            query.found.count, query.found.squared_radius, query.reach.low, f
         )
         project(f, &sheet.normal[place, 0], &sheet.along[place, 0], sheet.constraint[place])
         shorten(f, step, sheet.largest_step[place])

@@ -60,9 +60,11 @@ cdef struct Batch:
     double* boxes
     Py_ssize_t n_listed
     bint listed_all
-    # Neighbours of one query, for those who want a list.
+    # Lists of neighbours, `stride` apart: squared distances, places, and coordinates of three axes.
+    Py_ssize_t stride
     double* squared
     int64_t* place
+    double* points
 
 
 cdef unsigned char[:, ::1] scratch(Tree tree, Py_ssize_t k, int n_threads)
@@ -72,3 +74,5 @@ cdef void open_query(Tree tree, Batch* batch, const double* at) noexcept nogil
 cdef void limit_radius(Query* query, double squared) noexcept nogil
 cdef void limit_range(Query* query, double radius) noexcept nogil
 cdef void find(Tree tree, Batch* batch) noexcept nogil
+cdef void list_places(Tree tree, Batch* batch) noexcept nogil
+cdef void list_points(Tree tree, Batch* batch) noexcept nogil

@@ -65,8 +65,10 @@ cdef Py_ssize_t lay_out(Tree tree, unsigned char* room, Py_ssize_t k):
     batch.high = <double*> take(&free, 8 * tree.n_axes)
     batch.half_range = <double*> take(&free, 8 * tree.n_axes)
     batch.boxes = <double*> take(&free, 16 * tree.n_axes * LISTED)
-    batch.squared = <double*> take(&free, 8 * (k + LANES))
-    batch.place = <int64_t*> take(&free, 8 * (k + LANES))
+    batch.stride = k + LANES
+    batch.squared = <double*> take(&free, 8 * BLOCK * batch.stride)
+    batch.place = <int64_t*> take(&free, 8 * BLOCK * batch.stride)
+    batch.points = <double*> take(&free, 24 * BLOCK * batch.stride)
     set_axes(tree, &batch.reach, batch.low, batch.high)
     for i in range(BLOCK):
         found = &batch.queries[i].found
@@ -155,6 +157,26 @@ cdef void find(Tree tree, Batch* batch) noexcept nogil:
         farthest = max(farthest, batch.queries[i].found.squared_radius)
     batch.squared_first = FIRST * total / batch.n_queries
     batch.squared_then = THEN * farthest
+
+
+cdef void list_places(Tree tree, Batch* batch) noexcept nogil:
+    """List the neighbours of all queries, by place."""
+    cdef Py_ssize_t i
+    for i in range(batch.n_queries):
+        tree.lanes.list(
+            &batch.queries[i].found, batch.squared + i * batch.stride,
+            batch.place + i * batch.stride
+        )
+
+
+cdef void list_points(Tree tree, Batch* batch) noexcept nogil:
+    """List the neighbours of all queries with their coordinates, each as far apart as they are."""
+    cdef Py_ssize_t i
+    for i in range(batch.n_queries):
+        tree.lanes.list_points(
+            &tree.coords[0, 0, 0], tree.n_axes, &batch.queries[i].found,
+            batch.squared + i * batch.stride, batch.points + 3 * i * batch.stride
+        )
 
 
 cdef void start(Batch* batch, Query* query) noexcept nogil:
