@@ -4,9 +4,10 @@ from cython.parallel cimport prange, threadid
 from libc.math cimport M_PI, sqrt
 from libc.stdint cimport int64_t
 
+from .batch cimport Batch, Query, limit_radius, limit_range, list_places, open_query, scratch
 from .kdtree cimport Tree
 from .lanes cimport BLOCK
-from .search cimport Batch, Query, find, limit_radius, limit_range, list_places, open_query, scratch
+from .search cimport find
 
 cpdef enum:
     CONSTANT = 0

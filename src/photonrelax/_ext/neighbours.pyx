@@ -7,11 +7,15 @@ from libc.stdint cimport int64_t
 
 import numpy as np
 
+from .batch cimport Batch, Query, limit_range, list_places, open_block, open_query, scratch
 from .kdtree cimport Tree
 from .lanes cimport BLOCK, KEYS, Found, prefetch_row
-from .search cimport (
-    Batch, Query, find, limit_range, list_places, open_block, open_query, scratch,
-)
+from .search cimport find
+
+
+cdef enum:
+    # Rows to be written are brought into the cache so many ahead: they are all over the table.
+    AHEAD = 2
 
 
 cdef extern from "<algorithm>" namespace "std" nogil:
@@ -74,11 +78,12 @@ cdef void write_rows(
 ) noexcept nogil:
     """Write what the queries of a batch found to their rows of the table."""
     cdef Py_ssize_t i, j, count, k = table.id_rows.shape[1]
+    for i in range(min(AHEAD, batch.n_queries)):
+        prefetch_rows(table, rows[i])
     list_places(tree, batch)
     for i in range(batch.n_queries):
-        if i + 1 < batch.n_queries:
-            prefetch_row(&table.id_rows[rows[i + 1], 0], 8 * k)
-            prefetch_row(&table.distance_rows[rows[i + 1], 0], 8 * k)
+        if i + AHEAD < batch.n_queries:
+            prefetch_rows(table, rows[i + AHEAD])
         count = batch.queries[i].found.count
         write_row(
             tree, batch, i, &table.distance_rows[rows[i], 0], &table.id_rows[rows[i], 0],
@@ -87,6 +92,11 @@ cdef void write_rows(
         for j in range(count, k):
             table.id_rows[rows[i], j] = tree.n_points
             table.distance_rows[rows[i], j] = INFINITY
+
+
+cdef inline void prefetch_rows(Table table, Py_ssize_t row) noexcept nogil:
+    prefetch_row(&table.id_rows[row, 0], 8 * table.id_rows.shape[1])
+    prefetch_row(&table.distance_rows[row, 0], 8 * table.id_rows.shape[1])
 
 
 cdef void write_row(

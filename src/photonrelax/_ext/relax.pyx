@@ -4,9 +4,10 @@ from cython.parallel cimport prange, threadid
 from libc.math cimport sqrt
 
 from .core cimport cross, dot
+from .batch cimport Batch, Query, limit_radius, limit_range, list_points, open_block, scratch
 from .kdtree cimport Tree
 from .lanes cimport BLOCK
-from .search cimport Batch, Query, find, limit_radius, limit_range, list_points, open_block, scratch
+from .search cimport find
 
 # A photon with fewer photons in range than this has no neighbourhood to spread out in.
 cdef enum:

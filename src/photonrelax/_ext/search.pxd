@@ -10,69 +10,8 @@ monotone, so a box is never computed to be farther than a point in it: pruning i
 brute-force loop over the axes in the same order gives the same bits.
 """
 
-from libc.stdint cimport int32_t, int64_t
-
+from .batch cimport Batch
 from .kdtree cimport Tree
-from .lanes cimport BLOCK, Found, Reach
 
 
-cdef enum:
-    # Blocks are listed up to so many before queries take their candidates.
-    LISTED = 64
-
-
-cdef struct Query:
-    # From where, and how far it looks at present.
-    Reach reach
-    # How far it looks if that is not enough, and what it never looks beyond; finite.
-    double squared_wanted
-    double squared_most
-    # A guess of what it will find, or -1.
-    double squared_guess
-    # A place that is not to be found, or -1.
-    int64_t excluded
-    # Once k were found and the rest dropped, the highest id as far away as the farthest; else -1.
-    int64_t highest_id
-    bint done
-    Found found
-
-
-cdef struct Batch:
-    Query[BLOCK] queries
-    Py_ssize_t n_queries
-    Py_ssize_t k
-    # How far queries look, and how far if that is not enough; from what was found before.
-    double squared_first
-    double squared_then
-    # What was found before as a share of the squared reach, for those who guess by it.
-    double share
-    # What any query wants to reach; the highest of their highest ids if all have one, else -1.
-    Reach reach
-    int64_t highest_id
-    double* low
-    double* high
-    double* half_range
-    # Coordinates of the queries, (16, n_axes).
-    double* at
-    # Blocks in reach, their lowest ids, and their boxes in groups of 16; whether that is all.
-    int32_t[LISTED] listed
-    int64_t[LISTED] lowest_id
-    double* boxes
-    Py_ssize_t n_listed
-    bint listed_all
-    # Lists of neighbours, `stride` apart: squared distances, places, and coordinates of three axes.
-    Py_ssize_t stride
-    double* squared
-    int64_t* place
-    double* points
-
-
-cdef unsigned char[:, ::1] scratch(Tree tree, Py_ssize_t k, int n_threads)
-
-cdef void open_block(Tree tree, Batch* batch, Py_ssize_t block) noexcept nogil
-cdef void open_query(Tree tree, Batch* batch, const double* at) noexcept nogil
-cdef void limit_radius(Query* query, double squared) noexcept nogil
-cdef void limit_range(Query* query, double radius) noexcept nogil
 cdef void find(Tree tree, Batch* batch) noexcept nogil
-cdef void list_places(Tree tree, Batch* batch) noexcept nogil
-cdef void list_points(Tree tree, Batch* batch) noexcept nogil

@@ -6,9 +6,10 @@ from libc.math cimport INFINITY, M_PI, erf, fabs, sqrt
 import numpy as np
 
 from .core cimport orthonormal_frame
+from .batch cimport Batch, Query, limit_radius, limit_range, open_block, scratch
 from .kdtree cimport Tree
 from .lanes cimport BLOCK, prefetch_row
-from .search cimport Batch, Query, find, limit_radius, limit_range, open_block, scratch
+from .search cimport find
 
 # Below this many photons in range a neighbourhood says nothing about structure.
 cdef enum:

@@ -1,0 +1,137 @@
+"""The batches of batch.pxd."""
+
+from libc.float cimport DBL_MAX
+from libc.stdint cimport int32_t, int64_t, uint8_t
+
+import numpy as np
+
+from .lanes cimport FEW_CHUNKS, KEYS, LANES
+
+
+cdef Py_ssize_t most_candidates(Tree tree, Py_ssize_t k) noexcept nogil:
+    """Return of how many blocks points may be candidates of a query at a time."""
+    return min(max(k, candidates_before_drop(k)) + BLOCK, tree.n_blocks) + 1
+
+
+cdef unsigned char[:, ::1] scratch(Tree tree, Py_ssize_t k, int n_threads):
+    """Return a batch in each row, a row a thread."""
+    cdef Py_ssize_t thread
+    k = min(k, tree.n_points)
+    n_bytes = lay_out(tree, NULL, k)
+    room = np.empty((n_threads, 64 * (n_bytes // 64 + 1)), dtype=np.uint8)
+    cdef unsigned char[:, ::1] rows = room
+    for thread in range(n_threads):
+        lay_out(tree, &rows[thread, 0], k)
+    return rows
+
+
+cdef Py_ssize_t lay_out(Tree tree, unsigned char* room, Py_ssize_t k):
+    """Lay a batch out in the room, unless that is NULL; return the bytes it takes."""
+    cdef Batch nowhere
+    cdef Batch* batch = &nowhere if room == NULL else <Batch*> room
+    cdef unsigned char* free = room + sizeof(Batch)
+    cdef Py_ssize_t i, points = BLOCK * most_candidates(tree, k)
+    cdef Found* found
+    batch.k = k
+    # As if points were spread evenly over a plane.
+    batch.squared_first = batch.squared_then = tree.squared_diagonal * k / (4 * tree.n_points + 1)
+    batch.share = 0.1
+    batch.at = <double*> take(&free, 8 * BLOCK * tree.n_axes)
+    batch.low = <double*> take(&free, 8 * tree.n_axes)
+    batch.high = <double*> take(&free, 8 * tree.n_axes)
+    batch.half_range = <double*> take(&free, 8 * tree.n_axes)
+    batch.boxes = <double*> take(&free, 16 * tree.n_axes * LISTED)
+    batch.stride = k + LANES
+    batch.squared = <double*> take(&free, 8 * BLOCK * batch.stride)
+    batch.place = <int64_t*> take(&free, 8 * BLOCK * batch.stride)
+    batch.points = <double*> take(&free, 24 * BLOCK * batch.stride)
+    set_axes(tree, &batch.reach, batch.low, batch.high)
+    for i in range(BLOCK):
+        found = &batch.queries[i].found
+        found.squared = <double*> take(&free, 16 * points)
+        found.keys = <uint8_t*> take(&free, points + FEW_CHUNKS * KEYS)
+        found.blocks = <int32_t*> take(&free, 4 * points // BLOCK)
+        set_axes(tree, &batch.queries[i].reach, NULL, NULL)
+    return free - room
+
+
+cdef unsigned char* take(unsigned char** free, Py_ssize_t n_bytes) noexcept nogil:
+    cdef unsigned char* taken = free[0]
+    free[0] += 64 * ((n_bytes + 63) // 64)
+    return taken
+
+
+cdef void set_axes(Tree tree, Reach* reach, const double* low, const double* high) noexcept nogil:
+    reach.low = low
+    reach.high = high
+    reach.n_metric = tree.n_metric
+    reach.n_axes = tree.n_axes
+
+
+cdef void open_block(Tree tree, Batch* batch, Py_ssize_t block) noexcept nogil:
+    """Start a batch of queries from the points of a block, without limits."""
+    cdef Py_ssize_t lane, axis
+    cdef double* at
+    batch.n_queries = 0
+    for lane in range(min(tree.n_points - BLOCK * block, <Py_ssize_t> BLOCK)):
+        at = batch.at + lane * tree.n_axes
+        for axis in range(tree.n_axes):
+            at[axis] = tree.coords[block, axis, lane]
+        open_query(tree, batch, at)
+
+
+cdef void open_query(Tree tree, Batch* batch, const double* at) noexcept nogil:
+    """Add a query, without limits, to the batch; the caller keeps its coordinates."""
+    cdef Query* query = &batch.queries[batch.n_queries]
+    query.reach.low = query.reach.high = at
+    query.reach.squared_range = -1.0
+    query.reach.half_range = NULL
+    query.squared_guess = -1.0
+    query.excluded = -1
+    query.squared_most = squared_farthest(tree, at)
+    batch.n_queries += 1
+
+
+cdef double squared_farthest(Tree tree, const double* at) noexcept nogil:
+    """Return a squared distance that no point is beyond: the diagonal, for points within."""
+    cdef double squared = 0.0, gap
+    cdef Py_ssize_t axis
+    cdef bint inside = True
+    for axis in range(tree.n_metric):
+        inside = inside and tree.low[axis] <= at[axis] <= tree.high[axis]
+    if inside:
+        return tree.squared_diagonal
+    for axis in range(tree.n_metric):
+        gap = max(at[axis] - tree.low[axis], tree.high[axis] - at[axis])
+        squared += gap * gap
+    return min(squared, DBL_MAX)
+
+
+cdef void limit_radius(Query* query, double squared) noexcept nogil:
+    """Let a query find nothing beyond a squared distance."""
+    query.squared_most = min(query.squared_most, squared)
+
+
+cdef void limit_range(Query* query, double radius) noexcept nogil:
+    """Let a query find nothing outside of a ball over the range axes."""
+    query.reach.squared_range = radius * radius
+
+
+cdef void list_places(Tree tree, Batch* batch) noexcept nogil:
+    """List the neighbours of all queries, by place."""
+    cdef Py_ssize_t i
+    for i in range(batch.n_queries):
+        tree.lanes.list(
+            &batch.queries[i].found, batch.squared + i * batch.stride,
+            batch.place + i * batch.stride
+        )
+
+
+cdef void list_points(Tree tree, Batch* batch) noexcept nogil:
+    """List the neighbours of all queries with their coordinates, each as far apart as they are."""
+    cdef Py_ssize_t i
+    for i in range(batch.n_queries):
+        tree.lanes.list_points(
+            &tree.coords[0, 0, 0], tree.n_axes, &batch.queries[i].found,
+            batch.squared + i * batch.stride, batch.points + 3 * i * batch.stride
+        )
