@@ -1,6 +1,6 @@
 """The search of search.pxd."""
 
-from libc.math cimport INFINITY
+from libc.math cimport INFINITY, sqrt
 from libc.stdint cimport int32_t, int64_t
 
 from .batch cimport LISTED, Query, candidates_before_drop
@@ -13,11 +13,11 @@ cdef enum:
     # A depth-first search leaves at most 15 open groups a kept level, of which there are 8.
     STACK_SIZE = 128
 
-# Queries look as far, squared, as the last batch found on the mean, and so much farther; if that
-# is not enough, as far as it found at most, and so much farther. What is guessed for a query
-# itself is nearer the truth.
-cdef double FIRST = 1.5
-cdef double THEN = 1.25
+# Queries look as far, squared, as the last batch found on the mean, and so much farther (divided
+# by the root of k, as their radii scatter); if that is not enough, as far as it found at most, and
+# so much farther. What is guessed for a query itself is nearer the truth.
+cdef double FIRST = 4.5
+cdef double THEN = 1.3
 cdef double FIRST_GUESSED = 1.2
 cdef double THEN_GUESSED = 1.5
 # If even that was too little they look farther, squared, by at least and at most so much.
@@ -38,7 +38,7 @@ cdef void find(Tree tree, Batch* batch) noexcept nogil:
     for i in range(batch.n_queries):
         total += batch.queries[i].found.squared_radius
         farthest = max(farthest, batch.queries[i].found.squared_radius)
-    batch.squared_first = FIRST * total / batch.n_queries
+    batch.squared_first = (1.0 + FIRST / sqrt(batch.k)) * total / batch.n_queries
     batch.squared_then = THEN * farthest
 
 

@@ -16,6 +16,9 @@ cdef enum:
     FEWEST = 4
 
 
+cdef double MARGIN = 1.6
+
+
 cpdef double anisotropy_to_gradient(double eigenvalue) noexcept nogil:
     """Return M of SJ13 Eq. 2, the pressure in the gradient direction, for a λ₂.
 
@@ -182,7 +185,8 @@ cdef void detect_block(
 ) noexcept nogil:
     """Detect the structure around the photons of a block; write their rows only.
 
-    How far a photon's neighbours are, compared with its reach, is much the same next to it.
+    How far a photon's neighbours are, compared with its reach, is much the same next to it, if
+    not where a sheet ends; hence the margin.
     """
     cdef Py_ssize_t lane, row
     cdef Query* query
@@ -198,7 +202,7 @@ cdef void detect_block(
             squared_reach = reach[row] * reach[row]
             limit_radius(query, squared_reach)
             if squared_reach < INFINITY:
-                query.squared_guess = batch.share * squared_reach
+                query.squared_guess = MARGIN * batch.share * squared_reach
     find(tree, batch)
     for lane in range(batch.n_queries):
         row = tree.ids[BLOCK * block + lane]
