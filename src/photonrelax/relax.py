@@ -6,15 +6,19 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import _arrays
-from ._arrays import Floats
+from ._arrays import Floats, Rows
 from ._ext import relax as _relax
 from ._progress import Progress, Reporter
 from ._surfaces import Surfaces
 from .photonmap import PhotonMap
 from .scene import Scene
-from .structure import NORMAL_RANGE, Structure, neighbour_groups, photon_tree
+from .structure import NORMAL_RANGE, Structure, chosen, neighbour_groups, photon_tree
+
+# Photons that are put back on their surfaces at a time, some thousand whole blocks for a thread.
+_PUT_BACK = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -111,10 +115,16 @@ def relax(
     threads = _arrays.thread_count(n_threads)
     surfaces = None if scene is None else Surfaces(scene, photons, threads)
     report = Reporter(progress, "relax", len(photons) * sum(settings.n_iterations))
-    position, normal = photons.position.copy(), photons.normal.copy()
+    sheets = _Sheets(photons, structure, settings, surfaces, threads, report)
+    position = np.empty_like(photons.position)
+    normal = photons.normal if surfaces is None else np.empty_like(photons.normal)
     for rows in neighbour_groups(photons):
-        sheets = _Sheets(photons.subset(rows), structure.subset(rows), settings, threads, report)
-        position[rows], normal[rows] = sheets.relaxed(surfaces, rows)
+        position[rows], turned = sheets.relaxed(rows)
+        if surfaces is not None:
+            normal[rows] = turned
+    # The map copies arrays that could still be written to.
+    for array in (position, normal):
+        array.setflags(write=False)
     return photons.replace(position=position, normal=normal, well_spaced=True)
 
 
@@ -129,107 +139,121 @@ def _check_structure(structure: Structure, photons: PhotonMap) -> None:
         )
 
 
+@dataclass(frozen=True)
 class _Sheets:
-    """One group of neighbours on the move; see `neighbour_groups`."""
+    """All photons, and how they are to be moved."""
 
-    def __init__(
-        self,
-        photons: PhotonMap,
-        structure: Structure,
-        settings: RelaxSettings,
-        n_threads: int,
-        report: Reporter,
-    ) -> None:
-        self._photons = photons
-        self._structure = structure
-        self._settings = settings
-        self._n_threads = n_threads
-        self._report = report
-        # The radius that held n_found photons, scaled to hold k.
-        self._radius = structure.radius * np.sqrt(settings.k / structure.n_found)
+    photons: PhotonMap
+    structure: Structure
+    settings: RelaxSettings
+    surfaces: Surfaces | None
+    n_threads: int
+    report: Reporter
 
-    def relaxed(self, surfaces: Surfaces | None, rows: _arrays.Rows) -> tuple[Floats, Floats]:
-        """Return positions and normals after all iterations."""
-        position, normal = self._photons.position, self._photons.normal
-        for constrained, n in zip((True, False), self._settings.n_iterations, strict=True):
+    def relaxed(self, rows: Rows) -> tuple[Floats, Floats]:
+        """Return positions and normals of a group of neighbours after all iterations."""
+        position, normal = self.photons.position[rows], self.photons.normal[rows]
+        for constrained, n in zip((True, False), self.settings.n_iterations, strict=True):
             if n:
-                stage = _Stage(self, position, normal, constrained=constrained)
-                position, normal = stage.after(n, surfaces, rows)
+                # The stage and its tree have no name: they are gone before anything else is made.
+                order, placed, turned = _Stage(
+                    self, rows, position, normal, constrained=constrained
+                ).after(n)
+                position = _by_row(placed, order)
+                if self.surfaces is not None:
+                    normal = _by_row(turned, order)
         return position, normal
 
 
 class _Stage:
-    """Iterations of one kind, on one tree.
+    """Iterations of one kind, on one tree, of one group of neighbours; see `neighbour_groups`.
 
     Photons move, but the tree they are searched in keeps its nodes, whose boxes are drawn anew.
-    All that kernels read is kept in the order of the tree.
+    What is read or written in every iteration is kept in the order of the tree.
     """
 
     def __init__(
-        self, sheets: _Sheets, position: Floats, normal: Floats, *, constrained: bool
+        self, sheets: _Sheets, rows: Rows, position: Floats, normal: Floats, *, constrained: bool
     ) -> None:
-        photons, structure = sheets._photons, sheets._structure
+        photons, structure = sheets.photons, sheets.structure
         self._sheets = sheets
-        self._n_threads = sheets._n_threads
-        coords = photons.emitter_coords if constrained else None
+        coords = chosen(photons.emitter_coords, rows) if constrained else None
         ranges = structure.emitter_range if constrained else None
         tree, range_radius = photon_tree(
-            position, normal, coords, ranges, n_threads=self._n_threads
+            position, normal, coords, chosen(ranges, rows), n_threads=sheets.n_threads
         )
         self._tree = tree.kernel
         self._order = np.asarray(tree.kernel.ids)
-        self._position, self._normal = position[self._order], normal[self._order]
+        self._rows = self._order if isinstance(rows, slice) else rows[self._order]
         # Normals are range axes, the last three, of trees that have any of their own.
         self._first_normal_axis = 3 if coords is None else 3 + coords.shape[1]
         self._normal_scale = 0.0 if range_radius is None else range_radius.max() / NORMAL_RANGE
-        self._placed = {
-            "along": structure.basis[self._order, 0],
-            "constraint": structure.constraint[self._order],
-            "range_radius": self._by_place(range_radius),
-            "reach": self._by_place(structure.reach if constrained else None),
-            "largest_step": sheets._settings.largest_step * sheets._radius[self._order],
-            "squared_radius": sheets._radius[self._order] ** 2 if constrained else np.full(len(photons), -1.0),
-        }
+        self._position = np.empty_like(position)
+        self._normal = self._placed_normals(normal)
+        if ranges is None and range_radius is not None:
+            ranges = np.broadcast_to(NORMAL_RANGE, len(photons))
+        # The radius that held n_found photons, scaled to hold k.
+        radius = structure.radius[self._rows]
+        radius *= np.sqrt(sheets.settings.k / structure.n_found[self._rows])
+        guess = np.square(radius) if constrained else np.full_like(radius, -1.0)
+        self._sheet = _relax.Sheet(
+            rows=self._rows,
+            normal=self._normal,
+            largest_step=sheets.settings.largest_step * radius,
+            squared_radius=guess,
+            basis=structure.basis,
+            constraint=structure.constraint,
+            range_radius=ranges,
+            reach=structure.reach if constrained else None,
+        )
 
-    def _by_place(self, array: Floats | None) -> Floats | None:
-        return None if array is None else array[self._order]
+    def _placed_normals(self, normal: Floats) -> Floats:
+        """Return normals by place, one for all where they are alike and stay so."""
+        if self._sheets.surfaces is None and self._first_normal_axis == self._tree.n_axes:
+            return np.broadcast_to(normal[:1], normal.shape)
+        return normal[self._order]
 
-    def after(
-        self, n_iterations: int, surfaces: Surfaces | None, rows: _arrays.Rows
-    ) -> tuple[Floats, Floats]:
-        """Return positions and normals, by row, after so many iterations."""
-        if surfaces is not None:
-            rows = self._order if isinstance(rows, slice) else rows[self._order]
+    def after(self, n_iterations: int) -> tuple[NDArray[np.intp], Floats, Floats]:
+        """Return rows by place, and positions and normals there after so many iterations."""
         for _ in range(n_iterations):
-            moved = self._moved()
-            if surfaces is None:
-                self._position = moved
-            else:
-                self._position, self._normal = surfaces.put_back(
-                    self._position, self._normal, moved, rows
-                )
+            self._move()
+            if self._sheets.surfaces is not None:
+                self._put_back(self._sheets.surfaces)
             self._refit()
-        return self._by_row(self._position), self._by_row(self._normal)
+        return self._order, self._position, self._normal
 
-    def _by_row(self, placed: Floats) -> Floats:
-        array = np.empty_like(placed)
-        array[self._order] = placed
-        return array
-
-    def _moved(self) -> Floats:
-        settings = self._sheets._settings
-        sheet = _relax.Sheet(normal=self._normal, **self._placed)
-        moved = np.empty_like(self._position)
-        for first, end in self._sheets._report.chunks(len(moved)):
+    def _move(self) -> None:
+        """Write where photons would like to be; where they are is still in the tree."""
+        settings, n_threads = self._sheets.settings, self._sheets.n_threads
+        for first, end in self._sheets.report.chunks(len(self._position)):
             _relax.move(
-                self._tree, first, end, sheet, settings.k, settings.step, moved, self._n_threads
+                *(self._tree, first, end, self._sheet, settings.k),
+                *(settings.step, self._position, n_threads),
             )
-        return moved
+
+    def _put_back(self, surfaces: Surfaces) -> None:
+        for first in range(0, len(self._position), _PUT_BACK):
+            part = slice(first, first + _PUT_BACK)
+            self._position[part], self._normal[part] = surfaces.put_back(
+                self._from_tree(part), self._normal[part], self._position[part], self._rows[part]
+            )
+
+    def _from_tree(self, part: slice) -> Floats:
+        """Return the positions in the tree of the points of some blocks."""
+        lanes = np.asarray(self._tree.coords)
+        block = lanes.shape[2]
+        position = lanes[part.start // block : part.stop // block, :3].transpose(0, 2, 1)
+        return position.reshape(-1, 3)[: len(self._position) - part.start]
 
     def _refit(self) -> None:
-        self._tree.move(self._position, 0, 1.0, self._n_threads)
+        n_threads = self._sheets.n_threads
+        self._tree.move(self._position, 0, 1.0, n_threads)
         if self._first_normal_axis < self._tree.n_axes:
-            self._tree.move(
-                self._normal, self._first_normal_axis, self._normal_scale, self._n_threads
-            )
-        self._tree.box(self._n_threads)
+            self._tree.move(self._normal, self._first_normal_axis, self._normal_scale, n_threads)
+        self._tree.box(n_threads)
+
+
+def _by_row(placed: Floats, order: NDArray[np.intp]) -> Floats:
+    array = np.empty_like(placed)
+    array[order] = placed
+    return array

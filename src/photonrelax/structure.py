@@ -26,6 +26,7 @@ __all__ = [
     "Structure",
     "StructureSettings",
     "anisotropy_to_gradient",
+    "chosen",
     "constraint",
     "detect_structure",
     "emitter_range",
@@ -134,10 +135,10 @@ class Structure:
 
     def subset(self, rows: _arrays.Rows) -> Structure:
         """Return the structure of some of the photons."""
-        chosen: dict[str, Any] = {
-            field.name: _rows(getattr(self, field.name), rows) for field in fields(self)
+        columns: dict[str, Any] = {
+            field.name: chosen(getattr(self, field.name), rows) for field in fields(self)
         }
-        return Structure(**chosen)
+        return Structure(**columns)
 
 
 def detect_structure(
@@ -179,12 +180,14 @@ def detect_structure(
     threads = _arrays.thread_count(n_threads)
     ranges = emitter_range(photons, settings)
     report = Reporter(progress, "structure", len(photons))
+    columns = (photons.position, photons.normal, photons.emitter_coords, ranges)
     groups = neighbour_groups(photons)
-    parts = [
-        _detect_group(photons.subset(rows), _rows(ranges, rows), settings, threads, report)
-        for rows in groups
-    ]
-    return parts[0] if len(parts) == 1 else _merge(parts, groups, ranges)
+    found: dict[str, NDArray] = {}
+    for rows in groups:
+        group = [chosen(column, rows) for column in columns]
+        part = _detect_group(group, settings, threads, report)
+        found = part if len(groups) == 1 else _merged(found, part, rows, len(photons))
+    return Structure(**found, emitter_range=ranges)
 
 
 def neighbour_groups(photons: PhotonMap) -> list[_arrays.Rows]:
@@ -277,10 +280,10 @@ def photon_tree(
         columns.append(coords)
     if not facing_alike(normal):
         if ranges is None:
-            ranges = np.full(len(position), NORMAL_RANGE)
+            ranges = np.broadcast_to(NORMAL_RANGE, len(position))
         columns.append(normal * (ranges.max() / NORMAL_RANGE))
-    tree = KDTree(np.hstack(columns), n_metric=3, n_threads=n_threads)
-    return tree, ranges
+    points = position if len(columns) == 1 else np.hstack(columns)
+    return KDTree(points, n_metric=3, n_threads=n_threads), ranges
 
 
 def facing_alike(normal: Floats) -> bool:
@@ -313,62 +316,61 @@ def principal_components(offsets: Floats, *, n_threads: int | None = None) -> tu
     return _structure.principal_components(array, _arrays.thread_count(n_threads))
 
 
-def _rows(array: NDArray | None, rows: _arrays.Rows) -> NDArray | None:
+def chosen(array: NDArray | None, rows: _arrays.Rows) -> NDArray | None:
+    """Return rows of a column there may be."""
     return None if array is None else array[rows]
 
 
 def _detect_group(
-    photons: PhotonMap,
-    ranges: Floats | None,
+    group: list[Floats | None],
     settings: StructureSettings,
     n_threads: int,
     report: Reporter,
-) -> Structure:
-    n = len(photons)
-    found: dict[str, Any] = {
+) -> dict[str, NDArray]:
+    """Return what was found of photons given by position, normal, coordinates and ranges."""
+    position, normal, coords, ranges = group
+    n = len(position)
+    found = {
         "eigenvalues": np.empty((n, 2)),
         "constraint": np.empty(n),
         "basis": np.empty((n, 2, 3)),
         "radius": np.empty(n),
         "n_found": np.empty(n, dtype=np.int32),
     }
-    reach = None if ranges is None else _reach(photons, settings, n_threads)
-    tree, range_radius = photon_tree(
-        photons.position, photons.normal, photons.emitter_coords, ranges, n_threads=n_threads
-    )
+    reach = None if ranges is None else _reach(position, normal, settings, n_threads)
+    tree, range_radius = photon_tree(position, normal, coords, ranges, n_threads=n_threads)
     for first, end in report.chunks(n):
         _structure.detect(
             tree.kernel,
             first,
             end,
-            photons.normal,
+            normal,
             found,
             range_radius=range_radius,
             reach=reach,
             k=settings.k,
             n_threads=n_threads,
         )
-    return Structure(**found, emitter_range=ranges, reach=reach)
+    return found if reach is None else found | {"reach": reach}
 
 
-def _reach(photons: PhotonMap, settings: StructureSettings, n_threads: int) -> Floats:
+def _reach(position: Floats, normal: Floats, settings: StructureSettings, n_threads: int) -> Floats:
     """Return `reach_scale` times the radius that holds k photons of whatever sheet."""
-    tree, facing = photon_tree(photons.position, photons.normal, n_threads=n_threads)
-    near = tree.farthest(settings.k, range_radius=facing, n_threads=n_threads)
+    tree, facing = photon_tree(position, normal, n_threads=n_threads)
+    reach = tree.farthest(settings.k, range_radius=facing, n_threads=n_threads)
     with np.errstate(invalid="ignore"):
-        # An open reach stays open where photons coincide.
-        return np.nan_to_num(settings.reach_scale * near, nan=np.inf, posinf=np.inf)
+        reach *= settings.reach_scale
+    # An open reach stays open where photons coincide.
+    reach[np.isnan(reach)] = np.inf
+    return reach
 
 
-def _merge(parts: list[Structure], groups: list[_arrays.Rows], ranges: Floats | None) -> Structure:
-    """Put the rows of each emitter's structure where its photons are."""
-    n = sum(len(part) for part in parts)
-    merged = {}
-    for field in ("eigenvalues", "constraint", "basis", "radius", "n_found", "reach"):
-        example = getattr(parts[0], field)
-        if example is None:
-            continue
-        merged[field] = np.empty((n, *example.shape[1:]), dtype=example.dtype)
-        for part, rows in zip(parts, groups, strict=True):
-            merged[field][rows] = getattr(part, field)
-    return Structure(**merged, emitter_range=ranges)
+def _merged(
+    found: dict[str, NDArray], part: dict[str, NDArray], rows: _arrays.Rows, n: int
+) -> dict[str, NDArray]:
+    """Put what was found of some photons into the rows of all n."""
+    for name, array in part.items():
+        if name not in found:
+            found[name] = np.empty((n, *array.shape[1:]), dtype=array.dtype)
+        found[name][rows] = array
+    return found

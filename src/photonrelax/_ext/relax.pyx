@@ -6,7 +6,7 @@ from libc.math cimport sqrt
 from .core cimport cross, dot
 from .batch cimport Batch, Query, limit_radius, limit_range, list_points, open_block, scratch
 from .kdtree cimport Tree
-from .lanes cimport BLOCK
+from .lanes cimport BLOCK, prefetch_row
 from .search cimport find
 
 # A photon with fewer photons in range than this has no neighbourhood to spread out in.
@@ -15,34 +15,42 @@ cdef enum:
 
 
 cdef class Sheet:
-    """What a move reads of each photon, by place in the tree.
+    """What a move reads of each photon: by place in the tree, or by row of the structure.
 
     Parameters
     ----------
-    normal, along : (n, 3) float64 arrays
-        Unit normal, and the direction in which the photon is free.
-    constraint : (n,) float64 array
-        Of the direction across.
-    range_radius, reach : (n,) float64 arrays or None
-        Limits over the range axes and in space; None for none.
+    rows : (n,) intp array
+        Row of the photon at each place.
+    normal : (n, 3) float64 array
+        Unit normals, by place.
     largest_step : (n,) float64 array
+        By place.
     squared_radius : (n,) float64 array
-        Squared distance to the farthest neighbour, or a guess of it, -1 for none; set by moves.
+        Squared distance to the farthest neighbour, or a guess of it, -1 for none; by place and
+        set by moves.
+    basis : (m, 2, 3) float64 array
+        Directions along the structure, in which the photon is free, and across, by row.
+    constraint : (m,) float64 array
+        Of the direction across, by row.
+    range_radius, reach : (m,) float64 arrays or None
+        Limits over the range axes and in space, by row; None for none.
     """
 
-    cdef const double[:, ::1] normal
-    cdef const double[:, ::1] along
+    cdef const Py_ssize_t[::1] rows
+    cdef const double[:, :] normal
+    cdef const double[:, :, ::1] basis
     cdef const double[::1] constraint
-    cdef const double[::1] range_radius
+    cdef const double[:] range_radius
     cdef const double[::1] reach
     cdef const double[::1] largest_step
     cdef double[::1] squared_radius
 
     def __init__(
-        self, *, normal, along, constraint, range_radius, reach, largest_step, squared_radius
+        self, *, rows, normal, largest_step, squared_radius, basis, constraint, range_radius, reach
     ):
+        self.rows = rows
         self.normal = normal
-        self.along = along
+        self.basis = basis
         self.constraint = constraint
         self.range_radius = range_radius
         self.reach = reach
@@ -71,17 +79,20 @@ cdef void move_block(
     Tree tree, Batch* batch, Py_ssize_t block, Sheet sheet, double step, double[:, ::1] moved
 ) noexcept nogil:
     """Move the photons of a block; write their places only."""
-    cdef Py_ssize_t lane, place
+    cdef Py_ssize_t lane, place, row
     cdef Query* query
     open_block(tree, batch, block)
     for lane in range(batch.n_queries):
         query = &batch.queries[lane]
         place = BLOCK * block + lane
+        row = sheet.rows[place]
+        prefetch_row(&sheet.basis[row, 0, 0], 3 * sizeof(double))
+        prefetch_row(&sheet.constraint[row], sizeof(double))
         query.squared_guess = sheet.squared_radius[place]
         if sheet.range_radius is not None:
-            limit_range(query, sheet.range_radius[place])
+            limit_range(query, sheet.range_radius[row])
         if sheet.reach is not None:
-            limit_radius(query, sheet.reach[place] * sheet.reach[place])
+            limit_radius(query, sheet.reach[row] * sheet.reach[row])
     find(tree, batch)
     list_points(tree, batch)
     for lane in range(batch.n_queries):
@@ -95,6 +106,7 @@ cdef void move_one(
     """Move one photon by the repulsion of its neighbours; write its place only."""
     cdef const Query* query = &batch.queries[lane]
     cdef Py_ssize_t axis
+    cdef Py_ssize_t row = sheet.rows[place]
     cdef double[3] f
     f[0] = f[1] = f[2] = 0.0
     if query.found.count >= FEWEST and query.found.squared_radius > 0.0:
@@ -102,7 +114,7 @@ cdef void move_one(
             batch.squared + lane * batch.stride, batch.points + 3 * lane * batch.stride,
             query.found.count, query.found.squared_radius, query.reach.low, f
         )
-        project(f, &sheet.normal[place, 0], &sheet.along[place, 0], sheet.constraint[place])
+        project(f, &sheet.normal[place, 0], &sheet.basis[row, 0, 0], sheet.constraint[row])
         shorten(f, step, sheet.largest_step[place])
     sheet.squared_radius[place] = query.found.squared_radius
     for axis in range(3):

@@ -161,7 +161,7 @@ cdef void write_components(
 
 def detect(
     Tree tree, Py_ssize_t first, Py_ssize_t end, const double[:, ::1] normal, targets_by_name, *,
-    const double[::1] range_radius, const double[::1] reach, Py_ssize_t k, int n_threads
+    const double[:] range_radius, const double[::1] reach, Py_ssize_t k, int n_threads
 ):
     """Fill the rows of the photons at places first … end, whole blocks, of the tree.
 
@@ -181,7 +181,7 @@ def detect(
 
 cdef void detect_block(
     Tree tree, Batch* batch, Py_ssize_t block, const double[:, ::1] normal,
-    const double[::1] range_radius, const double[::1] reach, Targets out
+    const double[:] range_radius, const double[::1] reach, Targets out
 ) noexcept nogil:
     """Detect the structure around the photons of a block; write their rows only.
 
