@@ -52,12 +52,11 @@ class Surfaces:
             self._caster.frame, self._caster.triangles, photons.object_id, _START * scene.scale
         )
         self._n_threads = n_threads
-        self._numbers = np.arange(len(photons))
+        self._n_photons = len(photons)
+        numbers = np.arange(len(photons))
         here, normal = photons.position, photons.normal
         self._for_chunks(
-            lambda part: self._answer(
-                Moves(here[part], normal[part], here[part], self._numbers[part])
-            ),
+            lambda part: self._answer(Moves(here[part], normal[part], here[part], numbers[part])),
             len(photons),
         )
 
@@ -79,7 +78,7 @@ class Surfaces:
         rows : slice or (m,) intp
             Which photons of the map they are, each at most once.
         """
-        photons = rows if isinstance(rows, np.ndarray) else self._numbers[rows]
+        photons = rows if isinstance(rows, np.ndarray) else np.arange(self._n_photons)[rows]
         to, to_normal = np.empty_like(position), np.empty_like(normal)
         columns = (position, normal, moved, photons, to, to_normal)
         self._for_chunks(lambda part: self._answer(Moves(*(c[part] for c in columns))), len(moved))

@@ -155,13 +155,14 @@ class _Sheets:
         position, normal = self.photons.position[rows], self.photons.normal[rows]
         for constrained, n in zip((True, False), self.settings.n_iterations, strict=True):
             if n:
-                # The stage and its tree have no name: they are gone before anything else is made.
-                order, placed, turned = _Stage(
-                    self, rows, position, normal, constrained=constrained
-                ).after(n)
-                position = _by_row(placed, order)
+                stage = _Stage(self, rows, position, normal, constrained=constrained)
+                order, position, turned = stage.after(n)
+                # Its tree is to be gone before anything else is made.
+                del stage
+                position = _by_row(position, order)
                 if self.surfaces is not None:
                     normal = _by_row(turned, order)
+                del order, turned
         return position, normal
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,11 +180,15 @@ def detect_structure(
     threads = _arrays.thread_count(n_threads)
     ranges = emitter_range(photons, settings)
     report = Reporter(progress, "structure", len(photons))
-    columns = (photons.position, photons.normal, photons.emitter_coords, ranges)
     groups = neighbour_groups(photons)
     found: dict[str, NDArray] = {}
     for rows in groups:
-        group = [chosen(column, rows) for column in columns]
+        group = _Group(
+            photons.position[rows],
+            photons.normal[rows],
+            chosen(photons.emitter_coords, rows),
+            chosen(ranges, rows),
+        )
         part = _detect_group(group, settings, threads, report)
         found = part if len(groups) == 1 else _merged(found, part, rows, len(photons))
     return Structure(**found, emitter_range=ranges)
@@ -321,30 +325,34 @@ def chosen(array: NDArray | None, rows: _arrays.Rows) -> NDArray | None:
     return None if array is None else array[rows]
 
 
+class _Group(NamedTuple):
+    """What is read of photons that may be neighbours."""
+
+    position: Floats
+    normal: Floats
+    coords: Floats | None
+    ranges: Floats | None
+
+
 def _detect_group(
-    group: list[Floats | None],
-    settings: StructureSettings,
-    n_threads: int,
-    report: Reporter,
+    group: _Group, settings: StructureSettings, n_threads: int, report: Reporter
 ) -> dict[str, NDArray]:
-    """Return what was found of photons given by position, normal, coordinates and ranges."""
-    position, normal, coords, ranges = group
-    n = len(position)
-    found = {
+    n = len(group.position)
+    found: dict[str, NDArray] = {
         "eigenvalues": np.empty((n, 2)),
         "constraint": np.empty(n),
         "basis": np.empty((n, 2, 3)),
         "radius": np.empty(n),
         "n_found": np.empty(n, dtype=np.int32),
     }
-    reach = None if ranges is None else _reach(position, normal, settings, n_threads)
-    tree, range_radius = photon_tree(position, normal, coords, ranges, n_threads=n_threads)
+    reach = None if group.ranges is None else _reach(group, settings, n_threads)
+    tree, range_radius = photon_tree(*group, n_threads=n_threads)
     for first, end in report.chunks(n):
         _structure.detect(
             tree.kernel,
             first,
             end,
-            normal,
+            group.normal,
             found,
             range_radius=range_radius,
             reach=reach,
@@ -354,9 +362,9 @@ def _detect_group(
     return found if reach is None else found | {"reach": reach}
 
 
-def _reach(position: Floats, normal: Floats, settings: StructureSettings, n_threads: int) -> Floats:
+def _reach(group: _Group, settings: StructureSettings, n_threads: int) -> Floats:
     """Return `reach_scale` times the radius that holds k photons of whatever sheet."""
-    tree, facing = photon_tree(position, normal, n_threads=n_threads)
+    tree, facing = photon_tree(group.position, group.normal, n_threads=n_threads)
     reach = tree.farthest(settings.k, range_radius=facing, n_threads=n_threads)
     with np.errstate(invalid="ignore"):
         reach *= settings.reach_scale
