@@ -13,7 +13,7 @@ PANELS = {
     "all neighbours, K = 50": ("neighbours 50", ": neighbours 50"),
     "constrained neighbours, K = 50, 6-D": ("constrained 6", ": constrained 6"),
 }
-STAGES = ("trace", "structure", "constrained iteration", "collapsed iteration", "gather")
+STAGES = ("build", "trace", "structure", "relaxation", "gather")
 
 
 def save(sweep: dict[int, dict[str, Timing]], path: Path) -> None:

@@ -188,6 +188,7 @@ STAGES = {
     "structure detection": "structure",
     "one constrained iteration": "constrained iteration",
     "one iteration in space": "collapsed iteration",
+    "relaxation, 7 + 7 iterations": "relaxation",
     "gathering": "gather",
 }
 

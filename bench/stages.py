@@ -13,7 +13,7 @@ from .inputs import Sheet
 from .timing import Timing, stopwatch
 
 # As `trace_photons` has them.
-_BATCH = 65536
+_BATCH = 16384
 
 
 def tree(sheet: Sheet, constrained: bool) -> pr.KDTree:

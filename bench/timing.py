@@ -25,6 +25,13 @@ class Timing:
         """Return the time of a part of the work, or of work not measured apart."""
         return Timing([factor * s for s in self.wall], [factor * s for s in self.cpu])
 
+    def minus(self, other: Timing) -> Timing:
+        """Return the time of what this does, round by round, and the other does not."""
+        return Timing(
+            [a - b for a, b in zip(self.wall, other.wall, strict=True)],
+            [a - b for a, b in zip(self.cpu, other.cpu, strict=True)],
+        )
+
     def to_dict(self) -> dict[str, float]:
         seconds = {"wall": self.wall, "cpu": self.cpu}
         values: dict[str, float] = {"rounds": len(self.wall)}
