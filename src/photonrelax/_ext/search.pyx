@@ -2,6 +2,7 @@
 
 from libc.math cimport INFINITY, sqrt
 from libc.stdint cimport int32_t, int64_t
+from libc.string cimport memcpy
 
 from .batch cimport LISTED, Query, candidates_before_drop
 from .kdtree cimport fan_out, first_block, last_kept
@@ -31,15 +32,43 @@ cdef void find(Tree tree, Batch* batch) noexcept nogil:
     cdef double farthest = 0.0, total = 0.0
     for i in range(batch.n_queries):
         start(batch, &batch.queries[i])
+        if i > 0 and alike(tree, &batch.queries[i - 1], &batch.queries[i]):
+            batch.queries[i].done = True
+            n_open -= 1
     while n_open > 0:
         set_outer_reach(tree, batch)
         traverse(tree, batch)
         n_open = close_queries(tree, batch)
     for i in range(batch.n_queries):
+        if i > 0 and alike(tree, &batch.queries[i - 1], &batch.queries[i]):
+            copy_found(&batch.queries[i].found, &batch.queries[i - 1].found)
         total += batch.queries[i].found.squared_radius
         farthest = max(farthest, batch.queries[i].found.squared_radius)
     batch.squared_first = (1.0 + FIRST / sqrt(batch.k)) * total / batch.n_queries
     batch.squared_then = THEN * farthest
+
+
+cdef inline bint alike(Tree tree, const Query* one, const Query* other) noexcept nogil:
+    """Tell whether two queries find the same, as those from coincident points do."""
+    cdef Py_ssize_t axis
+    for axis in range(tree.n_axes):
+        if one.reach.low[axis] != other.reach.low[axis]:
+            return False
+    return (
+        one.squared_most == other.squared_most
+        and one.reach.squared_range == other.reach.squared_range
+        and one.reach.half_range == NULL and other.reach.half_range == NULL
+        and one.excluded < 0 and other.excluded < 0
+    )
+
+
+cdef void copy_found(Found* found, const Found* other) noexcept nogil:
+    """Copy what was found, for those who read it."""
+    found.n_blocks = other.n_blocks
+    found.count = other.count
+    found.squared_radius = other.squared_radius
+    memcpy(found.blocks, other.blocks, other.n_blocks * sizeof(int32_t))
+    memcpy(found.squared, other.squared, BLOCK * other.n_blocks * sizeof(double))
 
 
 cdef void start(Batch* batch, Query* query) noexcept nogil:
