@@ -9,7 +9,7 @@ from libc.math cimport INFINITY
 
 import numpy as np
 
-from .lanes cimport lanes_named
+from .lanes cimport lanes_named, prefetch_row
 
 from .order import median_order
 
@@ -66,7 +66,10 @@ cdef void sort_block(Tree tree, const double[:, ::1] points, Py_ssize_t block) n
 
 cdef void place_block(Tree tree, const double[:, ::1] points, Py_ssize_t block) noexcept nogil:
     """Copy the coordinates of the block's points from their rows."""
-    cdef Py_ssize_t lane, axis
+    cdef Py_ssize_t lane, axis, place
+    # The rows of the next block are all over the table.
+    for place in range(BLOCK * block + BLOCK, min(BLOCK * block + 2 * BLOCK, tree.n_points)):
+        prefetch_row(&points[tree.ids[place], 0], tree.n_axes * sizeof(double))
     sort_block(tree, points, block)
     for lane in range(points_of_block(tree, block)):
         for axis in range(tree.n_axes):

@@ -87,7 +87,7 @@ static inline double key_scale(double squared_limit)
 static inline int lowest_bit(unsigned bits) { return __builtin_ctz(bits); }
 static inline int highest_bit(unsigned bits) { return 31 - __builtin_clz(bits); }
 
-/* Have a row that will soon be written brought into the cache. */
+/* Have a row that will soon be read or written brought into the cache. */
 static inline void prefetch_row(const void *row, int64_t n_bytes)
 {
     for (int64_t i = 0; i < n_bytes; i += 64) __builtin_prefetch((const char *)row + i, 1);

@@ -196,6 +196,7 @@ cdef void detect_block(
         query = &batch.queries[lane]
         row = tree.ids[BLOCK * block + lane]
         prefetch(out, row)
+        prefetch_row(&normal[row, 0], 3 * sizeof(double))
         if range_radius is not None:
             limit_range(query, range_radius[row])
         if reach is not None:
