@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import _arrays
 from ._arrays import Floats, Rows
@@ -15,7 +14,7 @@ from ._progress import Progress, Reporter
 from ._surfaces import Surfaces
 from .photonmap import PhotonMap
 from .scene import Scene
-from .structure import NORMAL_RANGE, Structure, chosen, neighbour_groups, photon_tree
+from .structure import NORMAL_RANGE, Structure, neighbour_groups, photon_tree, placed_rows
 
 # Photons that are put back on their surfaces at a time, some thousand whole blocks for a thread.
 _PUT_BACK = 1 << 20
@@ -119,9 +118,7 @@ def relax(
     position = np.empty_like(photons.position)
     normal = photons.normal if surfaces is None else np.empty_like(photons.normal)
     for rows in neighbour_groups(photons):
-        position[rows], turned = sheets.relaxed(rows)
-        if surfaces is not None:
-            normal[rows] = turned
+        sheets.relax(rows, position, normal)
     # The map copies arrays that could still be written to.
     for array in (position, normal):
         array.setflags(write=False)
@@ -150,20 +147,14 @@ class _Sheets:
     n_threads: int
     report: Reporter
 
-    def relaxed(self, rows: Rows) -> tuple[Floats, Floats]:
-        """Return positions and normals of a group of neighbours after all iterations."""
-        position, normal = self.photons.position[rows], self.photons.normal[rows]
+    def relax(self, rows: Rows, position: Floats, normal: Floats) -> None:
+        """Write positions and normals of a group of neighbours after all iterations."""
+        before = self.photons.position, self.photons.normal
         for constrained, n in zip((True, False), self.settings.n_iterations, strict=True):
             if n:
-                stage = _Stage(self, rows, position, normal, constrained=constrained)
-                order, position, turned = stage.after(n)
-                # Its tree is to be gone before anything else is made.
-                del stage
-                position = _by_row(position, order)
-                if self.surfaces is not None:
-                    normal = _by_row(turned, order)
-                del order, turned
-        return position, normal
+                # A stage has no name, so its tree is dropped before the next is built.
+                _Stage(self, rows, *before, constrained=constrained).finish(n, position, normal)
+                before = position, normal
 
 
 class _Stage:
@@ -178,21 +169,19 @@ class _Stage:
     ) -> None:
         photons, structure = sheets.photons, sheets.structure
         self._sheets = sheets
-        coords = chosen(photons.emitter_coords, rows) if constrained else None
+        coords = photons.emitter_coords if constrained else None
         ranges = structure.emitter_range if constrained else None
         tree, range_radius = photon_tree(
-            position, normal, coords, chosen(ranges, rows), n_threads=sheets.n_threads
+            position, normal, coords, ranges, rows=rows, n_threads=sheets.n_threads
         )
         self._tree = tree.kernel
-        self._order = np.asarray(tree.kernel.ids)
-        self._rows = self._order if isinstance(rows, slice) else rows[self._order]
+        self._rows = placed_rows(tree, rows)
         # Normals are range axes, the last three, of trees that have any of their own.
         self._first_normal_axis = 3 if coords is None else 3 + coords.shape[1]
-        self._normal_scale = 0.0 if range_radius is None else range_radius.max() / NORMAL_RANGE
-        self._position = np.empty_like(position)
+        if range_radius is not None:
+            self._normal_scale = range_radius[rows].max() / NORMAL_RANGE
+        self._position = np.empty((len(tree), 3))
         self._normal = self._placed_normals(normal)
-        if ranges is None and range_radius is not None:
-            ranges = np.broadcast_to(NORMAL_RANGE, len(photons))
         # The radius that held n_found photons, scaled to hold k.
         radius = structure.radius[self._rows]
         radius *= np.sqrt(sheets.settings.k / structure.n_found[self._rows])
@@ -204,24 +193,28 @@ class _Stage:
             squared_radius=guess,
             basis=structure.basis,
             constraint=structure.constraint,
-            range_radius=ranges,
+            range_radius=range_radius,
             reach=structure.reach if constrained else None,
         )
 
     def _placed_normals(self, normal: Floats) -> Floats:
         """Return normals by place, one for all where they are alike and stay so."""
         if self._sheets.surfaces is None and self._first_normal_axis == self._tree.n_axes:
-            return np.broadcast_to(normal[:1], normal.shape)
-        return normal[self._order]
+            return np.broadcast_to(normal[self._rows[:1]], self._position.shape)
+        return normal[self._rows]
 
-    def after(self, n_iterations: int) -> tuple[NDArray[np.intp], Floats, Floats]:
-        """Return rows by place, and positions and normals there after so many iterations."""
+    def finish(self, n_iterations: int, position: Floats, normal: Floats) -> None:
+        """Iterate so often, then write positions and, on surfaces, normals to their rows."""
         for _ in range(n_iterations):
             self._move()
             if self._sheets.surfaces is not None:
                 self._put_back(self._sheets.surfaces)
             self._refit()
-        return self._order, self._position, self._normal
+        # Positions that have not been written yet take no memory; that of the tree will do.
+        del self._tree
+        position[self._rows] = self._position
+        if self._sheets.surfaces is not None:
+            normal[self._rows] = self._normal
 
     def _move(self) -> None:
         """Write where photons would like to be; where they are is still in the tree."""
@@ -252,9 +245,3 @@ class _Stage:
         if self._first_normal_axis < self._tree.n_axes:
             self._tree.move(self._normal, self._first_normal_axis, self._normal_scale, n_threads)
         self._tree.box(n_threads)
-
-
-def _by_row(placed: Floats, order: NDArray[np.intp]) -> Floats:
-    array = np.empty_like(placed)
-    array[order] = placed
-    return array

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,7 @@ __all__ = [
     "neighbour_groups",
     "noise_attenuation",
     "photon_tree",
+    "placed_rows",
     "principal_components",
 ]
 
@@ -178,20 +179,11 @@ def detect_structure(
     """
     settings = settings or StructureSettings()
     threads = _arrays.thread_count(n_threads)
-    ranges = emitter_range(photons, settings)
     report = Reporter(progress, "structure", len(photons))
-    groups = neighbour_groups(photons)
-    found: dict[str, NDArray] = {}
-    for rows in groups:
-        group = _Group(
-            photons.position[rows],
-            photons.normal[rows],
-            chosen(photons.emitter_coords, rows),
-            chosen(ranges, rows),
-        )
-        part = _detect_group(group, settings, threads, report)
-        found = part if len(groups) == 1 else _merged(found, part, rows, len(photons))
-    return Structure(**found, emitter_range=ranges)
+    detection = _Detection(photons, settings, threads, report)
+    for rows in neighbour_groups(photons):
+        detection.fill(rows)
+    return Structure(**detection.found, emitter_range=detection.ranges, reach=detection.reach)
 
 
 def neighbour_groups(photons: PhotonMap) -> list[_arrays.Rows]:
@@ -271,23 +263,45 @@ def photon_tree(
     coords: Floats | None = None,
     ranges: Floats | None = None,
     *,
+    rows: _arrays.Rows = slice(None),
     n_threads: int | None = None,
 ) -> tuple[KDTree, Floats | None]:
-    """Return the tree neighbours are searched in, and the radius of each photon's range.
+    """Return the tree some photons are searched in, and the radius of every photon's range.
 
     Range axes are the emitter coordinates, if given with their ranges, and the normals, unless
     all are the same: photons on the other side of a plate or round a corner are no neighbours.
     Normals are scaled so that NORMAL_RANGE between two of them uses up the largest of the ranges.
     """
-    columns = [position]
+    points, ranges = _tree_points(position, normal, coords, ranges, rows)
+    return KDTree(points, n_metric=3, n_threads=n_threads), ranges
+
+
+def _tree_points(
+    position: Floats,
+    normal: Floats,
+    coords: Floats | None,
+    ranges: Floats | None,
+    rows: _arrays.Rows,
+) -> tuple[Floats, Floats | None]:
+    columns, alike = [position], facing_alike(normal[rows])
     if coords is not None and ranges is not None:
         columns.append(coords)
-    if not facing_alike(normal):
+    if not alike:
+        columns.append(normal)
         if ranges is None:
             ranges = np.broadcast_to(NORMAL_RANGE, len(position))
-        columns.append(normal * (ranges.max() / NORMAL_RANGE))
-    points = position if len(columns) == 1 else np.hstack(columns)
-    return KDTree(points, n_metric=3, n_threads=n_threads), ranges
+    if len(columns) == 1:
+        return position[rows], ranges
+    n = len(position) if isinstance(rows, slice) else len(rows)
+    points = np.empty((n, sum(column.shape[1] for column in columns)))
+    first = 0
+    # Chosen one at a time: the rows of all columns take as much as the points.
+    for column in columns:
+        points[:, first : first + column.shape[1]] = column[rows]
+        first += column.shape[1]
+    if not alike and ranges is not None:
+        points[:, -3:] *= ranges[rows].max() / NORMAL_RANGE
+    return points, ranges
 
 
 def facing_alike(normal: Floats) -> bool:
@@ -325,60 +339,64 @@ def chosen(array: NDArray | None, rows: _arrays.Rows) -> NDArray | None:
     return None if array is None else array[rows]
 
 
-class _Group(NamedTuple):
-    """What is read of photons that may be neighbours."""
+class _Detection:
+    """What is found of all photons, one group of neighbours after the other."""
 
-    position: Floats
-    normal: Floats
-    coords: Floats | None
-    ranges: Floats | None
+    def __init__(
+        self, photons: PhotonMap, settings: StructureSettings, n_threads: int, report: Reporter
+    ) -> None:
+        n = len(photons)
+        self._photons = photons
+        self._settings = settings
+        self._n_threads = n_threads
+        self._report = report
+        self.ranges = emitter_range(photons, settings)
+        self.reach = None if self.ranges is None else np.empty(n)
+        self.found: dict[str, Any] = {
+            "eigenvalues": np.empty((n, 2)),
+            "constraint": np.empty(n),
+            "basis": np.empty((n, 2, 3)),
+            "radius": np.empty(n),
+            "n_found": np.empty(n, dtype=np.int32),
+        }
 
-
-def _detect_group(
-    group: _Group, settings: StructureSettings, n_threads: int, report: Reporter
-) -> dict[str, NDArray]:
-    n = len(group.position)
-    found: dict[str, NDArray] = {
-        "eigenvalues": np.empty((n, 2)),
-        "constraint": np.empty(n),
-        "basis": np.empty((n, 2, 3)),
-        "radius": np.empty(n),
-        "n_found": np.empty(n, dtype=np.int32),
-    }
-    reach = None if group.ranges is None else _reach(group, settings, n_threads)
-    tree, range_radius = photon_tree(*group, n_threads=n_threads)
-    for first, end in report.chunks(n):
-        _structure.detect(
-            tree.kernel,
-            first,
-            end,
-            group.normal,
-            found,
-            range_radius=range_radius,
-            reach=reach,
-            k=settings.k,
+    def fill(self, rows: _arrays.Rows) -> None:
+        """Detect the structure of a group."""
+        photons, n_threads = self._photons, self._n_threads
+        if self.reach is not None:
+            self.reach[rows] = self._reach(rows)
+        tree, range_radius = photon_tree(
+            photons.position,
+            photons.normal,
+            photons.emitter_coords,
+            self.ranges,
+            rows=rows,
             n_threads=n_threads,
         )
-    return found if reach is None else found | {"reach": reach}
+        sheet = _structure.Sheet(
+            rows=placed_rows(tree, rows),
+            normal=photons.normal,
+            range_radius=range_radius,
+            reach=self.reach,
+        )
+        for first, end in self._report.chunks(len(tree)):
+            _structure.detect(
+                tree.kernel, first, end, sheet, self.found, k=self._settings.k, n_threads=n_threads
+            )
+
+    def _reach(self, rows: _arrays.Rows) -> Floats:
+        """Return `reach_scale` times the radius that holds k photons of whatever sheet."""
+        photons, settings, n_threads = self._photons, self._settings, self._n_threads
+        tree, facing = photon_tree(photons.position, photons.normal, rows=rows, n_threads=n_threads)
+        reach = tree.farthest(settings.k, range_radius=chosen(facing, rows), n_threads=n_threads)
+        with np.errstate(invalid="ignore"):
+            reach *= settings.reach_scale
+        # An open reach stays open where photons coincide.
+        reach[np.isnan(reach)] = np.inf
+        return reach
 
 
-def _reach(group: _Group, settings: StructureSettings, n_threads: int) -> Floats:
-    """Return `reach_scale` times the radius that holds k photons of whatever sheet."""
-    tree, facing = photon_tree(group.position, group.normal, n_threads=n_threads)
-    reach = tree.farthest(settings.k, range_radius=facing, n_threads=n_threads)
-    with np.errstate(invalid="ignore"):
-        reach *= settings.reach_scale
-    # An open reach stays open where photons coincide.
-    reach[np.isnan(reach)] = np.inf
-    return reach
-
-
-def _merged(
-    found: dict[str, NDArray], part: dict[str, NDArray], rows: _arrays.Rows, n: int
-) -> dict[str, NDArray]:
-    """Put what was found of some photons into the rows of all n."""
-    for name, array in part.items():
-        if name not in found:
-            found[name] = np.empty((n, *array.shape[1:]), dtype=array.dtype)
-        found[name][rows] = array
-    return found
+def placed_rows(tree: KDTree, rows: _arrays.Rows) -> NDArray[np.intp]:
+    """Return the row of the photon at each place of a tree of photons chosen by `rows`."""
+    order = np.asarray(tree.kernel.ids)
+    return order if isinstance(rows, slice) else rows[order]

@@ -66,6 +66,31 @@ cdef struct Components:
     double sine
 
 
+cdef class Sheet:
+    """What is read of photons.
+
+    Parameters
+    ----------
+    rows : (m,) intp array
+        Row of the photon at each place in the tree.
+    normal : (n, 3) float64 array
+        Unit normals.
+    range_radius, reach : (n,) float64 arrays or None
+        Limits over the range axes and in space; None for none.
+    """
+
+    cdef const Py_ssize_t[::1] rows
+    cdef const double[:, ::1] normal
+    cdef const double[:] range_radius
+    cdef const double[::1] reach
+
+    def __init__(self, *, rows, normal, range_radius, reach):
+        self.rows = rows
+        self.normal = normal
+        self.range_radius = range_radius
+        self.reach = reach
+
+
 cdef class Targets:
     """Views of the arrays that will make a `photonrelax.Structure`."""
 
@@ -160,13 +185,10 @@ cdef void write_components(
 
 
 def detect(
-    Tree tree, Py_ssize_t first, Py_ssize_t end, const double[:, ::1] normal, targets_by_name, *,
-    const double[:] range_radius, const double[::1] reach, Py_ssize_t k, int n_threads
+    Tree tree, Py_ssize_t first, Py_ssize_t end, Sheet sheet, targets_by_name, *, Py_ssize_t k,
+    int n_threads
 ):
-    """Fill the rows of the photons at places first … end, whole blocks, of the tree.
-
-    `range_radius` and `reach` limit the search over the range axes and in space; None for none.
-    """
+    """Fill the rows of the photons at places first … end, whole blocks, of the tree."""
     cdef Targets targets = Targets(**targets_by_name)
     cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
     cdef Py_ssize_t block
@@ -174,14 +196,11 @@ def detect(
         first // BLOCK, (end + BLOCK - 1) // BLOCK, nogil=True, schedule="dynamic", chunksize=16,
         num_threads=n_threads
     ):
-        detect_block(
-            tree, <Batch*> &room[threadid(), 0], block, normal, range_radius, reach, targets
-        )
+        detect_block(tree, <Batch*> &room[threadid(), 0], block, sheet, targets)
 
 
 cdef void detect_block(
-    Tree tree, Batch* batch, Py_ssize_t block, const double[:, ::1] normal,
-    const double[:] range_radius, const double[::1] reach, Targets out
+    Tree tree, Batch* batch, Py_ssize_t block, Sheet sheet, Targets out
 ) noexcept nogil:
     """Detect the structure around the photons of a block; write their rows only.
 
@@ -194,22 +213,23 @@ cdef void detect_block(
     open_block(tree, batch, block)
     for lane in range(batch.n_queries):
         query = &batch.queries[lane]
-        row = tree.ids[BLOCK * block + lane]
+        row = sheet.rows[BLOCK * block + lane]
         prefetch(out, row)
-        prefetch_row(&normal[row, 0], 3 * sizeof(double))
-        if range_radius is not None:
-            limit_range(query, range_radius[row])
-        if reach is not None:
-            squared_reach = reach[row] * reach[row]
+        prefetch_row(&sheet.normal[row, 0], 3 * sizeof(double))
+        if sheet.range_radius is not None:
+            limit_range(query, sheet.range_radius[row])
+        if sheet.reach is not None:
+            squared_reach = sheet.reach[row] * sheet.reach[row]
             limit_radius(query, squared_reach)
             if squared_reach < INFINITY:
                 query.squared_guess = MARGIN * batch.share * squared_reach
     find(tree, batch)
     for lane in range(batch.n_queries):
-        row = tree.ids[BLOCK * block + lane]
-        detect_one(tree, &batch.queries[lane], row, &normal[row, 0], out)
-        if reach is not None and reach[row] > 0.0:
-            share += batch.queries[lane].found.squared_radius / (reach[row] * reach[row])
+        row = sheet.rows[BLOCK * block + lane]
+        detect_one(tree, &batch.queries[lane], row, &sheet.normal[row, 0], out)
+        if sheet.reach is not None and sheet.reach[row] > 0.0:
+            squared_reach = sheet.reach[row] * sheet.reach[row]
+            share += batch.queries[lane].found.squared_radius / squared_reach
     batch.share = share / batch.n_queries
 
 
