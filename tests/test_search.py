@@ -220,6 +220,28 @@ def test_queries_that_have_little_in_common(path):
 
 
 @on_each_path
+def test_a_batch_of_which_only_some_have_found_all(path):
+    """Others may still find what is just as far away as their farthest, whatever its id."""
+    points = np.zeros((5000, 4))
+    points[2500:, [0, 3]] = 1.0
+    # The first batch has the second look as far as the farthest at once.
+    far = np.arange(32) < 24
+    queries = np.zeros((32, 4))
+    queries[far, 3] = 1.0
+    with simd_paths.forced(path):
+        found = pr.KDTree(points).query(queries, 20, range_radius=0.5, n_threads=1)
+    np.testing.assert_array_equal(found.ids, np.arange(20) + 2500 * far[:, np.newaxis])
+
+
+@on_each_path
+@pytest.mark.parametrize("k", [90, 130])
+def test_ties_are_broken_by_id_across_many_blocks(path, k):
+    rng = np.random.default_rng(k)
+    with simd_paths.forced(path):
+        assert_nearest(lattice(rng, 5000, 3), k, rows=some_rows(rng, 5000, 250))
+
+
+@on_each_path
 @pytest.mark.parametrize("k", [3, 16, 17, 40])
 def test_density_that_jumps_from_batch_to_batch(path, k):
     """What one batch found is no guide to the next: too little by far, or too much."""
@@ -296,8 +318,9 @@ def moved(tree, guess, k=16, reach=None):
     n = tree.n_points
     squared_radius = np.array(np.broadcast_to(guess, n), dtype=float)
     sheet = relax.Sheet(
+        rows=np.arange(n),
         normal=np.tile([0.0, 0.0, 1.0], (n, 1)),
-        along=np.tile([1.0, 0.0, 0.0], (n, 1)),
+        basis=np.tile(np.eye(3)[:2], (n, 1, 1)),
         constraint=np.zeros(n),
         range_radius=None,
         reach=reach,
@@ -329,17 +352,19 @@ def test_what_is_found_does_not_depend_on_the_guess(path, guess):
     rng = np.random.default_rng(3)
     points = np.column_stack([rng.random((3000, 2)) ** 3, np.zeros(3000)])
     points[:500] = points[500]
+    points[600:1600] = np.repeat(points[600:800], 5, axis=0)
     with simd_paths.forced(path):
         tree = pr.KDTree(points)
     places = np.asarray(tree.kernel.ids)
-    for reach in (None, np.full(3000, 0.02)):
+    limits = 0.04 * rng.random(3000)
+    for reach in (None, limits):
         position, squared = moved(tree, -1.0, reach=reach)
         again = moved(tree, GUESSES[guess](squared), reach=reach)
         np.testing.assert_array_equal(again[0], position)
         np.testing.assert_array_equal(again[1], squared)
     rows = np.arange(0, 3000, 61)
     distance = nearest(points, points[places[rows]], 16)[1]
-    expected = np.where(distance <= 0.02, distance, 0.0).max(axis=1)
+    expected = np.where(distance <= limits[rows, np.newaxis], distance, 0.0).max(axis=1)
     np.testing.assert_array_equal(np.sqrt(squared[rows]), expected)
 
 
