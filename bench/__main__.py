@@ -14,6 +14,7 @@ from pathlib import Path
 
 from . import compare, machine, memory, peers, plot, simd, table1
 from .report import Report
+from .timing import keep_memory
 
 
 def numbers(text: str) -> list[int]:
@@ -71,6 +72,7 @@ def run_compare(options: argparse.Namespace) -> None:
     rounds = 1 if options.quick else options.rounds
     for line in peers.missing().values():
         print(line, file=sys.stderr)
+    keep_memory()
     report = Report(n, rounds, machine.description(), clock=options.clock)
     options.out.mkdir(parents=True, exist_ok=True)
     for task in compare.fill(report, sweep, options.threads, pixels=60 if options.quick else 600):
