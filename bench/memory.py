@@ -20,7 +20,7 @@ import photonrelax as pr
 
 from . import inputs, machine
 
-STAGES = ("trace", "tree", "structure", "relax", "gather")
+STAGES = ("trace", "tree", "structure", "relax", "relax on the scene", "gather")
 _ROOT = Path(__file__).parents[1]
 _STATUS, _RESET = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 # Every array in pages of its own, given back when freed: what is counted is what is in use.
@@ -116,9 +116,10 @@ def _prepared(name: str, photons: pr.PhotonMap) -> Callable[[], Any]:
         return lambda: pr.KDTree(photons.position)
     if name == "structure":
         return lambda: pr.detect_structure(photons)
-    if name == "relax":
+    if name.startswith("relax"):
         structure = pr.detect_structure(photons)
-        return lambda: pr.relax(photons, structure, pr.RelaxSettings((1, 1)))
+        scene = inputs.scene() if "scene" in name else None
+        return lambda: pr.relax(photons, structure, pr.RelaxSettings((1, 1)), scene=scene)
     points, normals = inputs.hit_points(100).position, inputs.hit_points(100).normal
     return lambda: pr.irradiance_field(photons, method="standard")(points, normals)
 
