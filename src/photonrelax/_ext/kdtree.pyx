@@ -188,10 +188,11 @@ cdef class Tree:
         self.n_axes = points.shape[1]
         self.n_metric = n_metric
         self.n_blocks = (self.n_points + BLOCK - 1) // BLOCK
+        # First, as it takes more memory for itself than anything that is kept.
+        self.ids = median_order(points, axis_scale, n_threads)
         self.allocate()
         if self.n_points == 0:
             return
-        self.ids = median_order(points, axis_scale, n_threads)
         for block in prange(self.n_blocks, nogil=True, schedule="static", num_threads=n_threads):
             place_block(self, points, block)
         find_lowest_ids(self)
@@ -204,7 +205,6 @@ cdef class Tree:
         first = self.n_levels - 4 * inner
         sizes = [1] + [1 << (first + 4 * level) for level in range(inner)]
         self.first_group = np.cumsum([0] + sizes, dtype=np.intp)
-        self.ids = np.empty(self.n_points, dtype=np.int64)
         self.coords = np.empty((self.n_blocks, self.n_axes, BLOCK))
         boxes = np.empty((sum(sizes), 2, self.n_axes, BLOCK))
         boxes[:, 0] = np.inf
