@@ -7,6 +7,8 @@ import numpy as np
 
 from .lanes cimport FEW_CHUNKS, KEYS, LANES
 
+from .kdtree import aligned
+
 
 cdef Py_ssize_t most_candidates(Tree tree, Py_ssize_t k) noexcept nogil:
     """Return of how many blocks points may be candidates of a query at a time."""
@@ -18,7 +20,7 @@ cdef unsigned char[:, ::1] scratch(Tree tree, Py_ssize_t k, int n_threads):
     cdef Py_ssize_t thread
     k = min(k, tree.n_points)
     n_bytes = lay_out(tree, NULL, k)
-    room = np.empty((n_threads, 64 * (n_bytes // 64 + 1)), dtype=np.uint8)
+    room = aligned((n_threads, 64 * (n_bytes // 64 + 1)), np.uint8)
     cdef unsigned char[:, ::1] rows = room
     for thread in range(n_threads):
         lay_out(tree, &rows[thread, 0], k)
@@ -29,7 +31,7 @@ cdef Py_ssize_t lay_out(Tree tree, unsigned char* room, Py_ssize_t k):
     """Lay a batch out in the room, unless that is NULL; return the bytes it takes."""
     cdef Batch nowhere
     cdef Batch* batch = &nowhere if room == NULL else <Batch*> room
-    cdef unsigned char* free = room + sizeof(Batch)
+    cdef unsigned char* free = room + 64 * ((sizeof(Batch) + 63) // 64)
     cdef Py_ssize_t i, points = BLOCK * most_candidates(tree, k)
     cdef Found* found
     batch.k = k

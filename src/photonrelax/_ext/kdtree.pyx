@@ -1,6 +1,7 @@
 # distutils: sources = src/photonrelax/_ext/lanes.c
 """The tree: its points in blocks, boxes around them; see kdtree.pxd."""
 
+import math
 import os
 
 from cython.parallel cimport prange
@@ -12,6 +13,18 @@ import numpy as np
 from .lanes cimport lanes_named, prefetch_row
 
 from .order import median_order
+
+cdef enum:
+    # Vectors that straddle two lines of the cache take twice as long to load.
+    LINE = 64
+
+
+def aligned(shape, dtype=np.float64):
+    """Return an array with anything in it that starts where a line of the cache does."""
+    n_bytes = math.prod(shape) * np.dtype(dtype).itemsize
+    room = np.empty(n_bytes + LINE - 1, dtype=np.uint8)
+    first = -room.ctypes.data % LINE
+    return room[first : first + n_bytes].view(dtype).reshape(shape)
 
 
 def instruction_set():
@@ -205,8 +218,8 @@ cdef class Tree:
         first = self.n_levels - 4 * inner
         sizes = [1] + [1 << (first + 4 * level) for level in range(inner)]
         self.first_group = np.cumsum([0] + sizes, dtype=np.intp)
-        self.coords = np.empty((self.n_blocks, self.n_axes, BLOCK))
-        boxes = np.empty((sum(sizes), 2, self.n_axes, BLOCK))
+        self.coords = aligned((self.n_blocks, self.n_axes, BLOCK))
+        boxes = aligned((sum(sizes), 2, self.n_axes, BLOCK))
         boxes[:, 0] = np.inf
         boxes[:, 1] = -np.inf
         self.boxes = boxes

@@ -12,6 +12,8 @@ from .kdtree cimport Tree
 from .lanes cimport BLOCK, KEYS, Found, prefetch_row
 from .search cimport find
 
+from .kdtree import aligned
+
 
 cdef enum:
     # Rows to be written are brought into the cache so many ahead: they are all over the table.
@@ -58,8 +60,8 @@ cdef class Table:
     cdef unsigned char[:, ::1] room
 
     def __init__(self, Py_ssize_t n_queries, Py_ssize_t k, int n_threads):
-        self.ids = np.empty((n_queries, k), dtype=np.int64)
-        self.distance = np.empty((n_queries, k))
+        self.ids = aligned((n_queries, k), np.int64)
+        self.distance = aligned((n_queries, k))
         self.id_rows = self.ids
         self.distance_rows = self.distance
         n_sorted = k if k > KEYS else 0
