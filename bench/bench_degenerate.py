@@ -1,17 +1,10 @@
-"""Points that defeat trees: many at one place, on a line, on a lattice."""
+"""Photons that defeat trees: many at one place, on a line, on a lattice."""
 
 import pytest
 
-import photonrelax as pr
+from . import checks, inputs, peers, stages
 
-from . import checks, inputs, peers
-
-WORK = {
-    "neighbours": lambda photons: pr.KDTree(photons.position, n_threads=1).query_self(
-        50, n_threads=1
-    ),
-    "structure": lambda photons: pr.detect_structure(photons, n_threads=1),
-}
+WORK = ("neighbours", "constrained neighbours", "structure", "relaxation", "gathering")
 
 
 @pytest.fixture(scope="session")
@@ -23,7 +16,8 @@ def n_degenerate(request):
 @pytest.mark.parametrize("kind", inputs.DEGENERATE)
 def test_degenerate(timed, medians, benchmark, n_degenerate, kind, work):
     photons = inputs.degenerate(kind, n_degenerate)
-    result = timed(lambda: WORK[work](photons), n_degenerate, f"degenerate {work}", kind)
+    call = stages.awkward_calls(photons)[work]
+    result = timed(call, n_degenerate, f"degenerate {work}", kind)
     if benchmark.enabled:
         seconds = medians[f"degenerate {work}"]
         benchmark.extra_info["over_generic"] = seconds[kind] / seconds["generic"]
@@ -31,6 +25,11 @@ def test_degenerate(timed, medians, benchmark, n_degenerate, kind, work):
         points = photons.position
         rows = checks.sample(n_degenerate)
         checks.assert_nearest((result.ids[rows], result.distance[rows]), points, points[rows])
+    elif work == "constrained neighbours":
+        found = result.ids, result.distance
+        checks.assert_nearest_in_range(found, inputs.sheet_of(photons), 50)
+    elif work == "structure":
+        checks.assert_neighbourhoods(result, photons, 50)
 
 
 def test_peers_too(timed, n_degenerate):

@@ -8,8 +8,9 @@ from scipy.spatial import cKDTree
 import photonrelax as pr
 from photonrelax.structure import NORMAL_RANGE
 
-from .inputs import Floats, Sheet
-from .peers import Found, Ids
+from .inputs import Sheet
+from .morton import Floats, Ids
+from .peers import Found
 
 _SAMPLE = 2000
 # Distances nearer than this, relatively, are ties, among which any may be chosen.

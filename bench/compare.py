@@ -11,6 +11,7 @@ from photonrelax.estimate import IrradianceField
 
 from . import checks, inputs, peers, simd, stages
 from .inputs import Sheet
+from .morton import Floats
 from .report import Report, Results
 from .timing import Case, Timing, interleave
 
@@ -54,10 +55,11 @@ class Workbench:
 
     @cached_property
     def _trees(self) -> dict[str, peers.Ordered]:
-        return {p.name: peers.Ordered(p, self.photons.position) for p in peers.available()}
+        points = inputs.along_curve(self.n).position
+        return {p.name: peers.Ordered(p, points) for p in peers.available()}
 
     def stages(self) -> Iterator[Case]:
-        """Yield photonrelax's own stages."""
+        """Yield photonrelax's own stages, of photons in order of emission."""
         photons, n_threads = self.photons, self.n_threads
         n_emitted = int(_EMITTED * self.n)
         yield Case("build", lambda _: pr.KDTree(photons.position, n_threads=n_threads))
@@ -75,22 +77,43 @@ class Workbench:
         return stages.relaxed(self.photons, self.structure, iterations, self.n_threads)
 
     def searches(self, k: int) -> Iterator[Case]:
-        """Yield the all-neighbours search of photonrelax and of its peers."""
-        points = self.photons.position
+        """Yield the all-neighbours search of photonrelax and of its peers, in Morton order."""
+        points = inputs.along_curve(self.n).position
         rows = checks.sample(self.n)
         check = partial(checks.assert_nearest, points=points, queries=points[rows])
-        yield Case(
-            f"neighbours {k}",
-            lambda tree: _pair(tree.query_self(k, n_threads=self.n_threads)),
-            prepare=lambda: pr.KDTree(points),
-            check=lambda found: check((found[0][rows], found[1][rows])),
-        )
+        yield self._search(f"neighbours {k}", points, k)
         for name, tree in self._trees.items():
             yield Case(
                 f"{name}: neighbours {k}",
                 lambda _, tree=tree: tree.search(k, self.n_threads),
                 check=lambda found, tree=tree: check(tree.answers(found, rows)),
             )
+
+    @cached_property
+    def _structure_alone(self) -> Callable[[], pr.Structure]:
+        return stages.with_trees_built(inputs.along_curve(self.n), self.n_threads)
+
+    def _search(self, name: str, points: Floats, k: int) -> Case:
+        rows = checks.sample(self.n)
+        return Case(
+            name,
+            lambda tree: _pair(tree.query_self(k, n_threads=self.n_threads)),
+            prepare=lambda: pr.KDTree(points),
+            check=lambda found: checks.assert_nearest(
+                (found[0][rows], found[1][rows]), points, points[rows]
+            ),
+        )
+
+    def orders(self) -> Iterator[Case]:
+        """Yield the search with photons in order of emission, and structure's in Morton order."""
+        yield self._search("neighbours 50, order of emission", self.photons.position, 50)
+        ordered = inputs.along_curve(self.n)
+        yield Case(
+            "structure, trees built",
+            lambda work: work(),
+            prepare=lambda: self._structure_alone,
+            check=lambda found: checks.assert_neighbourhoods(found, ordered, 50),
+        )
 
     def constrained(self, n_axes: int) -> Iterator[Case]:
         """Yield the constrained search of photonrelax and the recipes for it."""
@@ -132,6 +155,7 @@ class Workbench:
         return [
             *self.searches(50),
             *self.searches(16),
+            *self.orders(),
             *self.constrained(5),
             *self.constrained(6),
             *self.stages(),
@@ -166,18 +190,11 @@ def degenerate(n: int, rounds: int) -> Results:
     """Return times of awkward inputs, on one thread."""
     cases = []
     for kind in inputs.DEGENERATE:
-        photons = inputs.degenerate(kind, min(n, _N_DEGENERATE))
-        cases += [Case(f"{kind}: {name}", work) for name, work in _degenerate_calls(photons)]
+        calls = stages.awkward_calls(inputs.degenerate(kind, min(n, _N_DEGENERATE)))
+        cases += [
+            Case(f"{kind}: {name}", lambda _, work=work: work()) for name, work in calls.items()
+        ]
     return interleave(cases, rounds)
-
-
-def _degenerate_calls(photons: pr.PhotonMap) -> Iterator[tuple[str, Callable[[Any], Any]]]:
-    points, normals = photons.position, photons.normal
-    structure = pr.detect_structure(photons)
-    yield "neighbours", lambda _: pr.KDTree(points, n_threads=1).query_self(50, n_threads=1)
-    yield "structure", lambda _: pr.detect_structure(photons, n_threads=1)
-    yield "relaxation", lambda _: stages.relaxed(photons, structure, (1, 1), 1)
-    yield "gathering", lambda _: pr.estimate_irradiance(photons, points, normals, n_threads=1)
 
 
 def fill(report: Report, sweep: list[int], threads: list[int], pixels: int) -> Iterator[str]:

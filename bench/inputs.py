@@ -6,13 +6,12 @@ from dataclasses import dataclass, fields, replace
 from functools import cache, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 import photonrelax as pr
 from photonrelax import camera, gallery, raycast
 from photonrelax.structure import emitter_range
 
-Floats = NDArray[np.float64]
+from .morton import Floats, morton_order
 
 # The share of the photons aimed at the prism that is stored, from below.
 STORED = 0.31
@@ -30,12 +29,19 @@ def scene(pixels: int = 600) -> pr.Scene:
 
 @lru_cache(maxsize=2)
 def caustic(n: int) -> pr.PhotonMap:
-    """Return exactly n photons of the prism."""
+    """Return exactly n photons of the prism, in order of emission: at random in space."""
     photons = pr.trace_photons(scene(), int(n / STORED) + 1000)
     if len(photons) < n:
         raise RuntimeError(f"{n} photons should have been stored, but {len(photons)} were")
     density = photons.emitter_density * (n / len(photons))
     return photons.replace(emitter_density=density).subset(slice(0, n))
+
+
+@lru_cache(maxsize=1)
+def along_curve(n: int) -> pr.PhotonMap:
+    """Return the same photons in Morton order of their positions: the best order for all."""
+    photons = caustic(n)
+    return photons.subset(morton_order(photons.position))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +68,18 @@ class Sheet:
 
 
 def sheet(n: int, n_axes: int) -> Sheet:
-    """Return the caustic over directions (6 axes) or over an equal-area chart of them (5)."""
-    photons = caustic(n)
-    coords = photons.emitter_coords if n_axes == 6 else equal_area_chart(photons.emitter_coords)
-    return Sheet(photons.position, coords, emitter_range(photons, pr.StructureSettings()))
+    """Return the caustic over directions (6 axes) or over an equal-area chart of them (5).
+
+    In Morton order of the positions.
+    """
+    whole = sheet_of(along_curve(n))
+    return whole if n_axes == 6 else replace(whole, coords=equal_area_chart(whole.coords))
+
+
+def sheet_of(photons: pr.PhotonMap) -> Sheet:
+    """Return photons with the range that structure detection allows them."""
+    ranges = emitter_range(photons, pr.StructureSettings())
+    return Sheet(photons.position, photons.emitter_coords, ranges)
 
 
 def equal_area_chart(directions: Floats) -> Floats:
@@ -94,42 +108,71 @@ def hit_points(pixels: int) -> camera.HitPoints:
 
 
 def degenerate(kind: str, n: int) -> pr.PhotonMap:
-    """Return a caustic of n photons with its positions made awkward.
+    """Return n photons whose positions are awkward, those of a sheet still side by side.
 
     Parameters
     ----------
-    kind : {"generic", "coincident", "collinear", "lattice"}
-        As they are; 15 % of them at one point; all on a line; all on a square lattice.
+    kind : {"generic", "coincident", "collinear", "lattice", "rounded"}
+        A caustic as it is; with 15 % of its photons at one point; thrown on a line; photons
+        emitted from a lattice and laid on one, four sheets over one another; a caustic whose
+        positions are rounded to a lattice.
     n : int
         Photons.
     """
-    photons = caustic(n)
-    return photons.replace(position=_MOVED[kind](photons.position.copy()))
+    return _AWKWARD[kind](caustic(n))
 
 
-def _coincident(position: Floats) -> Floats:
+def _coincident(photons: pr.PhotonMap) -> pr.PhotonMap:
+    position = photons.position.copy()
     position[: int(_N_COINCIDENT * len(position))] = np.median(position, axis=0)
-    return position
+    return photons.replace(position=position)
 
 
-def _collinear(position: Floats) -> Floats:
-    position[:, 1:] = position[0, 1:]
-    return position
+def _collinear(photons: pr.PhotonMap) -> pr.PhotonMap:
+    position = photons.position.copy()
+    # Along y: the photons on the wall share their x, and those on the floor their z.
+    position[:, [0, 2]] = position[0, [0, 2]]
+    return photons.replace(position=position)
 
 
-def _lattice(position: Floats) -> Floats:
-    side = int(np.ceil(np.sqrt(len(position))))
-    cells = np.stack(np.divmod(np.arange(len(position)), side), axis=1)
-    position[:, :2] = cells / side
-    position[:, 2] = 0.0
-    return position
+def _lattice(photons: pr.PhotonMap) -> pr.PhotonMap:
+    """Emit from a lattice, as many per steradian as before, and fold the light over itself."""
+    n = len(photons)
+    # Even, so that each photon of a sheet falls on one of each other sheet.
+    side = 2 * int(np.ceil(0.5 * np.sqrt(n)))
+    cells = np.stack(np.divmod(np.arange(n), side), axis=1)
+    chart = (cells - 0.5 * (side - 1)) / np.sqrt(photons.emitter_density[:, np.newaxis])
+    folded = np.minimum(cells, side - 1 - cells)
+    return photons.replace(
+        position=np.column_stack([folded / side, np.zeros(n)]),
+        normal=np.tile([0.0, 0.0, 1.0], (n, 1)),
+        emitter_coords=_on_sphere(chart),
+    )
+
+
+def _on_sphere(chart: Floats) -> Floats:
+    """Return the unit vectors around z of which `chart` (n, 2) is the equal-area chart."""
+    squared = (chart**2).sum(axis=1)
+    return np.column_stack([chart * np.sqrt(1.0 - squared[:, np.newaxis] / 4.0), 1.0 - squared / 2])
+
+
+def _rounded(photons: pr.PhotonMap) -> pr.PhotonMap:
+    """Round to cells that hold five photons where light is of the median density.
+
+    So most photons share their place with a few others, and those of the brightest edges with
+    more than belong to a neighbourhood.
+    """
+    reach = pr.KDTree(photons.position).farthest(50)
+    cell = np.median(reach) * np.sqrt(np.pi / 10.0)
+    return photons.replace(position=np.round(photons.position / cell) * cell)
 
 
 # The first is the others' measure.
-_MOVED = {
-    "generic": lambda position: position,
+_AWKWARD = {
+    "generic": lambda photons: photons,
     "coincident": _coincident,
     "collinear": _collinear,
     "lattice": _lattice,
+    "rounded": _rounded,
 }
-DEGENERATE = tuple(_MOVED)
+DEGENERATE = tuple(_AWKWARD)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
 from . import inputs
 from .timing import Timing
@@ -64,6 +64,7 @@ class Report:
         parts = [
             _table(self._speed_header(), self._speed_rows()),
             _table(self._cost_header(), self._cost_rows()),
+            _table(["time over a caustic's", *inputs.DEGENERATE[1:]], self._degenerate_rows()),
             _table(["", *self._thread_names(), "times as fast"], self._scaling_rows()),
             f"Medians of {self.rounds} interleaved rounds, {self._clock_name()}. "
             f"{self.description}.",
@@ -90,23 +91,21 @@ class Report:
         return [f"{self.n:,} photons of a caustic", "time", "beside", "its time", *others]
 
     def _speed_rows(self) -> Iterable[list[str]]:
-        for work, ours, task, prefix in SPEED:
-            rows = [self._pair(results, ours, task, prefix) for results in self.by_threads.values()]
-            if rows and rows[0]:
-                yield [work, *_pair_cells(rows[0]), *map(_times_faster, rows)]
+        for row in SPEED:
+            pairs = [self._pair(results, row) for results in self.by_threads.values()]
+            if pairs and pairs[0]:
+                yield [row.work, *_pair_cells(pairs[0]), *map(_times_faster, pairs)]
         for path, results in self.simd.items():
-            pair = self._pair(results, "neighbours 50", "neighbours 50", "")
+            pair = self._pair(results, SPEED[0])
             blank = [""] * (len(self.by_threads) - 1)
             if pair:
-                work = f"all neighbours, K = 50, {SIMD[path]}"
+                work = f"{SPEED[0].work}, {SIMD[path]}"
                 yield [work, *_pair_cells(pair), _times_faster(pair), *blank]
 
-    def _pair(
-        self, results: Results, ours: str, task: str, prefix: str
-    ) -> tuple[float, str, float] | None:
+    def _pair(self, results: Results, row: Speed) -> tuple[float, str, float] | None:
         """Return our seconds, the name of the peer and its seconds."""
-        peer = f"{prefix}: {task}" if prefix else self.fastest(results, task)
-        mine = self.seconds(results, ours)
+        peer = f"{row.peer}: {row.task}" if row.peer else self.fastest(results, row.task)
+        mine = self.seconds(results, row.ours)
         theirs = None if peer is None else self.seconds(results, peer)
         if mine is None or theirs is None:
             return None
@@ -124,14 +123,14 @@ class Report:
         if self.tracing:
             ratio = self._ratio(self.tracing, "shading", "embree")
             yield ["tracing: shading over time inside embree", ratio, *blank]
-        yield from self._degenerate_rows(blank)
 
-    def _degenerate_rows(self, blank: list[str]) -> Iterable[list[str]]:
-        calls = [name.split(": ")[1] for name in self.degenerate if name.startswith("generic: ")]
-        for kind in inputs.DEGENERATE[1:]:
-            for call in calls:
-                ratio = self._ratio(self.degenerate, f"{kind}: {call}", f"generic: {call}")
-                yield [f"{call}: {kind} photons over a caustic's", ratio, *blank]
+    def _degenerate_rows(self) -> Iterable[list[str]]:
+        generic, *kinds = inputs.DEGENERATE
+        for name in self.degenerate:
+            kind, call = name.split(": ")
+            if kind == generic:
+                pairs = [(f"{other}: {call}", name) for other in kinds]
+                yield [call, *(self._ratio(self.degenerate, *pair) for pair in pairs)]
 
     def _ratio(self, results: Results, top: str, bottom: str) -> str:
         over, under = self.seconds(results, top), self.seconds(results, bottom)
@@ -145,36 +144,50 @@ class Report:
                 yield [stage, *(f"{s:.3g} s" for s in seconds), gain]
 
 
+class Speed(NamedTuple):
+    """A row of the first table: what is done, by what name; beside what task, by which peer.
+
+    The fastest at the task where the peer is left open.
+    """
+
+    work: str
+    ours: str
+    task: str
+    peer: str = ""
+
+
 SPEED = (
-    ("all neighbours, K = 50", "neighbours 50", "neighbours 50", ""),
-    ("all neighbours, K = 16", "neighbours 16", "neighbours 16", ""),
-    (
+    Speed("all neighbours, K = 50", "neighbours 50", "neighbours 50"),
+    Speed("all neighbours, K = 16", "neighbours 16", "neighbours 16"),
+    Speed(
         "structure detection, beside the plain search for K = 50 alone",
         "structure",
         "neighbours 50",
-        "",
     ),
-    (
+    Speed("the same, its two trees built before", "structure, trees built", "neighbours 50"),
+    Speed(
         "one iteration of relaxation, beside the plain search for K = 16 alone",
         "collapsed iteration",
         "neighbours 16",
-        "",
     ),
-    ("constrained neighbours, K = 50, 5-D", "constrained 5", "constrained 5", "block recipe"),
-    ("constrained neighbours, K = 50, 6-D", "constrained 6", "constrained 6", "block recipe"),
-    ("the same beside the usual recipe", "constrained 6", "constrained 6", "ball recipe"),
-    (
+    Speed("constrained neighbours, K = 50, 5-D", "constrained 5", "constrained 5", "block recipe"),
+    Speed("constrained neighbours, K = 50, 6-D", "constrained 6", "constrained 6", "block recipe"),
+    Speed("the same beside the usual recipe", "constrained 6", "constrained 6", "ball recipe"),
+    Speed(
         "irradiance at the hit points of a camera, K = 15, beside the search alone",
         "gather",
         "gather",
-        "",
     ),
 )
-"""What is done, by what name; beside what task, by whom (the fastest where it is left open)."""
 
 COSTS = (
     ("constrained over plain search, 5-D", "constrained 5", "neighbours 50"),
     ("constrained over plain search, 6-D", "constrained 6", "neighbours 50"),
+    (
+        "all neighbours, K = 50, photons in order of emission over in Morton order",
+        "neighbours 50, order of emission",
+        "neighbours 50",
+    ),
 )
 
 SIMD = {"avx2": "held to AVX2", "portable": "held to portable code"}

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from time import perf_counter, process_time
+from typing import Any
+from unittest.mock import patch
 
 import photonrelax as pr
+from photonrelax import structure as _structure
 from photonrelax.emit import EmissionPlan, emit, plan_emission
 
 from . import inputs
@@ -19,6 +23,34 @@ _BATCH = 16384
 def tree(sheet: Sheet, constrained: bool) -> pr.KDTree:
     """Return a tree of positions, with the emitter coordinates as range axes or without."""
     return pr.KDTree(sheet.points if constrained else sheet.position)
+
+
+def with_trees_built(photons: pr.PhotonMap, n_threads: int) -> Callable[[], pr.Structure]:
+    """Return a call that does all of structure detection but build its trees.
+
+    What is left are its two searches, the principal components and what they are told of each
+    photon.
+    """
+    trees: list[Any] = []
+    build = _structure.photon_tree
+
+    def kept(*args: Any, **options: Any) -> Any:
+        trees.append(build(*args, **options))
+        return trees[-1]
+
+    def detected(photon_tree: Callable[..., Any]) -> pr.Structure:
+        with patch.object(_structure, "photon_tree", photon_tree):
+            return pr.detect_structure(photons, n_threads=n_threads)
+
+    detected(kept)
+    if not trees:
+        raise RuntimeError("structure detection should have asked photon_tree for trees")
+
+    def work() -> pr.Structure:
+        built = iter(trees)
+        return detected(lambda *_, **__: next(built))
+
+    return work
 
 
 def emission(plan: EmissionPlan, n_threads: int) -> None:
@@ -44,6 +76,25 @@ def relaxed(
     """Relax photons for so many constrained and collapsed iterations."""
     settings = pr.RelaxSettings(iterations)
     return pr.relax(photons, structure, settings, n_threads=n_threads)
+
+
+def awkward_calls(photons: pr.PhotonMap) -> dict[str, Callable[[], Any]]:
+    """Return what is timed of awkward photons, on one thread, by its name.
+
+    Searches build their tree.
+    """
+    points, normals = photons.position, photons.normal
+    sheet = inputs.sheet_of(photons)
+    structure = pr.detect_structure(photons)
+    return {
+        "neighbours": lambda: pr.KDTree(points, n_threads=1).query_self(50, n_threads=1),
+        "constrained neighbours": lambda: pr.KDTree(sheet.points, n_threads=1).query_self(
+            50, range_radius=sheet.radius, n_threads=1
+        ),
+        "structure": lambda: pr.detect_structure(photons, n_threads=1),
+        "relaxation": lambda: relaxed(photons, structure, (1, 1), 1),
+        "gathering": lambda: pr.estimate_irradiance(photons, points, normals, n_threads=1),
+    }
 
 
 def traced_apart(n_emitted: int) -> dict[str, Timing]:

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
-from bench import inputs, peers, plot, report
+from bench import inputs, peers, plot, report, stages
 from bench.checks import assert_nearest, assert_nearest_in_range
 from bench.timing import Case, Timing, interleave
+
+import photonrelax as pr
 
 K = 7
 
@@ -76,6 +78,45 @@ def test_the_chart_keeps_areas():
     assert inside == pytest.approx(0.5**2 / 2.0, rel=0.02)
 
 
+def test_photons_side_by_side_follow_each_other_in_the_best_order():
+    emitted, along = inputs.caustic(3000), inputs.along_curve(3000)
+    steps = [np.linalg.norm(np.diff(p.position, axis=0), axis=1).mean() for p in (emitted, along)]
+    assert steps[1] < 0.2 * steps[0]
+    for array in ("position", "emitter_coords"):
+        both = (np.sort(getattr(photons, array), axis=0) for photons in (emitted, along))
+        np.testing.assert_array_equal(*both)
+
+
+def test_the_lattice_is_four_sheets_that_fall_on_the_same_points():
+    photons = inputs.degenerate("lattice", 4 * 30**2)
+    points, counts = np.unique(photons.position, axis=0, return_counts=True)
+    assert len(points) == 30**2
+    assert (counts == 4).all()
+    np.testing.assert_allclose(np.linalg.norm(photons.emitter_coords, axis=1), 1.0, rtol=1e-12)
+    # Whoever left the emitter next to a photon, one of the 450 in its range, is next to it.
+    found = pr.detect_structure(photons)
+    assert (found.n_found == 50).all()
+    assert np.median(found.radius) == pytest.approx(np.sqrt(50 / np.pi) / 60, rel=0.05)
+
+
+def test_photons_stay_beside_those_of_their_sheet_when_rounded():
+    photons, generic = (inputs.degenerate(kind, 5000) for kind in ("rounded", "generic"))
+    assert np.median(np.unique(photons.position, axis=0, return_counts=True)[1]) < 50
+    moved = np.linalg.norm(photons.position - generic.position, axis=1)
+    reach = pr.KDTree(generic.position).farthest(50)
+    assert 0.0 < np.median(moved) < 0.3 * np.median(reach)
+
+
+def test_structure_is_the_same_with_trees_built_before(monkeypatch):
+    photons = inputs.along_curve(3000)
+    expected = pr.detect_structure(photons)
+    detect = stages.with_trees_built(photons, 1)
+    monkeypatch.setattr("photonrelax.kdtree.KDTree.__init__", None)
+    for found in (detect(), detect()):
+        for name in ("constraint", "basis", "radius", "n_found", "reach"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
 def test_cases_take_turns_and_are_checked_once():
     calls, checked = [], []
     cases = [
@@ -105,6 +146,14 @@ def test_tables_show_medians_the_fastest_peer_and_nothing_unmeasured():
     assert "embree" not in text
     cpu = report.Report(863_000, 3, "here", {1: one}, clock="cpu").markdown()
     assert "| all neighbours, K = 50 | 1 s | fast | 20 s | 20× |" in cpu
+
+
+def test_awkward_photons_stand_beside_a_caustic():
+    times = {"generic: gathering": 2.0, "lattice: gathering": 3.0, "generic: structure": 1.0}
+    degenerate = {name: Timing([seconds], [seconds]) for name, seconds in times.items()}
+    text = report.Report(863_000, 1, "here", degenerate=degenerate).markdown()
+    assert "| time over a caustic's | coincident | collinear | lattice | rounded |" in text
+    assert "| gathering |  |  | 1.50 |  |" in text
 
 
 def test_a_report_of_nothing_has_no_tables():

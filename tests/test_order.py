@@ -114,13 +114,13 @@ KINDS = [
 ]
 
 
-@given(
-    st.sampled_from(KINDS),
-    st.integers(0, 700),
-    st.integers(1, 9),
-    st.integers(1, 4),
-    st.integers(0, 2**32),
-)
+def any_points(counts, most_axes):
+    """Choose a kind of points, how many, how many axes, threads and a seed."""
+    axes, threads, seeds = st.integers(1, most_axes), st.integers(1, 4), st.integers(0, 2**32)
+    return st.sampled_from(KINDS), counts, axes, threads, seeds
+
+
+@given(*any_points(st.integers(0, 700), 9))
 @settings(max_examples=300, deadline=None)
 def test_every_node_is_split_at_its_median(kind, n, d, n_threads, seed):
     rng = np.random.default_rng(seed)
@@ -169,13 +169,7 @@ def test_scales_that_do_not_fit_are_refused(d, axis_scale, message):
         order.median_order(np.zeros((20, d)), axis_scale, 1)
 
 
-@given(
-    st.sampled_from(KINDS),
-    st.integers(1, 300),
-    st.integers(1, 5),
-    st.integers(1, 4),
-    st.integers(0, 2**32),
-)
+@given(*any_points(st.integers(1, 300), 5))
 @settings(max_examples=200, deadline=None)
 def test_points_follow_the_curve(kind, n, n_axes, n_threads, seed):
     rng = np.random.default_rng(seed)
