@@ -16,7 +16,7 @@ TIERS = [
     {"_arrays", "_files", "_interrupts", "_meshes", "_progress", "sampling", "optics", "image"},
     {"kdtree", "raycast", "scene"},
     {"camera", "emit", "photonmap"},
-    {"_surfaces", "trace", "structure", "relax", "estimate"},
+    {"_facing", "_sheets", "_surfaces", "trace", "structure", "relax", "estimate"},
     {"render", "gallery"},
     {"cli", "_bars", "_text", "__main__"},
 ]

@@ -12,6 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ._ext import directions as _directions
+
 # More threads than this the OpenMP runtime may refuse, and with it end the process.
 _MOST_THREADS = 1024
 
@@ -104,8 +106,8 @@ def rgb(value: ArrayLike, name: str, *, low: float = 0.0, high: float = np.inf) 
     return array
 
 
-def unit_vectors(value: ArrayLike, name: str, shape: Shape) -> Floats:
-    """Return vectors scaled to unit length.
+def unit_vectors(value: ArrayLike, name: str, shape: Shape, n_threads: int = 1) -> Floats:
+    """Return vectors (…, 3) scaled to unit length.
 
     Raises
     ------
@@ -113,13 +115,11 @@ def unit_vectors(value: ArrayLike, name: str, shape: Shape) -> Floats:
         As `float_array`, and if a vector has no length.
     """
     array = float_array(value, name, shape)
-    # Scaling by the largest component first keeps tiny and huge vectors from under- or overflowing.
-    largest = np.abs(array).max(axis=-1, keepdims=True, initial=0.0)
-    if (largest == 0.0).any():
-        bad = int(np.flatnonzero(largest.ravel() == 0.0)[0])
+    unit = np.empty_like(array)
+    if not _directions.unit_vectors(array.reshape(-1, 3), unit.reshape(-1, 3), n_threads):
+        bad = int(np.flatnonzero(~array.reshape(-1, 3).any(axis=1))[0])
         raise ValueError(f"{name} should hold directions, but vector {bad} is zero")
-    array = array / largest
-    return np.ascontiguousarray(array / np.linalg.norm(array, axis=-1, keepdims=True))
+    return unit
 
 
 def are_unit(vectors: Floats) -> bool:

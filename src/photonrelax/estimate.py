@@ -12,13 +12,15 @@ from . import _arrays
 from ._arrays import Floats
 from ._ext import estimate as _estimate
 from ._ext.curve import curve_order
+from ._ext.directions import alike
 from ._progress import Progress, Reporter
+from ._sheets import NORMAL_RANGE
 from .kdtree import KDTree
 from .photonmap import PhotonMap
 from .relax import RelaxSettings
 from .relax import relax as relax_photons
 from .scene import Scene
-from .structure import NORMAL_RANGE, Structure, StructureSettings, detect_structure, facing_alike
+from .structure import Structure, StructureSettings, detect_structure
 
 METHODS = ("standard", "parameterised")
 KERNELS = {
@@ -110,7 +112,7 @@ class IrradianceField:
         self.seconds = seconds or {}
         self._n_threads = _arrays.thread_count(n_threads)
         # One way up for all photons, as on a plane, makes the axes of the normal superfluous.
-        self._flat = facing_alike(photons.normal)
+        self._flat = alike(photons.normal, None)
         points = photons.position if self._flat else np.hstack([photons.position, photons.normal])
         self._tree = KDTree(points, n_metric=3, n_threads=self._n_threads)
         if settings.gather_radius is None and len(photons):

@@ -15,6 +15,8 @@ from ._ext.curve import curve_order
 
 # Squared distances must stay finite.
 _LARGEST_EXTENT = 1e150
+# Points whose extent is found together.
+_TOGETHER = 64
 # The tree is built with numbers of 32 bits.
 _MOST_POINTS = 2**31 - 1
 
@@ -250,7 +252,7 @@ def _axis_scale(points: Floats, n_metric: int) -> Floats:
     Photons are a sheet over the coordinates they left their emitter with. Splitting on both kinds
     of axes keeps leaves compact in both, and so prunes best.
     """
-    extent = np.ptp(points, axis=0) if len(points) else np.zeros(points.shape[1])
+    extent = _extent(points)
     if (extent > _LARGEST_EXTENT).any():
         raise ValueError(
             f"points should span at most {_LARGEST_EXTENT:g}, but span {extent.max():g}"
@@ -262,3 +264,16 @@ def _axis_scale(points: Floats, n_metric: int) -> Floats:
             # The inverse of the least of numbers would be infinite.
             scale[axes] = 1.0 / max(largest, 1e-300)
     return scale
+
+
+def _extent(points: Floats) -> Floats:
+    """Return how far points extend on each axis."""
+    n, n_axes = points.shape
+    if n < _TOGETHER:
+        return np.ptp(points, axis=0) if n else np.zeros(n_axes)
+    # Rows of a few numbers are slow to reduce, so many points count as one of many axes.
+    whole = n // _TOGETHER * _TOGETHER
+    wide, rest = points[:whole].reshape(-1, _TOGETHER * n_axes), points[whole:]
+    low = np.vstack([wide.min(axis=0).reshape(-1, n_axes), rest]).min(axis=0)
+    high = np.vstack([wide.max(axis=0).reshape(-1, n_axes), rest]).max(axis=0)
+    return high - low

@@ -11,10 +11,11 @@ from . import _arrays
 from ._arrays import Floats, Rows
 from ._ext import relax as _relax
 from ._progress import Progress, Reporter
+from ._sheets import NORMAL_RANGE, neighbour_groups, photon_tree, placed_rows
 from ._surfaces import Surfaces
 from .photonmap import PhotonMap
 from .scene import Scene
-from .structure import NORMAL_RANGE, Structure, neighbour_groups, photon_tree, placed_rows
+from .structure import Structure
 
 # Photons that are put back on their surfaces at a time, some thousand whole blocks for a thread.
 _PUT_BACK = 1 << 20

@@ -19,10 +19,11 @@ from ._ext.structure import (
     noise_attenuation,
 )
 from ._progress import Progress, Reporter
-from .kdtree import KDTree
+from ._sheets import NORMAL_RANGE, neighbour_groups, photon_tree, placed_rows
 from .photonmap import PhotonMap
 
 __all__ = [
+    "NORMAL_RANGE",
     "Structure",
     "StructureSettings",
     "anisotropy_to_gradient",
@@ -32,19 +33,9 @@ __all__ = [
     "emitter_range",
     "isotropic_mean",
     "isotropic_sd",
-    "neighbour_groups",
     "noise_attenuation",
-    "photon_tree",
-    "placed_rows",
     "principal_components",
 ]
-
-
-# Photons on a face turned by more than 60° belong to another surface; this is the length of the
-# chord between unit normals at that angle.
-NORMAL_RANGE = 1.0
-# With more distinct normals than this a surface counts as curved.
-_MOST_FACES = 64
 
 
 @dataclass(frozen=True)
@@ -186,53 +177,6 @@ def detect_structure(
     return Structure(**detection.found, emitter_range=detection.ranges, reach=detection.reach)
 
 
-def neighbour_groups(photons: PhotonMap) -> list[_arrays.Rows]:
-    """Return rows of photons that may be neighbours: of one emitter, on faces that face alike.
-
-    Only surfaces of few planes are told apart by their faces here; `photon_tree` does it for
-    the others.
-    """
-    label = _facing_label(photons.normal)
-    if photons.emitter_id is not None:
-        label = label + (label.max(initial=0) + 1) * photons.emitter_id.astype(np.intp)
-    present = np.unique(label)
-    if len(present) < 2:
-        return [slice(None)]
-    return [np.flatnonzero(label == one) for one in present]
-
-
-def _facing_label(normal: Floats) -> NDArray[np.intp]:
-    """Return the same number for normals (n, 3) joined by steps of up to NORMAL_RANGE.
-
-    Zero for all where there are too many normals to compare them all.
-    """
-    distinct, index = _few_distinct(normal)
-    if len(distinct) < 2:
-        return np.zeros(len(normal), dtype=np.intp)
-    from scipy.sparse.csgraph import connected_components
-
-    apart = np.linalg.norm(distinct[:, np.newaxis] - distinct, axis=2)
-    label = connected_components(apart <= NORMAL_RANGE)[1]
-    return label.astype(np.intp)[index]
-
-
-def _few_distinct(normal: Floats) -> tuple[Floats, NDArray[np.int8]]:
-    """Return the distinct normals and which of them each row has; no normals if they are many."""
-    index = np.full(len(normal), -1, dtype=np.int8)
-    distinct: list[Floats] = []
-    open_rows = np.arange(len(normal))
-    if len(np.unique(normal[: _MOST_FACES**2], axis=0)) > _MOST_FACES:
-        return np.empty((0, 3)), index
-    while len(open_rows):
-        if len(distinct) == _MOST_FACES:
-            return np.empty((0, 3)), index
-        same = (normal[open_rows] == normal[open_rows[0]]).all(axis=1)
-        index[open_rows[same]] = len(distinct)
-        distinct.append(normal[open_rows[0]])
-        open_rows = open_rows[~same]
-    return np.array(distinct).reshape(-1, 3), index
-
-
 def emitter_range(photons: PhotonMap, settings: StructureSettings) -> Floats | None:
     """Return r_θφ = β √(K_c / (π ρ_θφ)) for each photon (SJ13 Eq. 1), None without coordinates.
 
@@ -255,58 +199,6 @@ def emitter_range(photons: PhotonMap, settings: StructureSettings) -> Floats | N
     if (density <= 0.0).any():
         raise ValueError(f"emitter_density should be positive, but its least is {density.min()}")
     return settings.range_scale * np.sqrt(settings.k / (np.pi * density))
-
-
-def photon_tree(
-    position: Floats,
-    normal: Floats,
-    coords: Floats | None = None,
-    ranges: Floats | None = None,
-    *,
-    rows: _arrays.Rows = slice(None),
-    n_threads: int | None = None,
-) -> tuple[KDTree, Floats | None]:
-    """Return the tree some photons are searched in, and the radius of every photon's range.
-
-    Range axes are the emitter coordinates, if given with their ranges, and the normals, unless
-    all are the same: photons on the other side of a plate or round a corner are no neighbours.
-    Normals are scaled so that NORMAL_RANGE between two of them uses up the largest of the ranges.
-    """
-    points, ranges = _tree_points(position, normal, coords, ranges, rows)
-    return KDTree(points, n_metric=3, n_threads=n_threads), ranges
-
-
-def _tree_points(
-    position: Floats,
-    normal: Floats,
-    coords: Floats | None,
-    ranges: Floats | None,
-    rows: _arrays.Rows,
-) -> tuple[Floats, Floats | None]:
-    columns, alike = [position], facing_alike(normal[rows])
-    if coords is not None and ranges is not None:
-        columns.append(coords)
-    if not alike:
-        columns.append(normal)
-        if ranges is None:
-            ranges = np.broadcast_to(NORMAL_RANGE, len(position))
-    if len(columns) == 1:
-        return position[rows], ranges
-    n = len(position) if isinstance(rows, slice) else len(rows)
-    points = np.empty((n, sum(column.shape[1] for column in columns)))
-    first = 0
-    # Chosen one at a time: the rows of all columns take as much as the points.
-    for column in columns:
-        points[:, first : first + column.shape[1]] = column[rows]
-        first += column.shape[1]
-    if not alike and ranges is not None:
-        points[:, -3:] *= ranges[rows].max() / NORMAL_RANGE
-    return points, ranges
-
-
-def facing_alike(normal: Floats) -> bool:
-    """Tell whether all normals (n, 3) are the same, as on a plane."""
-    return bool((normal == normal[:1]).all())
 
 
 def principal_components(offsets: Floats, *, n_threads: int | None = None) -> tuple[Floats, Floats]:
@@ -394,9 +286,3 @@ class _Detection:
         # An open reach stays open where photons coincide.
         reach[np.isnan(reach)] = np.inf
         return reach
-
-
-def placed_rows(tree: KDTree, rows: _arrays.Rows) -> NDArray[np.intp]:
-    """Return the row of the photon at each place of a tree of photons chosen by `rows`."""
-    order = np.asarray(tree.kernel.ids)
-    return order if isinstance(rows, slice) else rows[order]
