@@ -79,11 +79,11 @@ def photon_tree(
             ranges = np.broadcast_to(NORMAL_RANGE, len(position))
         columns.append(normal)
         scales.append(ranges[rows].max() / NORMAL_RANGE)
-    points = _side_by_side(columns, scales, rows, n_threads)
+    points = side_by_side(columns, scales, rows, n_threads)
     return KDTree(points, n_metric=3, n_threads=n_threads), ranges
 
 
-def _side_by_side(columns: list[Floats], scales: list[float], rows: Rows, n_threads: int) -> Floats:
+def side_by_side(columns: list[Floats], scales: list[float], rows: Rows, n_threads: int) -> Floats:
     """Return rows of arrays, each multiplied by its scale, as one array."""
     chosen = None if isinstance(rows, slice) else rows
     if chosen is None and len(columns) == 1:

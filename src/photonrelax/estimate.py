@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from . import _arrays
 from ._arrays import Floats
 from ._ext import estimate as _estimate
-from ._ext.curve import curve_order
-from ._ext.directions import alike
+from ._facing import FacingTrees
 from ._progress import Progress, Reporter
-from ._sheets import NORMAL_RANGE
+from ._sheets import NORMAL_RANGE, side_by_side
 from .kdtree import KDTree
 from .photonmap import PhotonMap
 from .relax import RelaxSettings
@@ -111,13 +111,13 @@ class IrradianceField:
         self.structure = structure
         self.seconds = seconds or {}
         self._n_threads = _arrays.thread_count(n_threads)
-        # One way up for all photons, as on a plane, makes the axes of the normal superfluous.
-        self._flat = alike(photons.normal, None)
-        points = photons.position if self._flat else np.hstack([photons.position, photons.normal])
-        self._tree = KDTree(points, n_metric=3, n_threads=self._n_threads)
+        self._trees = FacingTrees(photons, self._n_threads)
         if settings.gather_radius is None and len(photons):
-            radius = automatic_gather_radius(self._tree, settings.k, n_threads=self._n_threads)
+            tree = self._trees.whole()
+            radius = automatic_gather_radius(tree, settings.k, n_threads=self._n_threads)
             settings = replace(settings, gather_radius=radius)
+            del tree
+        self._trees.build()
         self.settings = settings
 
     def __call__(
@@ -142,7 +142,11 @@ class IrradianceField:
         TypeError, ValueError
             If a shape is wrong, a value is not finite or a normal is zero.
         """
-        return self.densities(self.photons.flux)(points, normals, progress=progress)
+        return self._irradiance(points, normals, progress=progress)
+
+    @cached_property
+    def _irradiance(self) -> Densities:
+        return Densities(self, self.photons.flux)
 
     def densities(self, values: ArrayLike) -> Densities:
         """Return what estimates, per area, anything else that photons carry.
@@ -171,37 +175,45 @@ class Densities:
 
     def __init__(self, field: IrradianceField, values: Floats) -> None:
         self._field = field
-        self._n_channels = values.shape[1]
-        k, kernel = field.settings.k, field.settings.kernel
-        radius = field.settings.gather_radius
-        self._kernel = _estimate.Gather(
-            field._tree.kernel,
-            values[np.asarray(field._tree.kernel.ids)],
-            k,
-            KERNELS[kernel],
-            radius=np.inf if radius is None else radius,
-            normal_range=-1.0 if field._flat else NORMAL_RANGE,
-            nearest_scale=1.0 / well_spaced_bias(k, kernel) if field.photons.well_spaced else 1.0,
-        )
+        self._values = values
+        self._gathers: dict[int, _estimate.Gather] = {}
 
     def __call__(
         self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
     ) -> Floats:
         """Return the estimates (m, c) at points (m, 3) on surfaces with the given normals."""
         points = _arrays.float_array(points, "points", (None, 3))
-        normals = _arrays.unit_vectors(normals, "normals", (len(points), 3))
-        out = np.zeros((len(points), self._n_channels))
-        photons, flat = self._field.photons, self._field._flat
-        if len(photons) == 0:
-            return out
-        queries = points if flat else np.hstack([points, normals])
-        order = curve_order(points, 3, self._field._n_threads)
-        for first, end in Reporter(progress, "estimate", len(points)).chunks(len(points)):
-            self._kernel.densities(queries, order[first:end], out, self._field._n_threads)
-        if flat:
-            turned = np.linalg.norm(normals - photons.normal[0], axis=1) > NORMAL_RANGE
-            out[turned] = 0.0
+        normals = _arrays.float_array(normals, "normals", (len(points), 3), finite=False)
+        out = np.zeros((len(points), self._values.shape[1]))
+        field, left = self._field, len(points)
+        report = Reporter(progress, "estimate", left)
+        for number, queries, rows in field._trees.parts(points, normals):
+            gather = self._gather(number)
+            for first, end in report.chunks(len(rows)):
+                gather.densities(queries, rows[first:end], out, field._n_threads)
+            left -= len(rows)
+        if left:
+            report.advance(left)
         return out
+
+    def _gather(self, number: int) -> _estimate.Gather:
+        """Return what gathers from a tree of the field."""
+        if number not in self._gathers:
+            self._gathers[number] = self._made(*self._field._trees.tree(number))
+        return self._gathers[number]
+
+    def _made(self, tree: KDTree, rows: NDArray[np.intp]) -> _estimate.Gather:
+        field, settings = self._field, self._field.settings
+        radius, bias = settings.gather_radius, well_spaced_bias(settings.k, settings.kernel)
+        return _estimate.Gather(
+            tree.kernel,
+            side_by_side([self._values], [1.0], rows, field._n_threads),
+            settings.k,
+            KERNELS[settings.kernel],
+            radius=np.inf if radius is None else radius,
+            normal_range=NORMAL_RANGE if tree.n_axes > tree.n_metric else -1.0,
+            nearest_scale=1.0 / bias if field.photons.well_spaced else 1.0,
+        )
 
 
 def well_spaced_bias(k: int, kernel: str) -> float:
