@@ -11,6 +11,16 @@ PEERS = [peer.name for peer in peers.ALL]
 MOST_FOR_RECIPES = 1_000_000
 
 
+def task_of(n, k, n_threads):
+    return f"neighbours {n} {k=} {n_threads=}"
+
+
+@pytest.fixture(scope="session")
+def points(n):
+    """Positions in Morton order: searches, peers' and photonrelax's, are given the same array."""
+    return inputs.along_curve(n).position
+
+
 def found(neighbours):
     return neighbours.ids, neighbours.distance
 
@@ -23,9 +33,8 @@ def peer_named(name):
 
 
 @pytest.mark.parametrize("who", PEERS)
-def test_build_by_peers(timed, photons, n, who):
+def test_build_by_peers(timed, points, n, who):
     peer = peer_named(who)
-    points = photons.position[peers.morton_order(photons.position)]
     with peers.threads(1):
         timed(lambda _: peer.build(points), n, f"build {n}", who, prepare=object)
 
@@ -40,27 +49,34 @@ def test_build(timed, n, n_axes):
 
 @pytest.mark.parametrize("k", [50, 16, 15])
 @pytest.mark.parametrize("who", PEERS)
-def test_neighbours_by_peers(timed, photons, n, n_threads, k, who):
-    points = photons.position
+def test_neighbours_by_peers(timed, points, n, n_threads, k, who):
     tree = peers.Ordered(peer_named(who), points)
     with peers.threads(n_threads):
-        result = timed(
-            lambda: tree.search(k, n_threads), n, f"neighbours {n} {k=} {n_threads=}", who
-        )
+        result = timed(lambda: tree.search(k, n_threads), n, task_of(n, k, n_threads), who)
     rows = checks.sample(n)
     checks.assert_nearest(tree.answers(result, rows), points, points[rows])
 
 
 @pytest.mark.parametrize("k", [50, 16, 15])
-def test_neighbours(timed, photons, n, n_threads, k):
-    points = photons.position
+def test_neighbours(timed, points, n, n_threads, k):
+    _time_search(timed, points, k, n_threads, task=task_of(n, k, n_threads))
+
+
+def test_neighbours_in_order_of_emission(timed, photons, n, n_threads):
+    """Beside the same search in Morton order: what order costs."""
+    beside = task_of(n, 50, n_threads)
+    task = f"{beside}, order of emission"
+    _time_search(timed, photons.position, 50, n_threads, task=task, beside=beside)
+
+
+def _time_search(timed, points, k, n_threads, **names):
     result = timed(
         lambda tree: tree.query_self(k, n_threads=n_threads),
-        n,
-        f"neighbours {n} {k=} {n_threads=}",
+        len(points),
         prepare=lambda: pr.KDTree(points),
+        **names,
     )
-    rows = checks.sample(n)
+    rows = checks.sample(len(points))
     checks.assert_nearest((result.ids[rows], result.distance[rows]), points, points[rows])
 
 

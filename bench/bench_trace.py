@@ -18,5 +18,6 @@ def test_shading_beside_embree(benchmark, n):
     inputs.scene()
     parts = benchmark.pedantic(stages.traced_apart, args=(n,))
     benchmark.extra_info |= {name: part.wall[0] for name, part in parts.items()}
+    benchmark.extra_info["photons_per_second"] = n / sum(p.wall[0] for p in parts.values())
     benchmark.extra_info["shading_over_embree"] = parts["shading"].wall[0] / parts["embree"].wall[0]
     assert parts["embree"].wall[0] > 0.0

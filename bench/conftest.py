@@ -9,6 +9,7 @@ import pytest
 import photonrelax as pr
 
 from . import inputs, peers
+from .timing import keep_memory
 
 SWEEP = "1e5,863e3,4e6"
 SMALL = "2e4"
@@ -31,6 +32,15 @@ def pytest_generate_tests(metafunc):
             metafunc.parametrize(name, numbers, scope="session")
 
 
+def pytest_configure():
+    keep_memory()
+
+
+def pytest_collection_modifyitems(items):
+    """Put searches first: others are compared with them."""
+    items.sort(key=lambda item: item.path.name != "bench_search.py")
+
+
 def pytest_terminal_summary(terminalreporter):
     for reason in peers.missing().values():
         terminalreporter.write_line(reason)
@@ -44,13 +54,14 @@ def medians():
 
 @pytest.fixture
 def timed(benchmark, medians):
-    """Time a call, note photons per second and how many times as long peers took.
+    """Time a call, note photons per second and how many times as long others took.
 
-    Called as ``timed(work, n, task, who)``: alternatives for one task share its name, and peers
-    come before photonrelax. Returns the result of the call.
+    Called as ``timed(work, n, task, who, beside)``: alternatives for one task share its name, and
+    peers come before photonrelax. Others are those who did the same, or the task `beside` where
+    none does the same. Returns the result of the call.
     """
 
-    def run(work, n, task, who="photonrelax", rounds=3, prepare=None):
+    def run(work, n, task, who="photonrelax", beside=None, rounds=3, prepare=None):
         benchmark.group = task
         benchmark.extra_info["who"] = who
 
@@ -61,10 +72,9 @@ def timed(benchmark, medians):
         if benchmark.enabled:
             seconds = benchmark.stats.stats.median
             benchmark.extra_info["photons_per_second"] = n / seconds
-            others = medians.setdefault(task, {})
-            for name, other in others.items():
+            for name, other in medians.get(beside or task, {}).items():
                 benchmark.extra_info[f"times_as_fast_as_{name}"] = other / seconds
-            others[who] = seconds
+            medians.setdefault(task, {})[who] = seconds
         return result
 
     return run

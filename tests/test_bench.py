@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bench import inputs, peers, plot, report, stages
+from bench import inputs, peers, plot, report, stages, table1
 from bench.checks import assert_nearest, assert_nearest_in_range
 from bench.timing import Case, Timing, interleave
 
@@ -154,6 +154,14 @@ def test_awkward_photons_stand_beside_a_caustic():
     text = report.Report(863_000, 1, "here", degenerate=degenerate).markdown()
     assert "| time over a caustic's | coincident | collinear | lattice | rounded |" in text
     assert "| gathering |  |  | 1.50 |  |" in text
+
+
+def test_table_1_is_told_stage_by_stage(capsys):
+    text = table1.markdown(20_000, 3_000, 1)
+    assert [line.split(" | ")[0][2:] for line in text.splitlines()[2:9]] == list(table1.PAPER)
+    assert "| photons emitted | 20,000,000 | 20,000 | 9,677 |" in text
+    told = [line.split(":")[0] for line in capsys.readouterr().err.splitlines()]
+    assert told == 2 * ["... trace", "... structure", "... relax", "... render"]
 
 
 def test_a_report_of_nothing_has_no_tables():
