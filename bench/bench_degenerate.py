@@ -14,13 +14,10 @@ def n_degenerate(request):
 
 @pytest.mark.parametrize("work", WORK)
 @pytest.mark.parametrize("kind", inputs.DEGENERATE)
-def test_degenerate(timed, medians, benchmark, n_degenerate, kind, work):
+def test_degenerate(timed, n_degenerate, kind, work):
     photons = inputs.degenerate(kind, n_degenerate)
     call = stages.awkward_calls(photons)[work]
     result = timed(call, n_degenerate, f"degenerate {work}", kind)
-    if benchmark.enabled:
-        seconds = medians[f"degenerate {work}"]
-        benchmark.extra_info["over_generic"] = seconds[kind] / seconds["generic"]
     if work == "neighbours":
         points = photons.position
         rows = checks.sample(n_degenerate)
