@@ -64,17 +64,27 @@ class Workbench:
         n_emitted = int(_EMITTED * self.n)
         yield Case("build", lambda _: pr.KDTree(photons.position, n_threads=n_threads))
         yield Case("structure", lambda _: pr.detect_structure(photons, n_threads=n_threads))
-        yield Case("relaxation", partial(self._relax, (7, 7)))
+        yield self._relaxation("relaxation", 7, 7)
         for n in (1, 1 + _ITERATIONS):
-            yield Case(f"{n} constrained", partial(self._relax, (n, 0)))
-            yield Case(f"{n} collapsed", partial(self._relax, (0, n)))
-        yield Case("gather", lambda _: self.field(self.hits.position, self.hits.normal))
+            yield self._relaxation(f"{n} constrained", n, 0)
+            yield self._relaxation(f"{n} collapsed", 0, n)
+        yield Case(
+            "gather",
+            lambda ready: ready[0](ready[1].position, ready[1].normal),
+            prepare=lambda: (self.field, self.hits),
+        )
         plan = stages.planned(n_emitted)
         yield Case("emission", lambda _: stages.emission(plan, n_threads))
         yield Case("trace", lambda _: stages.trace(n_emitted, n_threads))
 
-    def _relax(self, iterations: tuple[int, int], _: None) -> pr.PhotonMap:
-        return stages.relaxed(self.photons, self.structure, iterations, self.n_threads)
+    def _relaxation(self, name: str, constrained: int, collapsed: int) -> Case:
+        return Case(
+            name,
+            lambda found: stages.relaxed(
+                self.photons, found, (constrained, collapsed), self.n_threads
+            ),
+            prepare=lambda: self.structure,
+        )
 
     def searches(self, k: int) -> Iterator[Case]:
         """Yield the all-neighbours search of photonrelax and of its peers, in Morton order."""
