@@ -243,6 +243,7 @@ class _Stage:
     def _refit(self) -> None:
         n_threads = self._sheets.n_threads
         self._tree.move(self._position, 0, 1.0, n_threads)
-        if self._first_normal_axis < self._tree.n_axes:
+        # Only surfaces turn photons.
+        if self._sheets.surfaces is not None and self._first_normal_axis < self._tree.n_axes:
             self._tree.move(self._normal, self._first_normal_axis, self._normal_scale, n_threads)
         self._tree.box(n_threads)
