@@ -7,7 +7,7 @@ and read or listed.
 from libc.stdint cimport int32_t, int64_t
 
 from .kdtree cimport Tree
-from .lanes cimport BLOCK, Found, Reach
+from .lanes cimport BLOCK, Found, Local, Reach
 
 
 cdef enum:
@@ -16,8 +16,11 @@ cdef enum:
 
 
 cdef struct Query:
-    # From where, and how far it looks at present.
+    # From where, and how far it looks at present; the same among copies, unless those are too
+    # coarse for it.
     Reach reach
+    Local local
+    bint exact
     # How far it looks if that is not enough, and what it never looks beyond; finite.
     double squared_wanted
     double squared_most
@@ -46,12 +49,20 @@ cdef struct Batch:
     double* low
     double* high
     double* half_range
-    # Coordinates of the queries, (16, n_axes).
+    # Coordinates of the queries, (16, n_axes), and among copies.
     double* at
+    float* local_at
+    # Where the origin of copies is, what they are multiplied by, and on range axes.
+    double* origin
+    double scale
+    double range_scale
     # Blocks in reach, their lowest ids, and their boxes in groups of 16; whether that is all.
     int32_t[LISTED] listed
     int64_t[LISTED] lowest_id
     double* boxes
+    # Copies of blocks and boxes.
+    float* copied_blocks
+    float* copied_boxes
     Py_ssize_t n_listed
     bint listed_all
     # Lists of neighbours, `stride` apart: squared distances, places, and coordinates of three axes.

@@ -1,6 +1,7 @@
 """The batches of batch.pxd."""
 
 from libc.float cimport DBL_MAX
+from libc.math cimport INFINITY
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
 import numpy as np
@@ -42,7 +43,11 @@ cdef Py_ssize_t lay_out(Tree tree, unsigned char* room, Py_ssize_t k):
     batch.low = <double*> take(&free, 8 * tree.n_axes)
     batch.high = <double*> take(&free, 8 * tree.n_axes)
     batch.half_range = <double*> take(&free, 8 * tree.n_axes)
+    batch.local_at = <float*> take(&free, 4 * BLOCK * tree.n_axes)
+    batch.origin = <double*> take(&free, 8 * tree.n_axes)
     batch.boxes = <double*> take(&free, 16 * tree.n_axes * LISTED)
+    batch.copied_boxes = <float*> take(&free, 8 * tree.n_axes * LISTED)
+    batch.copied_blocks = <float*> take(&free, 4 * BLOCK * tree.n_axes * LISTED)
     batch.stride = k + LANES
     batch.squared = <double*> take(&free, 8 * BLOCK * batch.stride)
     batch.place = <int64_t*> take(&free, 8 * BLOCK * batch.stride)
@@ -53,6 +58,7 @@ cdef Py_ssize_t lay_out(Tree tree, unsigned char* room, Py_ssize_t k):
         found.squared = <double*> take(&free, 16 * points)
         found.keys = <uint8_t*> take(&free, points + FEW_CHUNKS * KEYS)
         found.blocks = <int32_t*> take(&free, 4 * points // BLOCK)
+        found.few = <int32_t*> take(&free, 4 * points)
         set_axes(tree, &batch.queries[i].reach, NULL, NULL)
     return free - room
 
@@ -116,7 +122,8 @@ cdef void limit_radius(Query* query, double squared) noexcept nogil:
 
 cdef void limit_range(Query* query, double radius) noexcept nogil:
     """Let a query find nothing outside of a ball over the range axes."""
-    query.reach.squared_range = radius * radius
+    cdef double squared = radius * radius
+    query.reach.squared_range = squared if squared < INFINITY else -1.0
 
 
 cdef void list_places(Tree tree, Batch* batch) noexcept nogil:
@@ -124,16 +131,16 @@ cdef void list_places(Tree tree, Batch* batch) noexcept nogil:
     cdef Py_ssize_t i
     for i in range(batch.n_queries):
         tree.lanes.list(
-            &batch.queries[i].found, batch.squared + i * batch.stride,
-            batch.place + i * batch.stride
+            &tree.coords[0, 0, 0], &batch.queries[i].reach, &batch.queries[i].found,
+            batch.squared + i * batch.stride, batch.place + i * batch.stride
         )
 
 
 cdef void list_points(Tree tree, Batch* batch) noexcept nogil:
-    """List the neighbours of all queries with their coordinates, each as far apart as they are."""
+    """List the coordinates of the neighbours of all queries."""
     cdef Py_ssize_t i
     for i in range(batch.n_queries):
         tree.lanes.list_points(
             &tree.coords[0, 0, 0], tree.n_axes, &batch.queries[i].found,
-            batch.squared + i * batch.stride, batch.points + 3 * i * batch.stride
+            batch.points + 3 * i * batch.stride
         )

@@ -1,18 +1,20 @@
 """Kernel estimates of densities on surfaces from the k nearest photons."""
 
 from cython.parallel cimport prange, threadid
-from libc.math cimport M_PI, sqrt
-from libc.stdint cimport int64_t
+from libc.math cimport M_PI
 
-from .batch cimport Batch, Query, limit_radius, limit_range, list_places, open_query, scratch
+from .batch cimport Batch, Query, limit_radius, limit_range, open_query, scratch
 from .kdtree cimport Tree
-from .lanes cimport BLOCK
+from .lanes cimport (
+    BLOCK, CONE_WEIGHTS, CONSTANT_WEIGHTS, EPANECHNIKOV_WEIGHTS, OUTSIDE, Weights, last_found,
+)
 from .search cimport find
 
-cpdef enum:
-    CONSTANT = 0
-    CONE = 1
-    EPANECHNIKOV = 2
+from .kdtree import aligned
+
+CONSTANT = CONSTANT_WEIGHTS
+CONE = CONE_WEIGHTS
+EPANECHNIKOV = EPANECHNIKOV_WEIGHTS
 
 
 cdef class Gather:
@@ -35,7 +37,8 @@ cdef class Gather:
     """
 
     cdef Tree tree
-    cdef const double[:, ::1] values
+    # (n_blocks, c, 16), zero in lanes without a photon.
+    cdef const double[:, :, ::1] values
     cdef readonly Py_ssize_t k
     cdef readonly int kernel
     cdef double nearest_scale
@@ -44,7 +47,7 @@ cdef class Gather:
 
     def __init__(self, tree, values, k, kernel, *, radius, normal_range, nearest_scale):
         self.tree = tree
-        self.values = values
+        self.values = in_blocks(values)
         self.k = k
         self.kernel = kernel
         self.nearest_scale = nearest_scale
@@ -68,6 +71,18 @@ cdef class Gather:
             gather_batch(self, <Batch*> &room[threadid(), 0], queries, order, i, out)
 
 
+cdef object in_blocks(const double[:, ::1] values):
+    """Return rows (n, c) as (n / 16, c, 16), zero where there are none."""
+    cdef Py_ssize_t row, channel, n = values.shape[0]
+    out = aligned(((n + BLOCK - 1) // BLOCK, values.shape[1], BLOCK))
+    cdef double[:, :, ::1] blocks = out
+    out[n // BLOCK:] = 0.0
+    for row in range(n):
+        for channel in range(values.shape[1]):
+            blocks[row // BLOCK, channel, row % BLOCK] = values[row, channel]
+    return out
+
+
 cdef void gather_batch(
     Gather photons, Batch* batch, const double[:, ::1] queries, const Py_ssize_t[::1] order,
     Py_ssize_t number, double[:, ::1] out
@@ -83,14 +98,11 @@ cdef void gather_batch(
         if photons.normal_range >= 0.0:
             limit_range(query, photons.normal_range)
     find(photons.tree, batch)
-    list_places(photons.tree, batch)
     for i in range(batch.n_queries):
-        gather_one(photons, batch, i, &out[order[BLOCK * number + i], 0])
+        gather_one(photons, &batch.queries[i], &out[order[BLOCK * number + i], 0])
 
 
-cdef void gather_one(
-    Gather photons, const Batch* batch, Py_ssize_t i, double* out
-) noexcept nogil:
+cdef void gather_one(Gather photons, Query* query, double* out) noexcept nogil:
     """Estimate the densities at one query from its neighbours.
 
     With k photons in reach the bandwidth is the distance to the k-th, whose own weight is zero;
@@ -98,46 +110,18 @@ cdef void gather_one(
     With fewer, or all of them at the query itself, the bandwidth is the gather radius and all
     count.
     """
-    cdef const Query* query = &batch.queries[i]
-    cdef const double* squared = batch.squared + i * batch.stride
-    cdef const int64_t* place = batch.place + i * batch.stride
-    cdef double squared_bandwidth = photons.radius * photons.radius
+    cdef Py_ssize_t channel, n_channels = photons.values.shape[1]
     cdef double scale = 1.0
-    cdef double weight
-    cdef int64_t j, channel, left_out = -1, n_channels = photons.values.shape[1]
+    cdef Weights weights
+    weights.shape = photons.kernel
+    weights.squared_bandwidth = photons.radius * photons.radius
     if query.found.count == photons.k and query.found.squared_radius > 0.0:
-        left_out = farthest(photons.tree, query, squared, place)
-        squared_bandwidth = query.found.squared_radius
+        query.found.keys[last_found(&query.found, &photons.tree.ids[0])] = OUTSIDE
+        weights.squared_bandwidth = query.found.squared_radius
         scale = photons.nearest_scale
+    photons.tree.lanes.weigh(
+        &photons.tree.coords[0, 0, 0], &query.reach, &query.found, &weights, &photons.values[0, 0, 0],
+        n_channels, out
+    )
     for channel in range(n_channels):
-        out[channel] = 0.0
-    for j in range(query.found.count):
-        if j == left_out:
-            continue
-        weight = scale * kernel_weight(photons.kernel, squared[j] / squared_bandwidth)
-        for channel in range(n_channels):
-            out[channel] += weight * photons.values[place[j], channel]
-    for channel in range(n_channels):
-        out[channel] /= M_PI * squared_bandwidth
-
-
-cdef int64_t farthest(
-    Tree tree, const Query* query, const double* squared, const int64_t* place
-) noexcept nogil:
-    """Return which neighbour in the list is the k-th: the farthest, of several the highest id."""
-    cdef int64_t j, last = -1
-    for j in range(query.found.count):
-        if squared[j] == query.found.squared_radius and (
-            last < 0 or tree.ids[place[j]] > tree.ids[place[last]]
-        ):
-            last = j
-    return last
-
-
-cdef inline double kernel_weight(int kernel, double squared_ratio) noexcept nogil:
-    """Return π h² times the kernel at (distance / bandwidth h)²; it integrates to one."""
-    if kernel == EPANECHNIKOV:
-        return 2.0 * (1.0 - squared_ratio)
-    if kernel == CONE:
-        return 3.0 * (1.0 - sqrt(squared_ratio))
-    return 1.0
+        out[channel] *= scale / (M_PI * weights.squared_bandwidth)

@@ -21,6 +21,12 @@ typedef struct {
     int key;
 } Ranked;
 
+/* What makes keys of squared distances up to a limit. */
+static inline double key_scale(double squared_limit)
+{
+    return squared_limit > 1e-300 ? FARTHEST / squared_limit : 0.0;
+}
+
 static inline int64_t n_chunks(const Found *found)
 {
     return (BLOCK * found->n_blocks + KEYS - 1) / KEYS;
@@ -68,25 +74,68 @@ static void sort_exactly(double *squared, int64_t *id, int64_t count)
     }
 }
 
-static int64_t id_at(const Found *found, int64_t candidate, const int64_t *ids)
+static double squared_gap_at(const double *coords, int64_t first, int64_t end, const Reach *reach,
+                             int64_t place)
 {
-    return ids[BLOCK * (int64_t)found->blocks[candidate / BLOCK] + candidate % BLOCK];
+    const double *point = coords + BLOCK * reach->n_axes * (place / BLOCK) + place % BLOCK;
+    double gap = point[BLOCK * first] - reach->low[first], squared = gap * gap;
+    for (int64_t axis = first + 1; axis < end; ++axis) {
+        gap = point[BLOCK * axis] - reach->low[axis];
+        squared += gap * gap;
+    }
+    return squared;
+}
+
+/* Put those of some points of a block out of reach that are outside of the range. */
+static void settle_range(const double *coords, int64_t block, unsigned bits, const Reach *reach,
+                         uint8_t *keys)
+{
+    for (; bits; bits &= bits - 1) {
+        int lane = lowest_bit(bits);
+        double squared = squared_gap_at(coords, reach->n_metric, reach->n_axes, reach,
+                                        BLOCK * block + lane);
+        if (!(squared <= reach->squared_range)) keys[lane] = OUTSIDE;
+    }
 }
 
 /* Put out of reach candidates beyond the count that are as far away as the farthest, those of
- * highest ids. `few` are the n distances next to it, `fewer` candidates are nearer than all these. */
-static void drop_ties(Found *found, double *few, int64_t n, int64_t fewer, const int64_t *ids)
+ * highest ids. */
+static void drop_ties(Found *found, int64_t excess, const int64_t *ids)
 {
-    int64_t excess = fewer - found->count, equal = 0;
-    double highest;
-    for (int64_t j = 0; j < n; ++j) excess += few[j] <= found->squared_radius;
-    if (excess == 0) return;
-    for (int64_t j = 0; j < BLOCK * found->n_blocks; ++j)
-        if (found->squared[j] == found->squared_radius) few[equal++] = (double)id_at(found, j, ids);
-    highest = of_rank(few, equal, equal - excess);
-    for (int64_t j = 0; j < BLOCK * found->n_blocks; ++j)
-        if (found->squared[j] == found->squared_radius && (double)id_at(found, j, ids) > highest)
-            found->squared[j] = INFINITY;
+    double *equal = found->squared + found->n_few, highest;
+    int64_t n = 0;
+    for (int64_t j = 0; j < found->n_few; ++j)
+        if (found->squared[j] == found->squared_radius)
+            equal[n++] = (double)ids[place_of(found, found->few[j])];
+    highest = of_rank(equal, n, n - excess);
+    for (int64_t j = 0; j < found->n_few; ++j)
+        if (found->squared[j] == found->squared_radius &&
+            (double)ids[place_of(found, found->few[j])] > highest)
+            found->keys[found->few[j]] = OUTSIDE;
+}
+
+/* Choose among the few what is found; `fewer` of all are nearer than these. */
+static void choose_few(Found *found, int64_t fewer, const int64_t *ids)
+{
+    double *spare = found->squared + found->n_few;
+    int64_t excess = fewer - found->count;
+    found->squared_radius = found->squared[0];
+    if (found->n_few > 1) {
+        memcpy(spare, found->squared, found->n_few * sizeof(double));
+        found->squared_radius = of_rank(spare, found->n_few, found->count - fewer);
+    }
+    for (int64_t j = 0; j < found->n_few; ++j) {
+        if (found->squared[j] > found->squared_radius) found->keys[found->few[j]] = OUTSIDE;
+        excess += found->squared[j] <= found->squared_radius;
+    }
+    if (excess > 0) drop_ties(found, excess, ids);
+}
+
+static void find_nothing(Found *found)
+{
+    found->count = found->n_few = found->n_blocks = 0;
+    found->key = 0;
+    found->squared_radius = 0.0;
 }
 
 /* ---- Any processor ---- */
@@ -111,7 +160,22 @@ static void drop_ties(Found *found, double *few, int64_t n, int64_t fewer, const
 #define BITS(m) (m)
 #define PICK(m, a, b) ((m) ? (a) : (b))
 #define PACK(to, m, v) memcpy(to, &(v), sizeof(double))
+#define CHOOSE(bits) (bits)
 #define PLACES(first) as_double(first)
+#define F_WIDTH 1
+#define F_VECTOR float
+#define F_MASK unsigned
+#define F_SET(x) (x)
+#define F_LOAD(x) (*(x))
+#define F_ADD(a, b) ((a) + (b))
+#define F_SUB(a, b) ((a) - (b))
+#define F_MUL(a, b) ((a) * (b))
+#define F_MAX(a, b) ((a) > (b) ? (a) : (b))
+#define F_MIN(a, b) ((a) < (b) ? (a) : (b))
+#define F_AT_MOST(a, b) ((unsigned)((a) <= (b)))
+#define F_BOTH(a, b) ((a) & (b))
+#define F_BITS(m) (m)
+#define F_PICK(m, a, b) ((m) ? (a) : (b))
 
 static ALWAYS_INLINE double as_double(int64_t x)
 {
@@ -165,6 +229,14 @@ static uint64_t keys_at_most_portable(const uint8_t *keys, int most)
         for (int i = 0; i < LANES; ++i) (to)[i] = (uint8_t)key.part[i]; \
     } while (0)
 
+#define store_f_keys_portable(to, v)                                    \
+    do {                                                                \
+        F16 f_key = (v);                                                \
+        for (int i = 0; i < BLOCK; ++i) (to)[i] = (uint8_t)f_key.part[i]; \
+    } while (0)
+
+#define STORE_ROUNDED(to, v) (*(to) = (float)(v))
+
 #include "lanes_body.h"
 
 #if defined(__x86_64__)
@@ -191,7 +263,26 @@ static uint64_t keys_at_most_portable(const uint8_t *keys, int most)
 #define BOTH(a, b) _mm256_and_pd(a, b)
 #define BITS(m) ((unsigned)_mm256_movemask_pd(m))
 #define PICK(m, a, b) _mm256_blendv_pd(b, a, m)
-#define PACK(to, m, v) pack_four(to, BITS(m), v)
+#define PACK(to, bits, v) pack_four(to, bits, v)
+#define CHOOSE(bits)                                                                     \
+    _mm256_castsi256_pd(_mm256_cmpeq_epi64(                                              \
+        _mm256_and_si256(_mm256_set1_epi64x(bits), _mm256_setr_epi64x(1, 2, 4, 8)),      \
+        _mm256_setr_epi64x(1, 2, 4, 8)))
+#define F_WIDTH 8
+#define F_VECTOR __m256
+#define F_MASK __m256
+#define F_SET(x) _mm256_set1_ps(x)
+#define F_LOAD(x) _mm256_loadu_ps(x)
+#define F_ADD(a, b) _mm256_add_ps(a, b)
+#define F_SUB(a, b) _mm256_sub_ps(a, b)
+#define F_MUL(a, b) _mm256_mul_ps(a, b)
+#define F_MAX(a, b) _mm256_max_ps(a, b)
+#define F_MIN(a, b) _mm256_min_ps(a, b)
+#define F_AT_MOST(a, b) _mm256_cmp_ps(a, b, _CMP_LE_OQ)
+#define F_BOTH(a, b) _mm256_and_ps(a, b)
+#define F_BITS(m) ((unsigned)_mm256_movemask_ps(m))
+#define F_PICK(m, a, b) _mm256_blendv_ps(b, a, m)
+#define STORE_ROUNDED(to, v) _mm_storeu_ps(to, _mm256_cvtpd_ps(v))
 #define PLACES(first) \
     _mm256_castsi256_pd(_mm256_add_epi64(_mm256_set1_epi64x(first), _mm256_setr_epi64x(0, 1, 2, 3)))
 
@@ -240,6 +331,17 @@ static INLINE uint64_t keys_equal_avx2(const uint8_t *keys, int key)
         _mm_storel_epi64((__m128i *)(to), _mm_packus_epi16(four, four));                  \
     } while (0)
 
+#define store_f_keys_avx2(to, v)                                                          \
+    do {                                                                                  \
+        F16 f_key = (v);                                                                  \
+        __m256i words = _mm256_permute4x64_epi64(                                         \
+            _mm256_packs_epi32(_mm256_cvttps_epi32(f_key.part[0]),                        \
+                               _mm256_cvttps_epi32(f_key.part[1])), 0xD8);                \
+        _mm_storeu_si128((__m128i *)(to),                                                 \
+                         _mm_packus_epi16(_mm256_castsi256_si128(words),                  \
+                                          _mm256_extracti128_si256(words, 1)));           \
+    } while (0)
+
 #include "lanes_body.h"
 
 /* ---- AVX-512 ---- */
@@ -263,7 +365,23 @@ static INLINE uint64_t keys_equal_avx2(const uint8_t *keys, int key)
 #define BOTH(a, b) ((__mmask8)((a) & (b)))
 #define BITS(m) ((unsigned)(m))
 #define PICK(m, a, b) _mm512_mask_blend_pd(m, b, a)
-#define PACK(to, m, v) _mm512_storeu_pd(to, _mm512_maskz_compress_pd(m, v))
+#define PACK(to, bits, v) _mm512_storeu_pd(to, _mm512_maskz_compress_pd((__mmask8)(bits), v))
+#define CHOOSE(bits) ((__mmask8)(bits))
+#define F_WIDTH 16
+#define F_VECTOR __m512
+#define F_MASK __mmask16
+#define F_SET(x) _mm512_set1_ps(x)
+#define F_LOAD(x) _mm512_loadu_ps(x)
+#define F_ADD(a, b) _mm512_add_ps(a, b)
+#define F_SUB(a, b) _mm512_sub_ps(a, b)
+#define F_MUL(a, b) _mm512_mul_ps(a, b)
+#define F_MAX(a, b) _mm512_max_ps(a, b)
+#define F_MIN(a, b) _mm512_min_ps(a, b)
+#define F_AT_MOST(a, b) _mm512_cmp_ps_mask(a, b, _CMP_LE_OQ)
+#define F_BOTH(a, b) ((__mmask16)((a) & (b)))
+#define F_BITS(m) ((unsigned)(m))
+#define F_PICK(m, a, b) _mm512_mask_blend_ps(m, b, a)
+#define STORE_ROUNDED(to, v) _mm256_storeu_ps(to, _mm512_cvtpd_ps(v))
 #define PLACES(first)                                         \
     _mm512_castsi512_pd(_mm512_add_epi64(_mm512_set1_epi64(first), \
                                          _mm512_setr_epi64(0, 1, 2, 3, 4, 5, 6, 7)))
@@ -280,6 +398,9 @@ static INLINE uint64_t keys_equal_avx512(const uint8_t *keys, int key)
 
 #define store_keys_avx512(to, v) \
     _mm_storel_epi64((__m128i *)(to), _mm256_cvtepi32_epi8(_mm512_cvttpd_epi32((v).part[0])))
+
+#define store_f_keys_avx512(to, v)   \
+    _mm_storeu_si128((__m128i *)(to), _mm512_cvtepi32_epi8(_mm512_cvttps_epi32((v).part[0])))
 
 #include "lanes_body.h"
 #endif

@@ -13,14 +13,17 @@
 enum {
     BLOCK = 16,
     LANES = 8,
-    /* Points are sorted roughly by keys from 0 to FARTHEST, and OUTSIDE for those out of reach. */
-    FARTHEST = 254,
+    /* Candidates are sorted roughly by keys, up to FARTHEST within the limit. A key may be off by
+     * one, so those beyond the limit may have the next one too; OUTSIDE is for those out of reach. */
+    FARTHEST = 250,
     OUTSIDE = 255,
     /* Keys are looked at so many at a time, in no fewer chunks than these. */
     KEYS = 64,
     FEW_CHUNKS = 4,
     /* So many searches among candidates run side by side. */
-    TOGETHER = 4
+    TOGETHER = 4,
+    /* Copies bear no more axes than these. */
+    MOST_COPIED_AXES = 16
 };
 
 /* What may be found from a point, or from any point of a box: squared distances up to
@@ -29,42 +32,71 @@ enum {
 typedef struct {
     const double *low, *high;
     double squared_limit, squared_range;
-    /* What makes keys of squared distances up to the limit. */
-    double key_scale;
     const double *half_range;
     int64_t n_metric, n_axes;
 } Reach;
 
-/* Candidates: all points of some blocks. Squared distances, infinite where out of reach, and keys
- * lie block by block; keys have room for FEW_CHUNKS * KEYS more than there are points, distances for
- * twice the number of points. Found are the `count`
- * candidates whose squared distance is at most `squared_radius`, that of the farthest of them. */
+/* Copies of points are floats, moved and scaled so that what is in reach lies within 1. This is the
+ * reach of a point among them, and by how much
+ * squared distances may be off. */
+typedef struct {
+    const float *at;
+    float squared_limit, squared_range;
+    float limit_slack, range_slack;
+} Local;
+
+/* Candidates: all points of some blocks, whose keys lie block by block, with room for FEW_CHUNKS *
+ * KEYS more. Found are the `count` candidates of keys up to `key`, the farthest of them at
+ * `squared_radius`. It is among the `n_few` whose exact squared distances had to be looked at; there
+ * is room for as many as candidates, and twice the number of distances. */
 typedef struct {
     int32_t *blocks;
-    double *squared;
     uint8_t *keys;
     int64_t n_blocks, count;
     double squared_radius;
+    int64_t key, n_few;
+    int32_t *few;
+    double *squared;
 } Found;
 
+/* How much the photons found weigh: CONSTANT, CONE or EPANECHNIKOV, over a squared bandwidth. */
+typedef struct {
+    int64_t shape;
+    double squared_bandwidth;
+} Weights;
+
+enum { CONSTANT_WEIGHTS = 0, CONE_WEIGHTS = 1, EPANECHNIKOV_WEIGHTS = 2 };
+
+/* Blocks given with bits are those of the 16 that start there. */
 typedef struct {
     const char *name;
     /* Which of 16 boxes reach into the reach, as bits. */
     unsigned (*boxes_near)(const double *boxes, const Reach *reach);
+    /* Copy 16 lanes of n axes from `first` on. */
+    void (*copy)(const double *rows, int64_t first, int64_t n, const double *origin, double scale,
+                 float *to);
+    /* The same as boxes_near, but some boxes just out of reach may be among them. */
+    unsigned (*copies_near)(const float *boxes, const Reach *reach, const Local *local);
     /* Make the points of more blocks candidates; reach is from a point. */
-    void (*scan)(const double *coords, const int32_t *blocks, int64_t n_blocks, const Reach *reach,
+    void (*scan)(const double *coords, const int32_t *blocks, unsigned bits, const Reach *reach,
                  Found *found);
+    /* The same by their copies. */
+    void (*scan_copies)(const double *coords, const float *copies, const int32_t *blocks,
+                        unsigned bits, const Reach *reach, const Local *local, Found *found);
+    /* Give candidates new keys, for a reach that has changed. */
+    void (*rescan)(const double *coords, const Reach *reach, Found *found);
     /* Find the k nearest candidates, ties by id, all in reach if they are fewer; of several
      * searches, at most TOGETHER. */
-    void (*nearest)(Found *const *found, int n, int64_t k, const int64_t *ids);
-    /* Keep only the blocks of what was found, put all else in them out of reach, and make keys anew. */
-    void (*compact)(Found *found, double key_scale);
+    void (*nearest)(const double *coords, const Reach *const *reach, Found *const *found, int n,
+                    int64_t k, const int64_t *ids);
+    /* Keep only the blocks of what was found, and put all else in them out of reach. */
+    void (*compact)(Found *found);
     /* Write squared distances and places of what was found, in the order of the places. Lists have
      * room for LANES more. What is listed is best not read at once: wide loads wait for stores. */
-    void (*list)(const Found *found, double *squared, int64_t *place);
-    /* The same with three coordinates instead of places, axis by axis, count + LANES apart. */
-    void (*list_points)(const double *coords, int64_t n_axes, const Found *found, double *squared,
-                        double *points);
+    void (*list)(const double *coords, const Reach *reach, const Found *found, double *squared,
+                 int64_t *place);
+    /* Write three coordinates of what was found, axis by axis, count + LANES apart. */
+    void (*list_points)(const double *coords, int64_t n_axes, const Found *found, double *points);
     /* Write distances and ids of what was listed, at most KEYS, nearest first, ties by id. */
     void (*sorted)(double *squared, const int64_t *place, int64_t count, double squared_radius,
                    const int64_t *ids, double *distance, int64_t *id);
@@ -74,18 +106,34 @@ typedef struct {
                     const double *frame, double scale, double *out);
     /* The repulsion of SJ13 Eq. 8 on a point by what was listed with its coordinates: the mean of
      * the offsets from it times (radius / distance - 1). */
-    void (*repulsion)(double *squared, double *points, int64_t count, double squared_radius,
-                      const double *at, double *out);
+    void (*repulsion)(double *points, int64_t count, double squared_radius, const double *at,
+                      double *out);
+    /* Write the weighted sums over what was found of `values`, which lie like coordinates; a kernel
+     * that has these weights integrates to pi times the squared bandwidth. */
+    void (*weigh)(const double *coords, const Reach *reach, const Found *found,
+                  const Weights *weights, const double *values, int64_t n_channels, double *out);
 } Lanes;
-
-/* What turns squared distances up to a limit into keys up to FARTHEST. */
-static inline double key_scale(double squared_limit)
-{
-    return squared_limit > 1e-300 ? FARTHEST / squared_limit : 0.0;
-}
 
 static inline int lowest_bit(unsigned bits) { return __builtin_ctz(bits); }
 static inline int highest_bit(unsigned bits) { return 31 - __builtin_clz(bits); }
+
+static inline int64_t place_of(const Found *found, int64_t candidate)
+{
+    return BLOCK * (int64_t)found->blocks[candidate / BLOCK] + candidate % BLOCK;
+}
+
+/* Which candidate is the farthest of those found, by id of several; -1 if none was. */
+static inline int64_t last_found(const Found *found, const int64_t *ids)
+{
+    int64_t last = -1;
+    for (int64_t j = 0; j < found->n_few; ++j) {
+        int64_t candidate = found->few[j];
+        if (found->squared[j] == found->squared_radius && found->keys[candidate] <= found->key &&
+            (last < 0 || ids[place_of(found, candidate)] > ids[place_of(found, last)]))
+            last = candidate;
+    }
+    return last;
+}
 
 /* Have a row that will soon be read or written brought into the cache. */
 static inline void prefetch_row(const void *row, int64_t n_bytes)

@@ -11,44 +11,78 @@ cdef extern from "lanes.h" nogil:
         KEYS
         FEW_CHUNKS
         TOGETHER
+        MOST_COPIED_AXES
+        CONSTANT_WEIGHTS
+        CONE_WEIGHTS
+        EPANECHNIKOV_WEIGHTS
 
     ctypedef struct Reach:
         const double* low
         const double* high
         double squared_limit
         double squared_range
-        double key_scale
         const double* half_range
         int64_t n_metric
         int64_t n_axes
 
+    ctypedef struct Local:
+        const float* at
+        float squared_limit
+        float squared_range
+        float limit_slack
+        float range_slack
+
     ctypedef struct Found:
         int32_t* blocks
-        double* squared
         uint8_t* keys
         int64_t n_blocks
         int64_t count
         double squared_radius
+        int64_t key
+        int64_t n_few
+        int32_t* few
+        double* squared
+
+    ctypedef struct Weights:
+        int64_t shape
+        double squared_bandwidth
 
     ctypedef struct Lanes:
         const char* name
         unsigned int (*boxes_near)(const double*, const Reach*) noexcept nogil
-        void (*scan)(const double*, const int32_t*, int64_t, const Reach*, Found*) noexcept nogil
-        void (*nearest)(Found**, int, int64_t, const int64_t*) noexcept nogil
-        void (*compact)(Found*, double) noexcept nogil
-        void (*list)(const Found*, double*, int64_t*) noexcept nogil
-        void (*list_points)(const double*, int64_t, const Found*, double*, double*) noexcept nogil
+        void (*copy)(
+            const double*, int64_t, int64_t, const double*, double, float*
+        ) noexcept nogil
+        unsigned int (*copies_near)(const float*, const Reach*, const Local*) noexcept nogil
+        void (*scan)(
+            const double*, const int32_t*, unsigned int, const Reach*, Found*
+        ) noexcept nogil
+        void (*scan_copies)(
+            const double*, const float*, const int32_t*, unsigned int, const Reach*, const Local*,
+            Found*
+        ) noexcept nogil
+        void (*rescan)(const double*, const Reach*, Found*) noexcept nogil
+        void (*nearest)(
+            const double*, const Reach**, Found**, int, int64_t, const int64_t*
+        ) noexcept nogil
+        void (*compact)(Found*) noexcept nogil
+        void (*list)(
+            const double*, const Reach*, const Found*, double*, int64_t*
+        ) noexcept nogil
+        void (*list_points)(const double*, int64_t, const Found*, double*) noexcept nogil
         void (*sorted)(
             double*, const int64_t*, int64_t, double, const int64_t*, double*, int64_t*
         ) noexcept nogil
         void (*moments)(
             const double*, int64_t, const Found*, const double*, const double*, double, double*
         ) noexcept nogil
-        void (*repulsion)(
-            double*, double*, int64_t, double, const double*, double*
+        void (*repulsion)(double*, int64_t, double, const double*, double*) noexcept nogil
+        void (*weigh)(
+            const double*, const Reach*, const Found*, const Weights*, const double*, int64_t,
+            double*
         ) noexcept nogil
 
-    double key_scale(double squared_limit)
+    int64_t last_found(const Found* found, const int64_t* ids)
     int lowest_bit(unsigned int bits)
     int highest_bit(unsigned int bits)
     void prefetch_row(const void* row, int64_t n_bytes)

@@ -1,4 +1,5 @@
-/* Eight doubles, V8, in one instruction set: however many of its vectors that takes. */
+/* Eight doubles, V8, and sixteen floats, F16, in one instruction set: however many of its vectors
+ * that takes. */
 #define V8 NAME(V8)
 #define M8 NAME(M8)
 #define PARTS (LANES / WIDTH)
@@ -11,6 +12,18 @@ typedef struct {
 typedef struct {
     MASK part[PARTS];
 } M8;
+
+#define F16 NAME(F16)
+#define FM16 NAME(FM16)
+#define F_PARTS (BLOCK / F_WIDTH)
+
+typedef struct {
+    F_VECTOR part[F_PARTS];
+} F16;
+
+typedef struct {
+    F_MASK part[F_PARTS];
+} FM16;
 
 static INLINE V8 NAME(all)(double x)
 {
@@ -29,6 +42,11 @@ static INLINE V8 NAME(load)(const double *x)
 static INLINE void NAME(store)(double *x, V8 a)
 {
     for (int i = 0; i < PARTS; ++i) STORE(x + WIDTH * i, a.part[i]);
+}
+
+static INLINE void NAME(store_rounded)(float *x, V8 a)
+{
+    for (int i = 0; i < PARTS; ++i) STORE_ROUNDED(x + WIDTH * i, a.part[i]);
 }
 
 #define EACH(name, operation, type)                                                      \
@@ -68,6 +86,13 @@ static INLINE unsigned NAME(bits)(M8 a)
     return out;
 }
 
+static INLINE M8 NAME(chosen)(unsigned bits)
+{
+    M8 out;
+    for (int i = 0; i < PARTS; ++i) out.part[i] = CHOOSE(bits >> (WIDTH * i) & ((1u << WIDTH) - 1));
+    return out;
+}
+
 /* a where chosen, else b. */
 static INLINE V8 NAME(pick)(M8 chosen, V8 a, V8 b)
 {
@@ -81,4 +106,54 @@ static INLINE double NAME(total)(V8 a)
     double x[LANES];
     NAME(store)(x, a);
     return ((x[0] + x[4]) + (x[2] + x[6])) + ((x[1] + x[5]) + (x[3] + x[7]));
+}
+
+static INLINE F16 NAME(f_all)(float x)
+{
+    F16 out;
+    for (int i = 0; i < F_PARTS; ++i) out.part[i] = F_SET(x);
+    return out;
+}
+
+static INLINE F16 NAME(f_load)(const float *x)
+{
+    F16 out;
+    for (int i = 0; i < F_PARTS; ++i) out.part[i] = F_LOAD(x + F_WIDTH * i);
+    return out;
+}
+
+#define EACH(name, operation, type)                                                      \
+    static INLINE type NAME(name)(F16 a, F16 b)                                          \
+    {                                                                                    \
+        type out;                                                                        \
+        for (int i = 0; i < F_PARTS; ++i) out.part[i] = operation(a.part[i], b.part[i]); \
+        return out;                                                                      \
+    }
+EACH(f_add, F_ADD, F16)
+EACH(f_sub, F_SUB, F16)
+EACH(f_mul, F_MUL, F16)
+EACH(f_greater, F_MAX, F16)
+EACH(f_lesser, F_MIN, F16)
+EACH(f_at_most, F_AT_MOST, FM16)
+#undef EACH
+
+static INLINE FM16 NAME(f_both)(FM16 a, FM16 b)
+{
+    FM16 out;
+    for (int i = 0; i < F_PARTS; ++i) out.part[i] = F_BOTH(a.part[i], b.part[i]);
+    return out;
+}
+
+static INLINE F16 NAME(f_pick)(FM16 chosen, F16 a, F16 b)
+{
+    F16 out;
+    for (int i = 0; i < F_PARTS; ++i) out.part[i] = F_PICK(chosen.part[i], a.part[i], b.part[i]);
+    return out;
+}
+
+static INLINE unsigned NAME(f_bits)(FM16 a)
+{
+    unsigned out = 0;
+    for (int i = 0; i < F_PARTS; ++i) out |= F_BITS(a.part[i]) << (F_WIDTH * i);
+    return out;
 }

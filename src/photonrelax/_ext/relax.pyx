@@ -111,8 +111,8 @@ cdef void move_one(
     f[0] = f[1] = f[2] = 0.0
     if query.found.count >= FEWEST and query.found.squared_radius > 0.0:
         tree.lanes.repulsion(
-            batch.squared + lane * batch.stride, batch.points + 3 * lane * batch.stride,
-            query.found.count, query.found.squared_radius, query.reach.low, f
+            batch.points + 3 * lane * batch.stride, query.found.count,
+            query.found.squared_radius, query.reach.low, f
         )
         project(f, &sheet.normal[place, 0], &sheet.basis[row, 0, 0], sheet.constraint[row])
         shorten(f, step, sheet.largest_step[place])

@@ -7,7 +7,8 @@ from libc.string cimport memcpy
 from .batch cimport LISTED, Query, candidates_before_drop
 from .kdtree cimport fan_out, first_block, last_kept
 from .lanes cimport (
-    BLOCK, OUTSIDE, TOGETHER, Found, Reach, highest_bit, key_scale, lowest_bit,
+    BLOCK, KEYS, MOST_COPIED_AXES, OUTSIDE, TOGETHER, Found, Local, Reach, highest_bit, last_found,
+    lowest_bit,
 )
 
 cdef enum:
@@ -21,6 +22,12 @@ cdef double FIRST = 4.5
 cdef double THEN = 1.3
 cdef double FIRST_GUESSED = 1.2
 cdef double THEN_GUESSED = 1.5
+# Copies are floats: on up to MOST_COPIED_AXES axes, squared distances up to r² among them are off
+# by at most ROUNDING * (r + r²), which is a quarter of a key's width where r is COARSEST.
+cdef double ROUNDING = 1e-6
+cdef double COARSEST = 1e-3
+# Lesser squares underflow in part.
+cdef double LEAST_COPIED = 1e-280
 # If even that was too little they look farther, squared, by at least and at most so much.
 cdef double LEAST_WIDENING = 1.5
 cdef double MOST_WIDENING = 16.0
@@ -67,8 +74,13 @@ cdef void copy_found(Found* found, const Found* other) noexcept nogil:
     found.n_blocks = other.n_blocks
     found.count = other.count
     found.squared_radius = other.squared_radius
+    found.key = other.key
+    found.n_few = other.n_few
     memcpy(found.blocks, other.blocks, other.n_blocks * sizeof(int32_t))
-    memcpy(found.squared, other.squared, BLOCK * other.n_blocks * sizeof(double))
+    # What lies behind is out of reach, for those who read many keys at a time.
+    memcpy(found.keys, other.keys, BLOCK * other.n_blocks + KEYS)
+    memcpy(found.few, other.few, other.n_few * sizeof(int32_t))
+    memcpy(found.squared, other.squared, other.n_few * sizeof(double))
 
 
 cdef void start(Batch* batch, Query* query) noexcept nogil:
@@ -85,12 +97,7 @@ cdef void start(Batch* batch, Query* query) noexcept nogil:
 cdef void restart(Query* query, double squared_limit) noexcept nogil:
     query.found.n_blocks = 0
     query.highest_id = -1
-    look_as_far(query, squared_limit)
-
-
-cdef inline void look_as_far(Query* query, double squared_limit) noexcept nogil:
     query.reach.squared_limit = squared_limit
-    query.reach.key_scale = key_scale(squared_limit)
 
 
 cdef void set_outer_reach(Tree tree, Batch* batch) noexcept nogil:
@@ -113,6 +120,56 @@ cdef void set_outer_reach(Tree tree, Batch* batch) noexcept nogil:
         batch.reach.squared_limit = max(batch.reach.squared_limit, query.squared_wanted)
         batch.reach.squared_range = max(batch.reach.squared_range, query.reach.squared_range)
     set_half_range(tree, batch)
+    set_frame(tree, batch)
+
+
+cdef void set_frame(Tree tree, Batch* batch) noexcept nogil:
+    """Choose where copies have their origin, and their scale: what is in reach lies within 1."""
+    cdef Py_ssize_t axis
+    cdef double half, widest = 0.0, widest_range = 0.0
+    for axis in range(tree.n_axes):
+        half = 0.5 * (batch.high[axis] - batch.low[axis])
+        batch.origin[axis] = batch.low[axis] + half
+        if axis < tree.n_metric:
+            widest = max(widest, half)
+        else:
+            widest_range = max(widest_range, half)
+    batch.scale = 1.0 / (widest + sqrt(batch.reach.squared_limit))
+    batch.range_scale = 1.0 / (widest_range + sqrt(max(batch.reach.squared_range, 0.0)))
+
+
+cdef inline void set_local(Tree tree, Batch* batch, Query* query) noexcept nogil:
+    """Find a query's reach among copies, and whether they are fine enough for it."""
+    cdef Py_ssize_t axis
+    cdef Local* local = &query.local
+    cdef float* at = batch.local_at + tree.n_axes * (query - &batch.queries[0])
+    cdef double limit = local_radius(query.reach.squared_limit, batch.scale)
+    cdef double reach
+    query.exact = (
+        limit < 0.0 or query.reach.half_range != NULL or tree.n_axes > MOST_COPIED_AXES
+    )
+    local.at = at
+    for axis in range(tree.n_metric):
+        at[axis] = <float> (batch.scale * (query.reach.low[axis] - batch.origin[axis]))
+    local.squared_limit = <float> (limit * limit)
+    local.limit_slack = <float> (ROUNDING * limit * (1.0 + limit))
+    local.squared_range = -1.0
+    if query.reach.squared_range < 0.0:
+        return
+    reach = local_radius(query.reach.squared_range, batch.range_scale)
+    query.exact = query.exact or reach < 0.0
+    for axis in range(tree.n_metric, tree.n_axes):
+        at[axis] = <float> (batch.range_scale * (query.reach.low[axis] - batch.origin[axis]))
+    local.squared_range = <float> (reach * reach)
+    local.range_slack = <float> (ROUNDING * reach * (1.0 + reach))
+
+
+cdef inline double local_radius(double squared, double scale) noexcept nogil:
+    """Return a radius among copies, -1 where they are too coarse, or finer than what is exact."""
+    cdef double radius = sqrt(squared) * scale
+    if squared >= LEAST_COPIED and COARSEST <= radius <= 1.5:
+        return radius
+    return -1.0
 
 
 cdef void set_half_range(Tree tree, Batch* batch) noexcept nogil:
@@ -227,6 +284,7 @@ cdef void serve(Tree tree, Batch* batch) noexcept nogil:
     cdef Py_ssize_t i
     cdef Query* query
     cdef bint all_full = True
+    copy_listed(tree, batch)
     batch.reach.squared_limit = 0.0
     for i in range(batch.n_queries):
         query = &batch.queries[i]
@@ -240,29 +298,71 @@ cdef void serve(Tree tree, Batch* batch) noexcept nogil:
         batch.highest_id = -1
 
 
+cdef void copy_listed(Tree tree, Batch* batch) noexcept nogil:
+    """Copy the listed blocks and their boxes."""
+    cdef Py_ssize_t i, n_axes = tree.n_axes
+    for i in range(batch.n_listed):
+        copy_rows(
+            tree, batch, &tree.coords[batch.listed[i], 0, 0],
+            batch.copied_blocks + BLOCK * n_axes * i
+        )
+    for i in range((batch.n_listed + BLOCK - 1) // BLOCK * 2):
+        copy_rows(
+            tree, batch, batch.boxes + BLOCK * n_axes * i, batch.copied_boxes + BLOCK * n_axes * i
+        )
+
+
+cdef inline void copy_rows(
+    Tree tree, const Batch* batch, const double* rows, float* to
+) noexcept nogil:
+    cdef Py_ssize_t n = tree.n_metric
+    tree.lanes.copy(rows, 0, n, batch.origin, batch.scale, to)
+    if n < tree.n_axes:
+        tree.lanes.copy(rows, n, tree.n_axes - n, batch.origin, batch.range_scale, to)
+
+
 cdef void take_candidates(Tree tree, Batch* batch, Query* query) noexcept nogil:
     """Make the points of listed blocks candidates of a query."""
-    cdef Py_ssize_t group, n, listed, n_axes = tree.n_axes
-    cdef const double* boxes
+    cdef Py_ssize_t group, first
     cdef unsigned int near
-    cdef int32_t[BLOCK] blocks
+    set_local(tree, batch, query)
     for group in range((batch.n_listed + BLOCK - 1) // BLOCK):
-        boxes = batch.boxes + 2 * n_axes * BLOCK * group
-        near = tree.lanes.boxes_near(boxes, &query.reach)
-        near &= (1u << min(batch.n_listed - BLOCK * group, <Py_ssize_t> BLOCK)) - 1
-        n = 0
-        while near:
-            listed = lowest_bit(near)
-            near &= near - 1
-            blocks[n] = batch.listed[BLOCK * group + listed]
-            n += not hopeless(
-                tree, boxes + listed, batch.lowest_id[BLOCK * group + listed], &query.reach,
-                query.highest_id
+        first = BLOCK * group
+        near = listed_near(tree, batch, query, first)
+        if query.exact:
+            tree.lanes.scan(
+                &tree.coords[0, 0, 0], &batch.listed[first], near, &query.reach, &query.found
             )
-        tree.lanes.scan(&tree.coords[0, 0, 0], blocks, n, &query.reach, &query.found)
+        else:
+            tree.lanes.scan_copies(
+                &tree.coords[0, 0, 0], batch.copied_blocks + BLOCK * tree.n_axes * first,
+                &batch.listed[first], near, &query.reach, &query.local, &query.found
+            )
         exclude(query)
         if query.found.n_blocks > candidates_before_drop(batch.k):
             drop_farthest(tree, batch, query)
+
+
+cdef inline unsigned int listed_near(
+    Tree tree, const Batch* batch, const Query* query, Py_ssize_t first
+) noexcept nogil:
+    """Return which of 16 listed blocks may hold neighbours of a query, as bits."""
+    cdef const double* boxes = batch.boxes + 2 * tree.n_axes * first
+    cdef const float* copies = batch.copied_boxes + 2 * tree.n_axes * first
+    cdef unsigned int near, listed
+    if query.exact:
+        near = tree.lanes.boxes_near(boxes, &query.reach)
+    else:
+        near = tree.lanes.copies_near(copies, &query.reach, &query.local)
+    near &= (1u << min(batch.n_listed - first, <Py_ssize_t> BLOCK)) - 1
+    if query.highest_id >= 0:
+        for listed in range(BLOCK):
+            if near >> listed & 1 and hopeless(
+                tree, boxes + listed, batch.lowest_id[first + listed], &query.reach,
+                query.highest_id
+            ):
+                near ^= 1u << listed
+    return near
 
 
 cdef void exclude(Query* query) noexcept nogil:
@@ -273,41 +373,47 @@ cdef void exclude(Query* query) noexcept nogil:
     for block in range(query.found.n_blocks):
         if query.found.blocks[block] == query.excluded // BLOCK:
             candidate = BLOCK * block + query.excluded % BLOCK
-            query.found.squared[candidate] = INFINITY
             query.found.keys[candidate] = OUTSIDE
 
 
 cdef void drop_farthest(Tree tree, Batch* batch, Query* query) noexcept nogil:
     """Keep the k nearest found so far, and look no farther than the farthest of them."""
     cdef Found* found = &query.found
-    cdef int64_t j
-    tree.lanes.nearest(&found, 1, batch.k, &tree.ids[0])
-    if found.count < batch.k:
-        tree.lanes.compact(found, query.reach.key_scale)
-        return
-    look_as_far(query, found.squared_radius)
-    tree.lanes.compact(found, query.reach.key_scale)
-    query.squared_wanted = found.squared_radius
-    query.highest_id = -1
-    for j in range(BLOCK * found.n_blocks):
-        if found.squared[j] == found.squared_radius:
-            query.highest_id = max(
-                query.highest_id, tree.ids[BLOCK * found.blocks[j // BLOCK] + j % BLOCK]
-            )
+    cdef int64_t last
+    find_nearest(tree, batch, query)
+    if found.count == batch.k:
+        last = last_found(found, &tree.ids[0])
+        query.highest_id = tree.ids[BLOCK * found.blocks[last // BLOCK] + last % BLOCK]
+        query.squared_wanted = query.reach.squared_limit = found.squared_radius
+    tree.lanes.compact(found)
+    if found.count == batch.k:
+        tree.lanes.rescan(&tree.coords[0, 0, 0], &query.reach, found)
+        exclude(query)
+        set_local(tree, batch, query)
+
+
+cdef inline void find_nearest(Tree tree, const Batch* batch, Query* query) noexcept nogil:
+    cdef Found* found = &query.found
+    cdef const Reach* reach = &query.reach
+    tree.lanes.nearest(&tree.coords[0, 0, 0], &reach, &found, 1, batch.k, &tree.ids[0])
 
 
 cdef Py_ssize_t close_queries(Tree tree, Batch* batch) noexcept nogil:
     """Find the k nearest of all open queries; return how many have to look farther."""
     cdef Found* found[TOGETHER]
+    cdef const Reach* reach[TOGETHER]
     cdef Query* query[TOGETHER]
     cdef Py_ssize_t i, j, n = 0, n_open = 0
     for i in range(batch.n_queries):
         if not batch.queries[i].done:
             query[n] = &batch.queries[i]
             found[n] = &query[n].found
+            reach[n] = &query[n].reach
             n += 1
         if n == TOGETHER or (n > 0 and i == batch.n_queries - 1):
-            tree.lanes.nearest(found, <int> n, batch.k, &tree.ids[0])
+            tree.lanes.nearest(
+                &tree.coords[0, 0, 0], reach, found, <int> n, batch.k, &tree.ids[0]
+            )
             for j in range(n):
                 n_open += not close_query(tree, batch, query[j])
             n = 0
@@ -322,7 +428,7 @@ cdef bint close_query(Tree tree, Batch* batch, Query* query) noexcept nogil:
         if not batch.listed_all:
             return False
         take_candidates(tree, batch, query)
-        tree.lanes.nearest(&found, 1, batch.k, &tree.ids[0])
+        find_nearest(tree, batch, query)
     if found.count < batch.k and query.reach.squared_limit < query.squared_most:
         query.squared_wanted = wider(query, batch.k)
         restart(query, query.squared_wanted)

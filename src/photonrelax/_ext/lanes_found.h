@@ -1,0 +1,215 @@
+/* What is made of what was found, for one instruction set; see lanes_body.h.
+ *
+ * It is read eight lanes at a time, those eights of which any were found.
+ */
+
+/* Eight lanes from a place on, and which of them were found, as bits. */
+typedef struct {
+    const Found *found;
+    int64_t chunk, place;
+    uint64_t left;
+    unsigned bits;
+} NAME(Eights);
+#define Eights NAME(Eights)
+
+static INLINE Eights NAME(eights)(const Found *found)
+{
+    Eights out = {found, -KEYS, 0, 0, 0};
+    return out;
+}
+
+/* Go to the next eight; tell whether there is one. */
+static INLINE int NAME(next)(Eights *at)
+{
+    int eight;
+    while (!at->left) {
+        at->chunk += KEYS;
+        if (at->chunk >= BLOCK * at->found->n_blocks) return 0;
+        at->left = NAME(keys_at_most)(at->found->keys + at->chunk, (int)at->found->key);
+    }
+    eight = LOWEST_BIT(at->left) / LANES;
+    at->bits = at->left >> (LANES * eight) & 0xFF;
+    at->left &= ~((uint64_t)0xFF << (LANES * eight));
+    at->place = BLOCK * (int64_t)at->found->blocks[at->chunk / BLOCK + eight / 2] +
+                eight % 2 * LANES;
+    return 1;
+}
+
+static INLINE const double *NAME(lanes_at)(const double *coords, int64_t n_axes, int64_t place)
+{
+    return coords + n_axes * (place - place % BLOCK) + place % BLOCK;
+}
+
+/* Write the lanes chosen one behind the other, and more behind them. */
+static INLINE void NAME(pack)(void *to, unsigned bits, V8 a)
+{
+    int count = 0;
+    for (int i = 0; i < PARTS; ++i) {
+        unsigned part = bits >> (WIDTH * i) & ((1u << WIDTH) - 1);
+        PACK((char *)to + sizeof(double) * count, part, a.part[i]);
+        count += COUNT_BITS(part);
+    }
+}
+
+/* Eight places that follow each other, as the bits of doubles. */
+static INLINE V8 NAME(places)(int64_t first)
+{
+    V8 out;
+    for (int i = 0; i < PARTS; ++i) out.part[i] = PLACES(first + WIDTH * i);
+    return out;
+}
+
+static TARGET void NAME(list)(const double *coords, const Reach *reach, const Found *found,
+                              double *squared, int64_t *place)
+{
+    for (Eights at = NAME(eights)(found); NAME(next)(&at);) {
+        const double *points = NAME(lanes_at)(coords, reach->n_axes, at.place);
+        NAME(pack)(squared, at.bits, NAME(squared_gap)(points, 0, reach->n_metric, reach->low));
+        NAME(pack)(place, at.bits, NAME(places)(at.place));
+        squared += COUNT_BITS(at.bits);
+        place += COUNT_BITS(at.bits);
+    }
+}
+
+static TARGET void NAME(list_points)(const double *coords, int64_t n_axes, const Found *found,
+                                     double *points)
+{
+    const int64_t stride = found->count + LANES;
+    for (Eights at = NAME(eights)(found); NAME(next)(&at);) {
+        const double *from = NAME(lanes_at)(coords, n_axes, at.place);
+        for (int axis = 0; axis < 3; ++axis)
+            NAME(pack)(points + axis * stride, at.bits, NAME(load)(from + BLOCK * axis));
+        points += COUNT_BITS(at.bits);
+    }
+}
+
+/* Write up to KEYS neighbours to their rough rank, that of their key and then of their place. */
+static INLINE void NAME(sort_roughly)(const double *restrict squared, const int64_t *restrict place,
+                                      int64_t count, double squared_radius,
+                                      const int64_t *restrict ids, double *restrict to,
+                                      int64_t *restrict id)
+{
+    const V8 scale = NAME(all)(key_scale(squared_radius));
+    uint8_t keys[2 * KEYS];
+    for (int64_t j = 0; j < count; j += LANES)
+        NAME(store_keys)(keys + j, NAME(mul)(NAME(load)(squared + j), scale));
+    memset(keys + count, OUTSIDE, KEYS);
+    for (int64_t j = 0; j < count; ++j) {
+        uint64_t less_or_equal = NAME(keys_at_most)(keys, keys[j]);
+        uint64_t equal = NAME(keys_equal)(keys, keys[j]);
+        int rank = COUNT_LONG(less_or_equal & ~(equal & (UINT64_MAX << j)));
+        to[rank] = squared[j];
+        id[rank] = ids[place[j]];
+    }
+}
+
+static TARGET void NAME(sorted)(double *squared, const int64_t *place, int64_t count,
+                                double squared_radius, const int64_t *ids, double *distance,
+                                int64_t *id)
+{
+    double sorted[KEYS];
+    int64_t sorted_id[KEYS], j;
+    for (j = 0; j < LANES; ++j) squared[count + j] = 0.0;
+    NAME(sort_roughly)(squared, place, count, squared_radius, ids, sorted, sorted_id);
+    sort_exactly(sorted, sorted_id, count);
+    for (j = 0; j + LANES <= count; j += LANES)
+        NAME(store)(distance + j, NAME(root)(NAME(load)(sorted + j)));
+    for (; j < count; ++j) distance[j] = sqrt(sorted[j]);
+    memcpy(id, sorted_id, count * sizeof(int64_t));
+}
+
+static TARGET void NAME(moments)(const double *coords, int64_t n_axes, const Found *found,
+                                 const double *at, const double *frame, double scale, double *out)
+{
+    const V8 zero = NAME(all)(0.0);
+    V8 sum_u = zero, sum_v = zero, uu = zero, uv = zero, vv = zero;
+    double mean_u, mean_v, n = (double)found->count;
+    for (Eights at_eight = NAME(eights)(found); NAME(next)(&at_eight);) {
+        const double *points = NAME(lanes_at)(coords, n_axes, at_eight.place);
+        const M8 chosen = NAME(chosen)(at_eight.bits);
+        V8 u = zero, v = zero;
+        for (int axis = 0; axis < 3; ++axis) {
+            V8 x = NAME(sub)(NAME(load)(points + BLOCK * axis), NAME(all)(at[axis]));
+            u = NAME(add)(u, NAME(mul)(x, NAME(all)(frame[axis])));
+            v = NAME(add)(v, NAME(mul)(x, NAME(all)(frame[3 + axis])));
+        }
+        u = NAME(pick)(chosen, NAME(mul)(u, NAME(all)(scale)), zero);
+        v = NAME(pick)(chosen, NAME(mul)(v, NAME(all)(scale)), zero);
+        sum_u = NAME(add)(sum_u, u);
+        sum_v = NAME(add)(sum_v, v);
+        uu = NAME(add)(uu, NAME(mul)(u, u));
+        uv = NAME(add)(uv, NAME(mul)(u, v));
+        vv = NAME(add)(vv, NAME(mul)(v, v));
+    }
+    mean_u = NAME(total)(sum_u) / n;
+    mean_v = NAME(total)(sum_v) / n;
+    out[0] = NAME(total)(uu) / n - mean_u * mean_u;
+    out[1] = NAME(total)(uv) / n - mean_u * mean_v;
+    out[2] = NAME(total)(vv) / n - mean_v * mean_v;
+}
+
+static TARGET void NAME(repulsion)(double *points, int64_t count, double squared_radius,
+                                   const double *at, double *out)
+{
+    const int64_t stride = count + LANES;
+    const V8 radius = NAME(all)(sqrt(squared_radius));
+    V8 sum[3] = {NAME(all)(0.0), NAME(all)(0.0), NAME(all)(0.0)};
+    for (int axis = 0; axis < 3; ++axis)
+        for (int64_t j = count; j < stride; ++j) points[axis * stride + j] = at[axis];
+    for (int64_t j = 0; j < count; j += LANES) {
+        V8 offset[3], squared = NAME(all)(0.0), distance, weight;
+        for (int axis = 0; axis < 3; ++axis) {
+            offset[axis] = NAME(sub)(NAME(all)(at[axis]), NAME(load)(points + axis * stride + j));
+            squared = NAME(add)(squared, NAME(mul)(offset[axis], offset[axis]));
+        }
+        /* The offset of a photon at the very same point is zero; this keeps its weight finite. */
+        distance = NAME(greater)(NAME(root)(squared), NAME(mul)(radius, NAME(all)(0x1p-500)));
+        weight = NAME(sub)(NAME(quotient)(radius, distance), NAME(all)(1.0));
+        for (int axis = 0; axis < 3; ++axis)
+            sum[axis] = NAME(add)(sum[axis], NAME(mul)(weight, offset[axis]));
+    }
+    for (int axis = 0; axis < 3; ++axis) out[axis] = NAME(total)(sum[axis]) / count;
+}
+
+static INLINE V8 NAME(weight)(V8 squared, const Weights *weights)
+{
+    V8 ratio = NAME(quotient)(squared, NAME(all)(weights->squared_bandwidth));
+    if (weights->shape == EPANECHNIKOV_WEIGHTS)
+        return NAME(mul)(NAME(all)(2.0), NAME(sub)(NAME(all)(1.0), ratio));
+    if (weights->shape == CONE_WEIGHTS)
+        return NAME(mul)(NAME(all)(3.0), NAME(sub)(NAME(all)(1.0), NAME(root)(ratio)));
+    return NAME(all)(1.0);
+}
+
+/* With a constant number of channels sums stay in registers. */
+static INLINE void NAME(weigh_some)(const double *coords, const Reach *reach, const Found *found,
+                                    const Weights *weights, const double *values,
+                                    int64_t n_channels, int n, double *out)
+{
+    V8 sum[3] = {NAME(all)(0.0), NAME(all)(0.0), NAME(all)(0.0)};
+    for (Eights at = NAME(eights)(found); NAME(next)(&at);) {
+        const double *points = NAME(lanes_at)(coords, reach->n_axes, at.place);
+        const double *value = NAME(lanes_at)(values, n_channels, at.place);
+        V8 weight = NAME(weight)(NAME(squared_gap)(points, 0, reach->n_metric, reach->low), weights);
+        weight = NAME(pick)(NAME(chosen)(at.bits), weight, NAME(all)(0.0));
+        for (int channel = 0; channel < n; ++channel)
+            sum[channel] = NAME(add)(sum[channel],
+                                     NAME(mul)(weight, NAME(load)(value + BLOCK * channel)));
+    }
+    for (int channel = 0; channel < n; ++channel) out[channel] = NAME(total)(sum[channel]);
+}
+
+static TARGET void NAME(weigh)(const double *coords, const Reach *reach, const Found *found,
+                               const Weights *weights, const double *values, int64_t n_channels,
+                               double *out)
+{
+    int64_t channel = 0;
+    for (; channel + 3 <= n_channels; channel += 3)
+        NAME(weigh_some)(coords, reach, found, weights, values + BLOCK * channel, n_channels, 3,
+                         out + channel);
+    for (; channel < n_channels; ++channel)
+        NAME(weigh_some)(coords, reach, found, weights, values + BLOCK * channel, n_channels, 1,
+                         out + channel);
+}
+
+#undef Eights

@@ -1,0 +1,310 @@
+/* Candidates and the nearest of them, for one instruction set; see lanes_body.h. */
+
+static INLINE V8 NAME(gap)(const double *boxes, int64_t axis, const Reach *reach)
+{
+    const double *low = boxes + BLOCK * axis, *high = low + BLOCK * reach->n_axes;
+    V8 below = NAME(sub)(NAME(load)(low), NAME(all)(reach->high[axis]));
+    V8 above = NAME(sub)(NAME(all)(reach->low[axis]), NAME(load)(high));
+    return NAME(greater)(NAME(greater)(below, above), NAME(all)(0.0));
+}
+
+static INLINE V8 NAME(squared_box_gap)(const double *boxes, int64_t first, int64_t end,
+                                       const Reach *reach)
+{
+    V8 gap = NAME(gap)(boxes, first, reach);
+    V8 squared = NAME(mul)(gap, gap);
+    for (int64_t axis = first + 1; axis < end; ++axis) {
+        gap = NAME(gap)(boxes, axis, reach);
+        squared = NAME(add)(squared, NAME(mul)(gap, gap));
+    }
+    return squared;
+}
+
+static INLINE unsigned NAME(eight_near)(const double *boxes, const Reach *reach)
+{
+    M8 near = NAME(at_most)(NAME(squared_box_gap)(boxes, 0, reach->n_metric, reach),
+                            NAME(all)(reach->squared_limit));
+    if (reach->squared_range >= 0.0)
+        near = NAME(both)(near, NAME(at_most)(NAME(squared_box_gap)(boxes, reach->n_metric,
+                                                                    reach->n_axes, reach),
+                                              NAME(all)(reach->squared_range)));
+    if (reach->half_range)
+        for (int64_t axis = reach->n_metric; axis < reach->n_axes; ++axis)
+            near = NAME(both)(near, NAME(at_most)(NAME(gap)(boxes, axis, reach),
+                                                  NAME(all)(reach->half_range[axis - reach->n_metric])));
+    return NAME(bits)(near);
+}
+
+static TARGET unsigned NAME(boxes_near)(const double *boxes, const Reach *reach)
+{
+    return NAME(eight_near)(boxes, reach) | NAME(eight_near)(boxes + LANES, reach) << LANES;
+}
+
+static INLINE V8 NAME(squared_gap)(const double *points, int64_t first, int64_t end, const double *at)
+{
+    V8 gap = NAME(sub)(NAME(load)(points + BLOCK * first), NAME(all)(at[first]));
+    V8 squared = NAME(mul)(gap, gap);
+    for (int64_t axis = first + 1; axis < end; ++axis) {
+        gap = NAME(sub)(NAME(load)(points + BLOCK * axis), NAME(all)(at[axis]));
+        squared = NAME(add)(squared, NAME(mul)(gap, gap));
+    }
+    return squared;
+}
+
+static INLINE M8 NAME(within_half)(const double *points, const Reach *reach, M8 near)
+{
+    for (int64_t axis = reach->n_metric; axis < reach->n_axes; ++axis) {
+        V8 x = NAME(load)(points + BLOCK * axis), at = NAME(all)(reach->low[axis]);
+        V8 gap = NAME(greater)(NAME(sub)(x, at), NAME(sub)(at, x));
+        near = NAME(both)(near, NAME(at_most)(gap, NAME(all)(reach->half_range[axis - reach->n_metric])));
+    }
+    return near;
+}
+
+static INLINE void NAME(scan_block)(const double *restrict points, const Reach *reach, double scale,
+                                    uint8_t *restrict keys)
+{
+    for (int half = 0; half < BLOCK; half += LANES) {
+        V8 squared = NAME(squared_gap)(points + half, 0, reach->n_metric, reach->low);
+        M8 near = NAME(at_most)(squared, NAME(all)(reach->squared_limit));
+        if (reach->squared_range >= 0.0)
+            near = NAME(both)(near, NAME(at_most)(NAME(squared_gap)(points + half, reach->n_metric,
+                                                                   reach->n_axes, reach->low),
+                                                  NAME(all)(reach->squared_range)));
+        if (reach->half_range) near = NAME(within_half)(points + half, reach, near);
+        squared = NAME(lesser)(NAME(mul)(squared, NAME(all)(scale)), NAME(all)(OUTSIDE));
+        NAME(store_keys)(keys + half, NAME(pick)(near, squared, NAME(all)(OUTSIDE)));
+    }
+}
+
+static TARGET void NAME(rescan)(const double *coords, const Reach *reach, Found *found)
+{
+    const double scale = key_scale(reach->squared_limit);
+    for (int64_t i = 0; i < found->n_blocks; ++i)
+        NAME(scan_block)(coords + BLOCK * reach->n_axes * (int64_t)found->blocks[i], reach, scale,
+                         found->keys + BLOCK * i);
+}
+
+static TARGET void NAME(scan)(const double *coords, const int32_t *blocks, unsigned bits,
+                              const Reach *reach, Found *found)
+{
+    const double scale = key_scale(reach->squared_limit);
+    for (; bits; bits &= bits - 1) {
+        int32_t block = blocks[lowest_bit(bits)];
+        NAME(scan_block)(coords + BLOCK * reach->n_axes * (int64_t)block, reach, scale,
+                         found->keys + BLOCK * found->n_blocks);
+        found->blocks[found->n_blocks++] = block;
+    }
+}
+
+static TARGET void NAME(copy)(const double *rows, int64_t first, int64_t n, const double *origin,
+                              double scale, float *to)
+{
+    for (int64_t row = first; row < first + n; ++row)
+        for (int half = 0; half < BLOCK; half += LANES) {
+            V8 x = NAME(sub)(NAME(load)(rows + BLOCK * row + half), NAME(all)(origin[row]));
+            NAME(store_rounded)(to + BLOCK * row + half, NAME(mul)(x, NAME(all)(scale)));
+        }
+}
+
+static INLINE F16 NAME(copied_box_gap)(const float *boxes, int64_t first, int64_t end,
+                                       int64_t n_axes, const float *at)
+{
+    F16 squared = NAME(f_all)(0.0f);
+    for (int64_t axis = first; axis < end; ++axis) {
+        const float *low = boxes + BLOCK * axis, *high = low + BLOCK * n_axes;
+        F16 here = NAME(f_all)(at[axis]);
+        F16 below = NAME(f_sub)(NAME(f_load)(low), here);
+        F16 above = NAME(f_sub)(here, NAME(f_load)(high));
+        F16 gap = NAME(f_greater)(NAME(f_greater)(below, above), NAME(f_all)(0.0f));
+        squared = NAME(f_add)(squared, NAME(f_mul)(gap, gap));
+    }
+    return squared;
+}
+
+static TARGET unsigned NAME(copies_near)(const float *boxes, const Reach *reach, const Local *local)
+{
+    FM16 near = NAME(f_at_most)(NAME(copied_box_gap)(boxes, 0, reach->n_metric, reach->n_axes,
+                                                     local->at),
+                                NAME(f_all)(local->squared_limit + local->limit_slack));
+    if (local->squared_range >= 0.0f)
+        near = NAME(f_both)(near, NAME(f_at_most)(NAME(copied_box_gap)(boxes, reach->n_metric,
+                                                                       reach->n_axes, reach->n_axes,
+                                                                       local->at),
+                                                  NAME(f_all)(local->squared_range +
+                                                              local->range_slack)));
+    return NAME(f_bits)(near);
+}
+
+static INLINE F16 NAME(copied_gap)(const float *points, int64_t first, int64_t end, const float *at)
+{
+    F16 gap = NAME(f_sub)(NAME(f_load)(points + BLOCK * first), NAME(f_all)(at[first]));
+    F16 squared = NAME(f_mul)(gap, gap);
+    for (int64_t axis = first + 1; axis < end; ++axis) {
+        gap = NAME(f_sub)(NAME(f_load)(points + BLOCK * axis), NAME(f_all)(at[axis]));
+        squared = NAME(f_add)(squared, NAME(f_mul)(gap, gap));
+    }
+    return squared;
+}
+
+/* With constant numbers of axes the compiler unrolls their loops. */
+static INLINE void NAME(scan_copied)(const double *coords, const float *restrict copies,
+                                     const int32_t *restrict blocks, unsigned bits,
+                                     const Reach *reach, const Local *local, Found *found, int ball,
+                                     int64_t n_metric, int64_t n_axes)
+{
+    const Local from = *local;
+    const F16 outside = NAME(f_all)(OUTSIDE);
+    const F16 scale = NAME(f_all)(FARTHEST / from.squared_limit);
+    uint8_t *restrict keys = found->keys + BLOCK * found->n_blocks;
+    int32_t *restrict to = found->blocks + found->n_blocks;
+    int64_t n = COUNT_BITS(bits);
+    for (int64_t i = 0; i < n; ++i, bits &= bits - 1, keys += BLOCK) {
+        const float *points = copies + BLOCK * n_axes * lowest_bit(bits);
+        F16 squared = NAME(copied_gap)(points, 0, n_metric, from.at);
+        F16 key = NAME(f_lesser)(NAME(f_mul)(squared, scale), outside);
+        to[i] = blocks[lowest_bit(bits)];
+        if (ball) {
+            F16 range = NAME(copied_gap)(points, n_metric, n_axes, from.at);
+            F16 within = NAME(f_all)(from.squared_range + from.range_slack);
+            FM16 near = NAME(f_at_most)(range, within);
+            F16 well_within = NAME(f_all)(from.squared_range - from.range_slack);
+            unsigned doubt = NAME(f_bits)(near) ^ NAME(f_bits)(NAME(f_at_most)(range, well_within));
+            NAME(store_f_keys)(keys, NAME(f_pick)(near, key, outside));
+            if (doubt) settle_range(coords, to[i], doubt, reach, keys);
+        } else {
+            NAME(store_f_keys)(keys, key);
+        }
+    }
+    found->n_blocks += n;
+}
+
+static TARGET void NAME(scan_copies)(const double *coords, const float *copies,
+                                     const int32_t *blocks, unsigned bits, const Reach *reach,
+                                     const Local *local, Found *found)
+{
+    const int ball = local->squared_range >= 0.0f;
+    if (reach->n_metric == 3 && reach->n_axes == 3)
+        NAME(scan_copied)(coords, copies, blocks, bits, reach, local, found, 0, 3, 3);
+    else if (reach->n_metric == 3 && reach->n_axes == 5)
+        NAME(scan_copied)(coords, copies, blocks, bits, reach, local, found, ball, 3, 5);
+    else if (reach->n_metric == 3 && reach->n_axes == 6)
+        NAME(scan_copied)(coords, copies, blocks, bits, reach, local, found, ball, 3, 6);
+    else
+        NAME(scan_copied)(coords, copies, blocks, bits, reach, local, found, ball, reach->n_metric,
+                          reach->n_axes);
+}
+
+/* Find the key of the k-th nearest candidate, OUTSIDE if there are fewer, and how many have a lesser
+ * one: bit by bit, as the greatest key that fewer than k are less than. Several searches run side
+ * by side, as each step of one waits for the last. */
+static INLINE void NAME(keys_of)(Ranked *ranked, int n, int64_t n_chunks)
+{
+    for (int bit = 128; bit > 0; bit >>= 1)
+        for (int i = 0; i < n; ++i) {
+            int64_t count = 0;
+            for (int64_t j = 0; j < n_chunks; ++j)
+                count += COUNT_LONG(NAME(keys_at_most)(ranked[i].keys + KEYS * j,
+                                                       ranked[i].key + bit - 1));
+            ranked[i].fewer = count < ranked[i].k ? count : ranked[i].fewer;
+            ranked[i].key += count < ranked[i].k ? bit : 0;
+        }
+}
+
+static INLINE Ranked NAME(ranked)(Found *found, int64_t k)
+{
+    Ranked out = {found->keys, k, 0, 0};
+    memset(found->keys + BLOCK * found->n_blocks, OUTSIDE, FEW_CHUNKS * KEYS);
+    return out;
+}
+
+static INLINE Ranked NAME(rank)(Found *found, int64_t k)
+{
+    Ranked ranked = NAME(ranked)(found, k);
+    NAME(keys_of)(&ranked, 1, n_chunks(found));
+    return ranked;
+}
+
+/* Note the candidates of keys from `low` to `high` and their exact distances; return how many have
+ * lesser keys. */
+static INLINE int64_t NAME(note_few)(const double *coords, const Reach *reach, Found *found, int low,
+                                     int high)
+{
+    int64_t n = 0, fewer = 0;
+    for (int64_t j = 0; j < BLOCK * found->n_blocks; j += KEYS) {
+        uint64_t below = low > 0 ? NAME(keys_at_most)(found->keys + j, low - 1) : 0;
+        uint64_t here = NAME(keys_at_most)(found->keys + j, high) & ~below;
+        fewer += COUNT_LONG(below);
+        for (; here; here &= here - 1) {
+            int64_t candidate = j + LOWEST_BIT(here);
+            double squared = squared_gap_at(coords, 0, reach->n_metric, reach,
+                                            place_of(found, candidate));
+            found->few[n] = (int32_t)candidate;
+            found->squared[n] = squared;
+            if (squared <= reach->squared_limit)
+                ++n;
+            else
+                found->keys[candidate] = OUTSIDE;
+        }
+    }
+    found->n_few = n;
+    return fewer;
+}
+
+/* A key may be off by one: what keys next to that of the k-th say is looked at exactly. */
+static INLINE void NAME(settle)(const double *coords, const Reach *reach, Found *found,
+                                Ranked ranked, const int64_t *ids)
+{
+    for (;;) {
+        int within = ranked.key <= FARTHEST + 1;
+        int low = within ? ranked.key - 1 : FARTHEST - 1;
+        int high = within ? ranked.key + 1 : FARTHEST + 1;
+        int64_t fewer = NAME(note_few)(coords, reach, found, low, high);
+        found->count = ranked.k;
+        found->key = high;
+        if (within && fewer + found->n_few >= ranked.k) {
+            choose_few(found, fewer, ids);
+            return;
+        }
+        if (fewer + found->n_few == 0) {
+            find_nothing(found);
+            return;
+        }
+        ranked = NAME(rank)(found, fewer + found->n_few);
+    }
+}
+
+static TARGET void NAME(nearest)(const double *coords, const Reach *const *reach,
+                                 Found *const *found, int n, int64_t k, const int64_t *ids)
+{
+    Ranked ranked[TOGETHER];
+    int64_t most_chunks = 0;
+    for (int i = 0; i < TOGETHER; ++i) {
+        ranked[i] = NAME(ranked)(found[i < n ? i : 0], k);
+        if (i < n && n_chunks(found[i]) > most_chunks) most_chunks = n_chunks(found[i]);
+    }
+    /* Constant numbers let the compiler unroll the loops. */
+    if (most_chunks <= FEW_CHUNKS / 2)
+        NAME(keys_of)(ranked, TOGETHER, FEW_CHUNKS / 2);
+    else if (most_chunks <= FEW_CHUNKS)
+        NAME(keys_of)(ranked, TOGETHER, FEW_CHUNKS);
+    else
+        for (int i = 0; i < n; ++i) NAME(keys_of)(&ranked[i], 1, n_chunks(found[i]));
+    for (int i = 0; i < n; ++i) NAME(settle)(coords, reach[i], found[i], ranked[i], ids);
+}
+
+static TARGET void NAME(compact)(Found *found)
+{
+    int64_t kept = 0;
+    for (int64_t i = 0; i < found->n_blocks; ++i) {
+        int any = 0;
+        for (int lane = 0; lane < BLOCK; ++lane) {
+            uint8_t key = found->keys[BLOCK * i + lane];
+            found->keys[BLOCK * kept + lane] = key <= found->key ? key : OUTSIDE;
+            any |= key <= found->key;
+        }
+        found->blocks[kept] = found->blocks[i];
+        kept += any;
+    }
+    found->n_blocks = kept;
+}
