@@ -114,19 +114,44 @@ static void drop_ties(Found *found, int64_t excess, const int64_t *ids)
             found->keys[found->few[j]] = OUTSIDE;
 }
 
+/* Note how far away the few are; those beyond the limit are out of reach, and none of them. */
+static void look_at_few(const double *coords, const Reach *reach, Found *found)
+{
+    int64_t n = 0;
+    for (int64_t j = 0; j < found->n_few; ++j) {
+        int32_t candidate = found->few[j];
+        double squared = squared_gap_at(coords, 0, reach->n_metric, reach,
+                                        place_of(found, candidate));
+        found->few[n] = candidate;
+        found->squared[n] = squared;
+        if (squared <= reach->squared_limit)
+            ++n;
+        else
+            found->keys[candidate] = OUTSIDE;
+    }
+    found->n_few = n;
+}
+
+/* The squared distance of a rank, counted from one, among the few. */
+static double few_of_rank(const Found *found, int64_t rank)
+{
+    const double *x = found->squared;
+    double *spare = found->squared + found->n_few;
+    if (found->n_few == 1) return x[0];
+    if (found->n_few == 2) return (x[0] < x[1]) == (rank == 1) ? x[0] : x[1];
+    memcpy(spare, x, found->n_few * sizeof(double));
+    return of_rank(spare, found->n_few, rank);
+}
+
 /* Choose among the few what is found; `fewer` of all are nearer than these. */
 static void choose_few(Found *found, int64_t fewer, const int64_t *ids)
 {
-    double *spare = found->squared + found->n_few;
     int64_t excess = fewer - found->count;
-    found->squared_radius = found->squared[0];
-    if (found->n_few > 1) {
-        memcpy(spare, found->squared, found->n_few * sizeof(double));
-        found->squared_radius = of_rank(spare, found->n_few, found->count - fewer);
-    }
+    found->squared_radius = few_of_rank(found, found->count - fewer);
     for (int64_t j = 0; j < found->n_few; ++j) {
-        if (found->squared[j] > found->squared_radius) found->keys[found->few[j]] = OUTSIDE;
-        excess += found->squared[j] <= found->squared_radius;
+        int chosen = found->squared[j] <= found->squared_radius;
+        found->keys[found->few[j]] = chosen ? (uint8_t)found->key : OUTSIDE;
+        excess += chosen;
     }
     if (excess > 0) drop_ties(found, excess, ids);
 }
@@ -167,6 +192,7 @@ static void find_nothing(Found *found)
 #define F_MASK unsigned
 #define F_SET(x) (x)
 #define F_LOAD(x) (*(x))
+#define F_STORE(x, v) (*(x) = (v))
 #define F_ADD(a, b) ((a) + (b))
 #define F_SUB(a, b) ((a) - (b))
 #define F_MUL(a, b) ((a) * (b))
@@ -273,6 +299,7 @@ static uint64_t keys_at_most_portable(const uint8_t *keys, int most)
 #define F_MASK __m256
 #define F_SET(x) _mm256_set1_ps(x)
 #define F_LOAD(x) _mm256_loadu_ps(x)
+#define F_STORE(x, v) _mm256_storeu_ps(x, v)
 #define F_ADD(a, b) _mm256_add_ps(a, b)
 #define F_SUB(a, b) _mm256_sub_ps(a, b)
 #define F_MUL(a, b) _mm256_mul_ps(a, b)
@@ -372,6 +399,7 @@ static INLINE uint64_t keys_equal_avx2(const uint8_t *keys, int key)
 #define F_MASK __mmask16
 #define F_SET(x) _mm512_set1_ps(x)
 #define F_LOAD(x) _mm512_loadu_ps(x)
+#define F_STORE(x, v) _mm512_storeu_ps(x, v)
 #define F_ADD(a, b) _mm512_add_ps(a, b)
 #define F_SUB(a, b) _mm512_sub_ps(a, b)
 #define F_MUL(a, b) _mm512_mul_ps(a, b)

@@ -13,8 +13,8 @@
 enum {
     BLOCK = 16,
     LANES = 8,
-    /* Candidates are sorted roughly by keys, up to FARTHEST within the limit. A key may be off by
-     * one, so those beyond the limit may have the next one too; OUTSIDE is for those out of reach. */
+    /* Candidates are sorted roughly by keys, up to FARTHEST within the limit. As those are off a
+     * little, some just beyond the limit have it or the next one; OUTSIDE is for those out of reach. */
     FARTHEST = 250,
     OUTSIDE = 255,
     /* Keys are looked at so many at a time, in no fewer chunks than these. */
@@ -43,15 +43,19 @@ typedef struct {
     const float *at;
     float squared_limit, squared_range;
     float limit_slack, range_slack;
+    /* By how much heights of candidates may be off. */
+    float doubt;
 } Local;
 
-/* Candidates: all points of some blocks, whose keys lie block by block, with room for FEW_CHUNKS *
- * KEYS more. Found are the `count` candidates of keys up to `key`, the farthest of them at
- * `squared_radius`. It is among the `n_few` whose exact squared distances had to be looked at; there
- * is room for as many as candidates, and twice the number of distances. */
+/* Candidates: all points of some blocks. Their heights, squared distances as multiples of the limit's
+ * FARTHEST-th part, and keys, heights rounded down, lie block by block; keys have room for
+ * FEW_CHUNKS * KEYS more. Found are the `count` candidates of keys up to `key`, the farthest of them
+ * at `squared_radius`. It is among the `n_few` whose exact squared distances had to be looked at;
+ * there is room for as many as candidates, and twice the number of distances. */
 typedef struct {
     int32_t *blocks;
     uint8_t *keys;
+    float *heights;
     int64_t n_blocks, count;
     double squared_radius;
     int64_t key, n_few;
@@ -87,8 +91,8 @@ typedef struct {
     void (*rescan)(const double *coords, const Reach *reach, Found *found);
     /* Find the k nearest candidates, ties by id, all in reach if they are fewer; of several
      * searches, at most TOGETHER. */
-    void (*nearest)(const double *coords, const Reach *const *reach, Found *const *found, int n,
-                    int64_t k, const int64_t *ids);
+    void (*nearest)(const double *coords, const Reach *const *reach, const float *doubt,
+                    Found *const *found, int n, int64_t k, const int64_t *ids);
     /* Keep only the blocks of what was found, and put all else in them out of reach. */
     void (*compact)(Found *found);
     /* Write squared distances and places of what was found, in the order of the places. Lists have

@@ -7,6 +7,7 @@ cdef extern from "lanes.h" nogil:
     enum:
         BLOCK
         LANES
+        FARTHEST
         OUTSIDE
         KEYS
         FEW_CHUNKS
@@ -31,10 +32,12 @@ cdef extern from "lanes.h" nogil:
         float squared_range
         float limit_slack
         float range_slack
+        float doubt
 
     ctypedef struct Found:
         int32_t* blocks
         uint8_t* keys
+        float* heights
         int64_t n_blocks
         int64_t count
         double squared_radius
@@ -63,7 +66,7 @@ cdef extern from "lanes.h" nogil:
         ) noexcept nogil
         void (*rescan)(const double*, const Reach*, Found*) noexcept nogil
         void (*nearest)(
-            const double*, const Reach**, Found**, int, int64_t, const int64_t*
+            const double*, const Reach**, const float*, Found**, int, int64_t, const int64_t*
         ) noexcept nogil
         void (*compact)(Found*) noexcept nogil
         void (*list)(

@@ -50,6 +50,7 @@ static const Lanes NAME(lanes) = {
 #undef F_MASK
 #undef F_SET
 #undef F_LOAD
+#undef F_STORE
 #undef F_ADD
 #undef F_SUB
 #undef F_MUL

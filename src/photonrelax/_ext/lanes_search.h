@@ -62,7 +62,7 @@ static INLINE M8 NAME(within_half)(const double *points, const Reach *reach, M8 
 }
 
 static INLINE void NAME(scan_block)(const double *restrict points, const Reach *reach, double scale,
-                                    uint8_t *restrict keys)
+                                    uint8_t *restrict keys, float *restrict heights)
 {
     for (int half = 0; half < BLOCK; half += LANES) {
         V8 squared = NAME(squared_gap)(points + half, 0, reach->n_metric, reach->low);
@@ -73,7 +73,9 @@ static INLINE void NAME(scan_block)(const double *restrict points, const Reach *
                                                   NAME(all)(reach->squared_range)));
         if (reach->half_range) near = NAME(within_half)(points + half, reach, near);
         squared = NAME(lesser)(NAME(mul)(squared, NAME(all)(scale)), NAME(all)(OUTSIDE));
-        NAME(store_keys)(keys + half, NAME(pick)(near, squared, NAME(all)(OUTSIDE)));
+        squared = NAME(pick)(near, squared, NAME(all)(OUTSIDE));
+        NAME(store_keys)(keys + half, squared);
+        NAME(store_rounded)(heights + half, squared);
     }
 }
 
@@ -82,7 +84,7 @@ static TARGET void NAME(rescan)(const double *coords, const Reach *reach, Found 
     const double scale = key_scale(reach->squared_limit);
     for (int64_t i = 0; i < found->n_blocks; ++i)
         NAME(scan_block)(coords + BLOCK * reach->n_axes * (int64_t)found->blocks[i], reach, scale,
-                         found->keys + BLOCK * i);
+                         found->keys + BLOCK * i, found->heights + BLOCK * i);
 }
 
 static TARGET void NAME(scan)(const double *coords, const int32_t *blocks, unsigned bits,
@@ -92,7 +94,8 @@ static TARGET void NAME(scan)(const double *coords, const int32_t *blocks, unsig
     for (; bits; bits &= bits - 1) {
         int32_t block = blocks[lowest_bit(bits)];
         NAME(scan_block)(coords + BLOCK * reach->n_axes * (int64_t)block, reach, scale,
-                         found->keys + BLOCK * found->n_blocks);
+                         found->keys + BLOCK * found->n_blocks,
+                         found->heights + BLOCK * found->n_blocks);
         found->blocks[found->n_blocks++] = block;
     }
 }
@@ -157,12 +160,14 @@ static INLINE void NAME(scan_copied)(const double *coords, const float *restrict
     const F16 outside = NAME(f_all)(OUTSIDE);
     const F16 scale = NAME(f_all)(FARTHEST / from.squared_limit);
     uint8_t *restrict keys = found->keys + BLOCK * found->n_blocks;
+    float *restrict heights = found->heights + BLOCK * found->n_blocks;
     int32_t *restrict to = found->blocks + found->n_blocks;
     int64_t n = COUNT_BITS(bits);
-    for (int64_t i = 0; i < n; ++i, bits &= bits - 1, keys += BLOCK) {
+    for (int64_t i = 0; i < n; ++i, bits &= bits - 1, keys += BLOCK, heights += BLOCK) {
         const float *points = copies + BLOCK * n_axes * lowest_bit(bits);
         F16 squared = NAME(copied_gap)(points, 0, n_metric, from.at);
-        F16 key = NAME(f_lesser)(NAME(f_mul)(squared, scale), outside);
+        F16 height = NAME(f_lesser)(NAME(f_mul)(squared, scale), outside);
+        NAME(f_store)(heights, height);
         to[i] = blocks[lowest_bit(bits)];
         if (ball) {
             F16 range = NAME(copied_gap)(points, n_metric, n_axes, from.at);
@@ -170,10 +175,10 @@ static INLINE void NAME(scan_copied)(const double *coords, const float *restrict
             FM16 near = NAME(f_at_most)(range, within);
             F16 well_within = NAME(f_all)(from.squared_range - from.range_slack);
             unsigned doubt = NAME(f_bits)(near) ^ NAME(f_bits)(NAME(f_at_most)(range, well_within));
-            NAME(store_f_keys)(keys, NAME(f_pick)(near, key, outside));
+            NAME(store_f_keys)(keys, NAME(f_pick)(near, height, outside));
             if (doubt) settle_range(coords, to[i], doubt, reach, keys);
         } else {
-            NAME(store_f_keys)(keys, key);
+            NAME(store_f_keys)(keys, height);
         }
     }
     found->n_blocks += n;
@@ -225,43 +230,40 @@ static INLINE Ranked NAME(rank)(Found *found, int64_t k)
     return ranked;
 }
 
-/* Note the candidates of keys from `low` to `high` and their exact distances; return how many have
- * lesser keys. */
-static INLINE int64_t NAME(note_few)(const double *coords, const Reach *reach, Found *found, int low,
-                                     int high)
+/* Note the candidates of heights from `low` to `high`, less than two keys apart, that are within the
+ * limit, and their exact distances; return how many are lower. */
+static INLINE int64_t NAME(note_few)(const double *coords, const Reach *reach, Found *found,
+                                     float low, float high)
 {
+    const int first = low < 1.0f ? 0 : (int)low, last = (int)high;
     int64_t n = 0, fewer = 0;
     for (int64_t j = 0; j < BLOCK * found->n_blocks; j += KEYS) {
-        uint64_t below = low > 0 ? NAME(keys_at_most)(found->keys + j, low - 1) : 0;
-        uint64_t here = NAME(keys_at_most)(found->keys + j, high) & ~below;
+        uint64_t below = first > 0 ? NAME(keys_at_most)(found->keys + j, first - 1) : 0;
+        uint64_t here = NAME(keys_at_most)(found->keys + j, last) & ~below;
         fewer += COUNT_LONG(below);
         for (; here; here &= here - 1) {
             int64_t candidate = j + LOWEST_BIT(here);
-            double squared = squared_gap_at(coords, 0, reach->n_metric, reach,
-                                            place_of(found, candidate));
+            float height = found->heights[candidate];
             found->few[n] = (int32_t)candidate;
-            found->squared[n] = squared;
-            if (squared <= reach->squared_limit)
-                ++n;
-            else
-                found->keys[candidate] = OUTSIDE;
+            n += height >= low && height <= high;
+            fewer += height < low;
         }
     }
     found->n_few = n;
+    look_at_few(coords, reach, found);
     return fewer;
 }
 
-/* A key may be off by one: what keys next to that of the k-th say is looked at exactly. */
-static INLINE void NAME(settle)(const double *coords, const Reach *reach, Found *found,
+/* As heights are a little off, those next to the key of the k-th are looked at exactly. */
+static INLINE void NAME(settle)(const double *coords, const Reach *reach, float doubt, Found *found,
                                 Ranked ranked, const int64_t *ids)
 {
     for (;;) {
-        int within = ranked.key <= FARTHEST + 1;
-        int low = within ? ranked.key - 1 : FARTHEST - 1;
-        int high = within ? ranked.key + 1 : FARTHEST + 1;
-        int64_t fewer = NAME(note_few)(coords, reach, found, low, high);
+        int within = ranked.key <= FARTHEST;
+        float low = (float)(within ? ranked.key : FARTHEST) - doubt;
+        int64_t fewer = NAME(note_few)(coords, reach, found, low, low + 1.0f + 2.0f * doubt);
         found->count = ranked.k;
-        found->key = high;
+        found->key = ranked.key;
         if (within && fewer + found->n_few >= ranked.k) {
             choose_few(found, fewer, ids);
             return;
@@ -274,7 +276,7 @@ static INLINE void NAME(settle)(const double *coords, const Reach *reach, Found 
     }
 }
 
-static TARGET void NAME(nearest)(const double *coords, const Reach *const *reach,
+static TARGET void NAME(nearest)(const double *coords, const Reach *const *reach, const float *doubt,
                                  Found *const *found, int n, int64_t k, const int64_t *ids)
 {
     Ranked ranked[TOGETHER];
@@ -284,27 +286,24 @@ static TARGET void NAME(nearest)(const double *coords, const Reach *const *reach
         if (i < n && n_chunks(found[i]) > most_chunks) most_chunks = n_chunks(found[i]);
     }
     /* Constant numbers let the compiler unroll the loops. */
-    if (most_chunks <= FEW_CHUNKS / 2)
-        NAME(keys_of)(ranked, TOGETHER, FEW_CHUNKS / 2);
-    else if (most_chunks <= FEW_CHUNKS)
+    if (most_chunks <= 2)
+        NAME(keys_of)(ranked, TOGETHER, 2);
+    else if (most_chunks == 3)
+        NAME(keys_of)(ranked, TOGETHER, 3);
+    else if (most_chunks == FEW_CHUNKS)
         NAME(keys_of)(ranked, TOGETHER, FEW_CHUNKS);
     else
         for (int i = 0; i < n; ++i) NAME(keys_of)(&ranked[i], 1, n_chunks(found[i]));
-    for (int i = 0; i < n; ++i) NAME(settle)(coords, reach[i], found[i], ranked[i], ids);
+    for (int i = 0; i < n; ++i) NAME(settle)(coords, reach[i], doubt[i], found[i], ranked[i], ids);
 }
 
 static TARGET void NAME(compact)(Found *found)
 {
     int64_t kept = 0;
     for (int64_t i = 0; i < found->n_blocks; ++i) {
-        int any = 0;
-        for (int lane = 0; lane < BLOCK; ++lane) {
-            uint8_t key = found->keys[BLOCK * i + lane];
-            found->keys[BLOCK * kept + lane] = key <= found->key ? key : OUTSIDE;
-            any |= key <= found->key;
-        }
+        uint64_t here = NAME(keys_at_most)(found->keys + BLOCK * i, (int)found->key);
         found->blocks[kept] = found->blocks[i];
-        kept += any;
+        kept += (here & 0xFFFF) != 0;
     }
     found->n_blocks = kept;
 }

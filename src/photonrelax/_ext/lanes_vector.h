@@ -122,6 +122,11 @@ static INLINE F16 NAME(f_load)(const float *x)
     return out;
 }
 
+static INLINE void NAME(f_store)(float *x, F16 a)
+{
+    for (int i = 0; i < F_PARTS; ++i) F_STORE(x + F_WIDTH * i, a.part[i]);
+}
+
 #define EACH(name, operation, type)                                                      \
     static INLINE type NAME(name)(F16 a, F16 b)                                          \
     {                                                                                    \

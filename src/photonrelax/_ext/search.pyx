@@ -7,7 +7,7 @@ from libc.string cimport memcpy
 from .batch cimport LISTED, Query, candidates_before_drop
 from .kdtree cimport fan_out, first_block, last_kept
 from .lanes cimport (
-    BLOCK, KEYS, MOST_COPIED_AXES, OUTSIDE, TOGETHER, Found, Local, Reach, highest_bit, last_found,
+    BLOCK, FARTHEST, KEYS, MOST_COPIED_AXES, OUTSIDE, TOGETHER, Found, Local, Reach, highest_bit, last_found,
     lowest_bit,
 )
 
@@ -153,6 +153,7 @@ cdef inline void set_local(Tree tree, Batch* batch, Query* query) noexcept nogil
         at[axis] = <float> (batch.scale * (query.reach.low[axis] - batch.origin[axis]))
     local.squared_limit = <float> (limit * limit)
     local.limit_slack = <float> (ROUNDING * limit * (1.0 + limit))
+    local.doubt = <float> (FARTHEST * ROUNDING * (1.0 + 1.0 / limit)) if limit > 0.0 else 0.25
     local.squared_range = -1.0
     if query.reach.squared_range < 0.0:
         return
@@ -386,22 +387,24 @@ cdef void drop_farthest(Tree tree, Batch* batch, Query* query) noexcept nogil:
         query.highest_id = tree.ids[BLOCK * found.blocks[last // BLOCK] + last % BLOCK]
         query.squared_wanted = query.reach.squared_limit = found.squared_radius
     tree.lanes.compact(found)
-    if found.count == batch.k:
-        tree.lanes.rescan(&tree.coords[0, 0, 0], &query.reach, found)
-        exclude(query)
-        set_local(tree, batch, query)
+    tree.lanes.rescan(&tree.coords[0, 0, 0], &query.reach, found)
+    exclude(query)
+    set_local(tree, batch, query)
 
 
 cdef inline void find_nearest(Tree tree, const Batch* batch, Query* query) noexcept nogil:
     cdef Found* found = &query.found
     cdef const Reach* reach = &query.reach
-    tree.lanes.nearest(&tree.coords[0, 0, 0], &reach, &found, 1, batch.k, &tree.ids[0])
+    tree.lanes.nearest(
+        &tree.coords[0, 0, 0], &reach, &query.local.doubt, &found, 1, batch.k, &tree.ids[0]
+    )
 
 
 cdef Py_ssize_t close_queries(Tree tree, Batch* batch) noexcept nogil:
     """Find the k nearest of all open queries; return how many have to look farther."""
     cdef Found* found[TOGETHER]
     cdef const Reach* reach[TOGETHER]
+    cdef float[TOGETHER] doubt
     cdef Query* query[TOGETHER]
     cdef Py_ssize_t i, j, n = 0, n_open = 0
     for i in range(batch.n_queries):
@@ -409,10 +412,11 @@ cdef Py_ssize_t close_queries(Tree tree, Batch* batch) noexcept nogil:
             query[n] = &batch.queries[i]
             found[n] = &query[n].found
             reach[n] = &query[n].reach
+            doubt[n] = query[n].local.doubt
             n += 1
         if n == TOGETHER or (n > 0 and i == batch.n_queries - 1):
             tree.lanes.nearest(
-                &tree.coords[0, 0, 0], reach, found, <int> n, batch.k, &tree.ids[0]
+                &tree.coords[0, 0, 0], reach, doubt, found, <int> n, batch.k, &tree.ids[0]
             )
             for j in range(n):
                 n_open += not close_query(tree, batch, query[j])
