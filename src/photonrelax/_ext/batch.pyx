@@ -80,24 +80,28 @@ cdef void set_axes(Tree tree, Reach* reach, const double* low, const double* hig
 cdef void open_block(Tree tree, Batch* batch, Py_ssize_t block) noexcept nogil:
     """Start a batch of queries from the points of a block, without limits."""
     cdef Py_ssize_t lane, axis
-    cdef double* at
+    cdef Py_ssize_t n_queries = min(tree.n_points - BLOCK * block, <Py_ssize_t> BLOCK)
+    for axis in range(tree.n_axes):
+        for lane in range(n_queries):
+            batch.at[lane * tree.n_axes + axis] = tree.coords[block, axis, lane]
     batch.n_queries = 0
-    for lane in range(min(tree.n_points - BLOCK * block, <Py_ssize_t> BLOCK)):
-        at = batch.at + lane * tree.n_axes
-        for axis in range(tree.n_axes):
-            at[axis] = tree.coords[block, axis, lane]
-        open_query(tree, batch, at)
+    for lane in range(n_queries):
+        add_query(batch, batch.at + lane * tree.n_axes, tree.squared_diagonal)
 
 
 cdef void open_query(Tree tree, Batch* batch, const double* at) noexcept nogil:
     """Add a query, without limits, to the batch; the caller keeps its coordinates."""
+    add_query(batch, at, squared_farthest(tree, at))
+
+
+cdef inline void add_query(Batch* batch, const double* at, double squared_most) noexcept nogil:
     cdef Query* query = &batch.queries[batch.n_queries]
     query.reach.low = query.reach.high = at
     query.reach.squared_range = -1.0
     query.reach.half_range = NULL
     query.squared_guess = -1.0
     query.excluded = -1
-    query.squared_most = squared_farthest(tree, at)
+    query.squared_most = squared_most
     batch.n_queries += 1
 
 

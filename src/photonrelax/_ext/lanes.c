@@ -249,6 +249,13 @@ static uint64_t keys_at_most_portable(const uint8_t *keys, int most)
 }
 #endif
 
+/* Keys one less than this, this, and one more. */
+static ALWAYS_INLINE uint64_t keys_next_to_portable(const uint8_t *keys, int key)
+{
+    return keys_equal_portable(keys, key) | keys_equal_portable(keys, key + 1) |
+           (key > 0 ? keys_equal_portable(keys, key - 1) : 0);
+}
+
 #define store_keys_portable(to, v)                                   \
     do {                                                             \
         V8 key = (v);                                                \
@@ -340,6 +347,16 @@ static INLINE uint64_t keys_at_most_avx2(const uint8_t *keys, int most)
     return (uint64_t)high << 32 | low;
 }
 
+static INLINE uint64_t keys_next_to_avx2(const uint8_t *keys, int key)
+{
+    __m256i less = _mm256_set1_epi8((char)(key - 1)), two = _mm256_set1_epi8(2);
+    __m256i a = _mm256_sub_epi8(_mm256_loadu_si256((const __m256i *)keys), less);
+    __m256i b = _mm256_sub_epi8(_mm256_loadu_si256((const __m256i *)(keys + 32)), less);
+    uint32_t low = (uint32_t)_mm256_movemask_epi8(_mm256_cmpeq_epi8(_mm256_min_epu8(a, two), a));
+    uint32_t high = (uint32_t)_mm256_movemask_epi8(_mm256_cmpeq_epi8(_mm256_min_epu8(b, two), b));
+    return (uint64_t)high << 32 | low;
+}
+
 static INLINE uint64_t keys_equal_avx2(const uint8_t *keys, int key)
 {
     __m256i same = _mm256_set1_epi8((char)key);
@@ -417,6 +434,12 @@ static INLINE uint64_t keys_equal_avx2(const uint8_t *keys, int key)
 static INLINE uint64_t keys_at_most_avx512(const uint8_t *keys, int most)
 {
     return _mm512_cmple_epu8_mask(_mm512_loadu_si512(keys), _mm512_set1_epi8((char)most));
+}
+
+static INLINE uint64_t keys_next_to_avx512(const uint8_t *keys, int key)
+{
+    __m512i above = _mm512_sub_epi8(_mm512_loadu_si512(keys), _mm512_set1_epi8((char)(key - 1)));
+    return _mm512_cmple_epu8_mask(above, _mm512_set1_epi8(2));
 }
 
 static INLINE uint64_t keys_equal_avx512(const uint8_t *keys, int key)

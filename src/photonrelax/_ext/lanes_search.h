@@ -230,28 +230,36 @@ static INLINE Ranked NAME(rank)(Found *found, int64_t k)
     return ranked;
 }
 
-/* Note the candidates of heights from `low` to `high`, less than two keys apart, that are within the
- * limit, and their exact distances; return how many are lower. */
-static INLINE int64_t NAME(note_few)(const double *coords, const Reach *reach, Found *found,
-                                     float low, float high)
+/* Note the candidates next to a key, from `doubt` below to `doubt` above it, that are within the
+ * limit, and their exact distances; return how many are lower, of whom `fewer` have lesser keys. */
+static INLINE int64_t NAME(note_few)(const double *coords, const Reach *reach, Found *found, int key,
+                                     int64_t fewer, float doubt)
 {
-    const int first = low < 1.0f ? 0 : (int)low, last = (int)high;
-    int64_t n = 0, fewer = 0;
-    for (int64_t j = 0; j < BLOCK * found->n_blocks; j += KEYS) {
-        uint64_t below = first > 0 ? NAME(keys_at_most)(found->keys + j, first - 1) : 0;
-        uint64_t here = NAME(keys_at_most)(found->keys + j, last) & ~below;
-        fewer += COUNT_LONG(below);
-        for (; here; here &= here - 1) {
+    const float low = (float)key - doubt, high = (float)(key + 1) + doubt;
+    int64_t n = 0;
+    for (int64_t j = 0; j < BLOCK * found->n_blocks; j += KEYS)
+        for (uint64_t here = NAME(keys_next_to)(found->keys + j, key); here; here &= here - 1) {
             int64_t candidate = j + LOWEST_BIT(here);
             float height = found->heights[candidate];
+            int own = found->keys[candidate];
+            /* Keys next to this are found modulo 256. */
+            int noted = (height >= low) & (height <= high) & (own <= key + 1);
             found->few[n] = (int32_t)candidate;
-            n += height >= low && height <= high;
-            fewer += height < low;
+            n += noted;
+            fewer -= noted & (own < key);
         }
-    }
     found->n_few = n;
     look_at_few(coords, reach, found);
     return fewer;
+}
+
+/* The search for the k-th nearest, as far as it goes if fewer than k are in reach. */
+static INLINE Ranked NAME(up_to_limit)(const Found *found)
+{
+    Ranked out = {found->keys, 0, 0, FARTHEST};
+    for (int64_t j = 0; j < n_chunks(found); ++j)
+        out.fewer += COUNT_LONG(NAME(keys_at_most)(found->keys + KEYS * j, FARTHEST - 1));
+    return out;
 }
 
 /* As heights are a little off, those next to the key of the k-th are looked at exactly. */
@@ -260,8 +268,9 @@ static INLINE void NAME(settle)(const double *coords, const Reach *reach, float 
 {
     for (;;) {
         int within = ranked.key <= FARTHEST;
-        float low = (float)(within ? ranked.key : FARTHEST) - doubt;
-        int64_t fewer = NAME(note_few)(coords, reach, found, low, low + 1.0f + 2.0f * doubt);
+        int64_t fewer;
+        if (!within) ranked = NAME(up_to_limit)(found);
+        fewer = NAME(note_few)(coords, reach, found, ranked.key, ranked.fewer, doubt);
         found->count = ranked.k;
         found->key = ranked.key;
         if (within && fewer + found->n_few >= ranked.k) {
@@ -281,6 +290,10 @@ static TARGET void NAME(nearest)(const double *coords, const Reach *const *reach
 {
     Ranked ranked[TOGETHER];
     int64_t most_chunks = 0;
+    if (n == 1) {
+        NAME(settle)(coords, reach[0], doubt[0], found[0], NAME(rank)(found[0], k), ids);
+        return;
+    }
     for (int i = 0; i < TOGETHER; ++i) {
         ranked[i] = NAME(ranked)(found[i < n ? i : 0], k);
         if (i < n && n_chunks(found[i]) > most_chunks) most_chunks = n_chunks(found[i]);
