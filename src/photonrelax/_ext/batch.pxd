@@ -11,8 +11,10 @@ from .lanes cimport BLOCK, Found, Local, Reach
 
 
 cdef enum:
-    # Blocks are listed up to so many before queries take their candidates.
+    # Blocks are listed up to so many before queries take their candidates. Rows of what is listed of
+    # them are so far apart, as more is written behind them.
     LISTED = 64
+    LISTED_STRIDE = 80
 
 
 cdef struct Query:
@@ -56,9 +58,9 @@ cdef struct Batch:
     double* origin
     double scale
     double range_scale
-    # Blocks in reach, their lowest ids, and their boxes in groups of 16; whether that is all.
+    # Blocks in reach, what number they have among all boxes, and these; whether that is all.
     int32_t[LISTED] listed
-    int64_t[LISTED] lowest_id
+    int32_t[LISTED] box_number
     double* boxes
     # Copies of blocks and boxes.
     float* copied_blocks

@@ -74,13 +74,17 @@ enum { CONSTANT_WEIGHTS = 0, CONE_WEIGHTS = 1, EPANECHNIKOV_WEIGHTS = 2 };
 /* Blocks given with bits are those of the 16 that start there. */
 typedef struct {
     const char *name;
-    /* Which of 16 boxes reach into the reach, as bits. */
-    unsigned (*boxes_near)(const double *boxes, const Reach *reach);
-    /* Copy 16 lanes of n axes from `first` on. */
-    void (*copy)(const double *rows, int64_t first, int64_t n, const double *origin, double scale,
-                 float *to);
-    /* The same as boxes_near, but some boxes just out of reach may be among them. */
-    unsigned (*copies_near)(const float *boxes, const Reach *reach, const Local *local);
+    /* Which of 16 boxes, whose rows are `stride` apart, reach into the reach, as bits. */
+    unsigned (*boxes_near)(const double *boxes, int64_t stride, const Reach *reach);
+    /* The same, but some boxes just out of reach may be among them. */
+    unsigned (*copies_near)(const float *boxes, int64_t stride, const Reach *reach,
+                            const Local *local);
+    /* Write these of 16 boxes one behind the other, and more behind them, into rows of that stride. */
+    void (*list_boxes)(const double *boxes, int64_t n_axes, unsigned bits, double *to,
+                       int64_t stride);
+    /* Copy eights of lanes of n rows, one an axis. */
+    void (*copy)(const double *rows, int64_t stride, int64_t n, int64_t n_eights, const double *origin,
+                 double scale, float *to);
     /* Make the points of more blocks candidates; reach is from a point. */
     void (*scan)(const double *coords, const int32_t *blocks, unsigned bits, const Reach *reach,
                  Found *found);
@@ -119,6 +123,7 @@ typedef struct {
 } Lanes;
 
 static inline int lowest_bit(unsigned bits) { return __builtin_ctz(bits); }
+static inline int count_bits(unsigned bits) { return __builtin_popcount(bits); }
 static inline int highest_bit(unsigned bits) { return 31 - __builtin_clz(bits); }
 
 static inline int64_t place_of(const Found *found, int64_t candidate)

@@ -52,11 +52,16 @@ cdef extern from "lanes.h" nogil:
 
     ctypedef struct Lanes:
         const char* name
-        unsigned int (*boxes_near)(const double*, const Reach*) noexcept nogil
-        void (*copy)(
-            const double*, int64_t, int64_t, const double*, double, float*
+        unsigned int (*boxes_near)(const double*, int64_t, const Reach*) noexcept nogil
+        unsigned int (*copies_near)(
+            const float*, int64_t, const Reach*, const Local*
         ) noexcept nogil
-        unsigned int (*copies_near)(const float*, const Reach*, const Local*) noexcept nogil
+        void (*list_boxes)(
+            const double*, int64_t, unsigned int, double*, int64_t
+        ) noexcept nogil
+        void (*copy)(
+            const double*, int64_t, int64_t, int64_t, const double*, double, float*
+        ) noexcept nogil
         void (*scan)(
             const double*, const int32_t*, unsigned int, const Reach*, Found*
         ) noexcept nogil
@@ -87,6 +92,7 @@ cdef extern from "lanes.h" nogil:
 
     int64_t last_found(const Found* found, const int64_t* ids)
     int lowest_bit(unsigned int bits)
+    int count_bits(unsigned int bits)
     int highest_bit(unsigned int bits)
     void prefetch_row(const void* row, int64_t n_bytes)
     const Lanes* lanes_named(const char* name)

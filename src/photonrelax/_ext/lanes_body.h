@@ -11,7 +11,7 @@
 #include "lanes_found.h"
 
 static const Lanes NAME(lanes) = {
-    SET_NAME, NAME(boxes_near), NAME(copy), NAME(copies_near), NAME(scan), NAME(scan_copies),
+    SET_NAME, NAME(boxes_near), NAME(copies_near), NAME(list_boxes), NAME(copy), NAME(scan), NAME(scan_copies),
     NAME(rescan), NAME(nearest), NAME(compact), NAME(list), NAME(list_points), NAME(sorted),
     NAME(moments), NAME(repulsion), NAME(weigh),
 };

@@ -40,17 +40,6 @@ static INLINE const double *NAME(lanes_at)(const double *coords, int64_t n_axes,
     return coords + n_axes * (place - place % BLOCK) + place % BLOCK;
 }
 
-/* Write the lanes chosen one behind the other, and more behind them. */
-static INLINE void NAME(pack)(void *to, unsigned bits, V8 a)
-{
-    int count = 0;
-    for (int i = 0; i < PARTS; ++i) {
-        unsigned part = bits >> (WIDTH * i) & ((1u << WIDTH) - 1);
-        PACK((char *)to + sizeof(double) * count, part, a.part[i]);
-        count += COUNT_BITS(part);
-    }
-}
-
 /* Eight places that follow each other, as the bits of doubles. */
 static INLINE V8 NAME(places)(int64_t first)
 {

@@ -1,43 +1,45 @@
 /* Candidates and the nearest of them, for one instruction set; see lanes_body.h. */
 
-static INLINE V8 NAME(gap)(const double *boxes, int64_t axis, const Reach *reach)
+static INLINE V8 NAME(gap)(const double *boxes, int64_t stride, int64_t axis, const Reach *reach)
 {
-    const double *low = boxes + BLOCK * axis, *high = low + BLOCK * reach->n_axes;
+    const double *low = boxes + stride * axis, *high = low + stride * reach->n_axes;
     V8 below = NAME(sub)(NAME(load)(low), NAME(all)(reach->high[axis]));
     V8 above = NAME(sub)(NAME(all)(reach->low[axis]), NAME(load)(high));
     return NAME(greater)(NAME(greater)(below, above), NAME(all)(0.0));
 }
 
-static INLINE V8 NAME(squared_box_gap)(const double *boxes, int64_t first, int64_t end,
-                                       const Reach *reach)
+static INLINE V8 NAME(squared_box_gap)(const double *boxes, int64_t stride, int64_t first,
+                                       int64_t end, const Reach *reach)
 {
-    V8 gap = NAME(gap)(boxes, first, reach);
+    V8 gap = NAME(gap)(boxes, stride, first, reach);
     V8 squared = NAME(mul)(gap, gap);
     for (int64_t axis = first + 1; axis < end; ++axis) {
-        gap = NAME(gap)(boxes, axis, reach);
+        gap = NAME(gap)(boxes, stride, axis, reach);
         squared = NAME(add)(squared, NAME(mul)(gap, gap));
     }
     return squared;
 }
 
-static INLINE unsigned NAME(eight_near)(const double *boxes, const Reach *reach)
+static INLINE unsigned NAME(eight_near)(const double *boxes, int64_t stride, const Reach *reach)
 {
-    M8 near = NAME(at_most)(NAME(squared_box_gap)(boxes, 0, reach->n_metric, reach),
+    const int64_t n_metric = reach->n_metric, n_axes = reach->n_axes;
+    M8 near = NAME(at_most)(NAME(squared_box_gap)(boxes, stride, 0, n_metric, reach),
                             NAME(all)(reach->squared_limit));
     if (reach->squared_range >= 0.0)
-        near = NAME(both)(near, NAME(at_most)(NAME(squared_box_gap)(boxes, reach->n_metric,
-                                                                    reach->n_axes, reach),
+        near = NAME(both)(near, NAME(at_most)(NAME(squared_box_gap)(boxes, stride, n_metric, n_axes,
+                                                                    reach),
                                               NAME(all)(reach->squared_range)));
     if (reach->half_range)
-        for (int64_t axis = reach->n_metric; axis < reach->n_axes; ++axis)
-            near = NAME(both)(near, NAME(at_most)(NAME(gap)(boxes, axis, reach),
-                                                  NAME(all)(reach->half_range[axis - reach->n_metric])));
+        for (int64_t axis = n_metric; axis < n_axes; ++axis)
+            near = NAME(both)(near, NAME(at_most)(NAME(gap)(boxes, stride, axis, reach),
+                                                  NAME(all)(reach->half_range[axis - n_metric])));
     return NAME(bits)(near);
 }
 
-static TARGET unsigned NAME(boxes_near)(const double *boxes, const Reach *reach)
+static TARGET unsigned NAME(boxes_near)(const double *boxes, int64_t stride, const Reach *reach)
 {
-    return NAME(eight_near)(boxes, reach) | NAME(eight_near)(boxes + LANES, reach) << LANES;
+    return NAME(eight_near)(boxes, stride, reach) |
+           NAME(eight_near)(boxes + LANES, stride, reach) << LANES;
 }
 
 static INLINE V8 NAME(squared_gap)(const double *points, int64_t first, int64_t end, const double *at)
@@ -100,22 +102,45 @@ static TARGET void NAME(scan)(const double *coords, const int32_t *blocks, unsig
     }
 }
 
-static TARGET void NAME(copy)(const double *rows, int64_t first, int64_t n, const double *origin,
-                              double scale, float *to)
+/* Write the lanes chosen one behind the other, and more behind them. */
+static INLINE void NAME(pack)(void *to, unsigned bits, V8 a)
 {
-    for (int64_t row = first; row < first + n; ++row)
-        for (int half = 0; half < BLOCK; half += LANES) {
-            V8 x = NAME(sub)(NAME(load)(rows + BLOCK * row + half), NAME(all)(origin[row]));
-            NAME(store_rounded)(to + BLOCK * row + half, NAME(mul)(x, NAME(all)(scale)));
-        }
+    int count = 0;
+    for (int i = 0; i < PARTS; ++i) {
+        unsigned part = bits >> (WIDTH * i) & ((1u << WIDTH) - 1);
+        PACK((char *)to + sizeof(double) * count, part, a.part[i]);
+        count += COUNT_BITS(part);
+    }
 }
 
-static INLINE F16 NAME(copied_box_gap)(const float *boxes, int64_t first, int64_t end,
-                                       int64_t n_axes, const float *at)
+static TARGET void NAME(list_boxes)(const double *boxes, int64_t n_axes, unsigned bits, double *to,
+                                    int64_t stride)
+{
+    const int n_first = COUNT_BITS(bits & 0xFF);
+    for (int64_t row = 0; row < 2 * n_axes; ++row) {
+        const double *from = boxes + BLOCK * row;
+        NAME(pack)(to + stride * row, bits & 0xFF, NAME(load)(from));
+        NAME(pack)(to + stride * row + n_first, bits >> LANES, NAME(load)(from + LANES));
+    }
+}
+
+static TARGET void NAME(copy)(const double *rows, int64_t stride, int64_t n, int64_t n_eights,
+                              const double *origin, double scale, float *to)
+{
+    const V8 factor = NAME(all)(scale);
+    for (int64_t row = 0; row < n; ++row) {
+        const V8 from = NAME(all)(origin[row]);
+        for (int64_t i = stride * row; i < stride * row + LANES * n_eights; i += LANES)
+            NAME(store_rounded)(to + i, NAME(mul)(NAME(sub)(NAME(load)(rows + i), from), factor));
+    }
+}
+
+static INLINE F16 NAME(copied_box_gap)(const float *boxes, int64_t stride, int64_t first,
+                                      int64_t end, int64_t n_axes, const float *at)
 {
     F16 squared = NAME(f_all)(0.0f);
     for (int64_t axis = first; axis < end; ++axis) {
-        const float *low = boxes + BLOCK * axis, *high = low + BLOCK * n_axes;
+        const float *low = boxes + stride * axis, *high = low + stride * n_axes;
         F16 here = NAME(f_all)(at[axis]);
         F16 below = NAME(f_sub)(NAME(f_load)(low), here);
         F16 above = NAME(f_sub)(here, NAME(f_load)(high));
@@ -125,13 +150,14 @@ static INLINE F16 NAME(copied_box_gap)(const float *boxes, int64_t first, int64_
     return squared;
 }
 
-static TARGET unsigned NAME(copies_near)(const float *boxes, const Reach *reach, const Local *local)
+static TARGET unsigned NAME(copies_near)(const float *boxes, int64_t stride, const Reach *reach,
+                                         const Local *local)
 {
-    FM16 near = NAME(f_at_most)(NAME(copied_box_gap)(boxes, 0, reach->n_metric, reach->n_axes,
+    FM16 near = NAME(f_at_most)(NAME(copied_box_gap)(boxes, stride, 0, reach->n_metric, reach->n_axes,
                                                      local->at),
                                 NAME(f_all)(local->squared_limit + local->limit_slack));
     if (local->squared_range >= 0.0f)
-        near = NAME(f_both)(near, NAME(f_at_most)(NAME(copied_box_gap)(boxes, reach->n_metric,
+        near = NAME(f_both)(near, NAME(f_at_most)(NAME(copied_box_gap)(boxes, stride, reach->n_metric,
                                                                        reach->n_axes, reach->n_axes,
                                                                        local->at),
                                                   NAME(f_all)(local->squared_range +

@@ -4,11 +4,11 @@ from libc.math cimport INFINITY, sqrt
 from libc.stdint cimport int32_t, int64_t
 from libc.string cimport memcpy
 
-from .batch cimport LISTED, Query, candidates_before_drop
+from .batch cimport LISTED, LISTED_STRIDE, Query, candidates_before_drop
 from .kdtree cimport fan_out, first_block, last_kept
 from .lanes cimport (
-    BLOCK, FARTHEST, KEYS, MOST_COPIED_AXES, OUTSIDE, TOGETHER, Found, Local, Reach, highest_bit, last_found,
-    lowest_bit,
+    BLOCK, FARTHEST, KEYS, LANES, MOST_COPIED_AXES, OUTSIDE, TOGETHER, Found, Local, Reach, count_bits,
+    highest_bit, last_found, lowest_bit,
 )
 
 cdef enum:
@@ -216,28 +216,30 @@ cdef void traverse(Tree tree, Batch* batch) noexcept nogil:
 
 cdef inline unsigned int near_children(Tree tree, Batch* batch, Py_ssize_t group) noexcept nogil:
     """Return which nodes of a group are in reach of the batch, as bits."""
-    cdef unsigned int near = tree.lanes.boxes_near(&tree.boxes[group, 0, 0, 0], &batch.reach)
+    cdef unsigned int near = tree.lanes.boxes_near(
+        &tree.boxes[group, 0, 0, 0], BLOCK, &batch.reach
+    )
     cdef unsigned int child
     if batch.highest_id >= 0:
         for child in range(BLOCK):
             if near >> child & 1 and hopeless(
-                tree, &tree.boxes[group, 0, 0, child], tree.lowest_id[group, child], &batch.reach,
-                batch.highest_id
+                tree, <Py_ssize_t> (BLOCK * group + child), &batch.reach, batch.highest_id
             ):
                 near ^= 1u << child
     return near
 
 
 cdef inline bint hopeless(
-    Tree tree, const double* box, int64_t lowest_id, const Reach* reach, int64_t highest_id
+    Tree tree, Py_ssize_t number, const Reach* reach, int64_t highest_id
 ) noexcept nogil:
     """Tell whether points in a box are too far away or lose, by their ids, to those found.
 
     Without this test many coincident points would all be visited by each of their queries.
     """
+    cdef const double* box = &tree.boxes[number // BLOCK, 0, 0, number % BLOCK]
     cdef double squared = 0.0, gap
     cdef Py_ssize_t axis
-    if highest_id < 0 or lowest_id <= highest_id:
+    if tree.lowest_id[number // BLOCK, number % BLOCK] <= highest_id:
         return False
     for axis in range(tree.n_metric):
         gap = max(
@@ -253,31 +255,21 @@ cdef void list_blocks(Tree tree, Batch* batch, Py_ssize_t g, unsigned int near) 
     """List the blocks of some children of a group of the last kept level."""
     cdef Py_ssize_t last = last_kept(tree)
     cdef Py_ssize_t node = g * fan_out(tree, last)
+    cdef Py_ssize_t group = tree.first_group[last] + g
     cdef unsigned int child
+    if batch.n_listed + count_bits(near) > LISTED:
+        serve(tree, batch)
+        batch.n_listed = 0
+        batch.listed_all = False
+    tree.lanes.list_boxes(
+        &tree.boxes[group, 0, 0, 0], tree.n_axes, near, batch.boxes + batch.n_listed, LISTED_STRIDE
+    )
     while near:
         child = lowest_bit(near)
         near &= near - 1
-        if batch.n_listed == LISTED:
-            serve(tree, batch)
-            batch.n_listed = 0
-            batch.listed_all = False
-        list_block(
-            tree, batch, tree.first_group[last] + g, child, first_block(tree, node + child)
-        )
-
-
-cdef void list_block(
-    Tree tree, Batch* batch, Py_ssize_t group, Py_ssize_t child, Py_ssize_t block
-) noexcept nogil:
-    """Note a block in reach, its lowest id and its box."""
-    cdef Py_ssize_t row, n = batch.n_listed
-    cdef double* to = batch.boxes + 2 * tree.n_axes * (n - n % BLOCK) + n % BLOCK
-    cdef const double* box = &tree.boxes[group, 0, 0, child]
-    for row in range(2 * tree.n_axes):
-        to[BLOCK * row] = box[BLOCK * row]
-    batch.listed[n] = <int32_t> block
-    batch.lowest_id[n] = tree.lowest_id[group, child]
-    batch.n_listed = n + 1
+        batch.listed[batch.n_listed] = <int32_t> first_block(tree, node + child)
+        batch.box_number[batch.n_listed] = <int32_t> (BLOCK * group + child)
+        batch.n_listed += 1
 
 
 cdef void serve(Tree tree, Batch* batch) noexcept nogil:
@@ -302,24 +294,31 @@ cdef void serve(Tree tree, Batch* batch) noexcept nogil:
 cdef void copy_listed(Tree tree, Batch* batch) noexcept nogil:
     """Copy the listed blocks and their boxes."""
     cdef Py_ssize_t i, n_axes = tree.n_axes
+    cdef Py_ssize_t n_eights = (batch.n_listed + LANES - 1) // LANES
     for i in range(batch.n_listed):
         copy_rows(
-            tree, batch, &tree.coords[batch.listed[i], 0, 0],
+            tree, batch, &tree.coords[batch.listed[i], 0, 0], BLOCK, BLOCK // LANES,
             batch.copied_blocks + BLOCK * n_axes * i
         )
-    for i in range((batch.n_listed + BLOCK - 1) // BLOCK * 2):
+    for i in range(2):
         copy_rows(
-            tree, batch, batch.boxes + BLOCK * n_axes * i, batch.copied_boxes + BLOCK * n_axes * i
+            tree, batch, batch.boxes + LISTED_STRIDE * n_axes * i, LISTED_STRIDE, n_eights,
+            batch.copied_boxes + LISTED_STRIDE * n_axes * i
         )
 
 
 cdef inline void copy_rows(
-    Tree tree, const Batch* batch, const double* rows, float* to
+    Tree tree, const Batch* batch, const double* rows, Py_ssize_t stride, Py_ssize_t n_eights,
+    float* to
 ) noexcept nogil:
+    """Copy a row an axis."""
     cdef Py_ssize_t n = tree.n_metric
-    tree.lanes.copy(rows, 0, n, batch.origin, batch.scale, to)
+    tree.lanes.copy(rows, stride, n, n_eights, batch.origin, batch.scale, to)
     if n < tree.n_axes:
-        tree.lanes.copy(rows, n, tree.n_axes - n, batch.origin, batch.range_scale, to)
+        tree.lanes.copy(
+            rows + stride * n, stride, tree.n_axes - n, n_eights, batch.origin + n,
+            batch.range_scale, to + stride * n
+        )
 
 
 cdef void take_candidates(Tree tree, Batch* batch, Query* query) noexcept nogil:
@@ -348,21 +347,20 @@ cdef inline unsigned int listed_near(
     Tree tree, const Batch* batch, const Query* query, Py_ssize_t first
 ) noexcept nogil:
     """Return which of 16 listed blocks may hold neighbours of a query, as bits."""
-    cdef const double* boxes = batch.boxes + 2 * tree.n_axes * first
-    cdef const float* copies = batch.copied_boxes + 2 * tree.n_axes * first
-    cdef unsigned int near, listed
+    cdef unsigned int near, i
     if query.exact:
-        near = tree.lanes.boxes_near(boxes, &query.reach)
+        near = tree.lanes.boxes_near(batch.boxes + first, LISTED_STRIDE, &query.reach)
     else:
-        near = tree.lanes.copies_near(copies, &query.reach, &query.local)
+        near = tree.lanes.copies_near(
+            batch.copied_boxes + first, LISTED_STRIDE, &query.reach, &query.local
+        )
     near &= (1u << min(batch.n_listed - first, <Py_ssize_t> BLOCK)) - 1
     if query.highest_id >= 0:
-        for listed in range(BLOCK):
-            if near >> listed & 1 and hopeless(
-                tree, boxes + listed, batch.lowest_id[first + listed], &query.reach,
-                query.highest_id
+        for i in range(BLOCK):
+            if near >> i & 1 and hopeless(
+                tree, batch.box_number[first + i], &query.reach, query.highest_id
             ):
-                near ^= 1u << listed
+                near ^= 1u << i
     return near
 
 
