@@ -67,10 +67,12 @@ cdef struct Batch:
     float* copied_boxes
     Py_ssize_t n_listed
     bint listed_all
-    # Lists of neighbours, `stride` apart: squared distances, places, and coordinates of three axes.
+    # Lists of neighbours, `stride` apart: squared distances, ids, both sorted, and three coordinates.
     Py_ssize_t stride
     double* squared
-    int64_t* place
+    int64_t* id
+    double* sorted
+    int64_t* sorted_id
     double* points
 
 
@@ -80,7 +82,7 @@ cdef void open_block(Tree tree, Batch* batch, Py_ssize_t block) noexcept nogil
 cdef void open_query(Tree tree, Batch* batch, const double* at) noexcept nogil
 cdef void limit_radius(Query* query, double squared) noexcept nogil
 cdef void limit_range(Query* query, double radius) noexcept nogil
-cdef void list_places(Tree tree, Batch* batch) noexcept nogil
+cdef void list_neighbours(Tree tree, Batch* batch) noexcept nogil
 cdef void list_points(Tree tree, Batch* batch) noexcept nogil
 
 

@@ -50,7 +50,9 @@ cdef Py_ssize_t lay_out(Tree tree, unsigned char* room, Py_ssize_t k):
     batch.copied_blocks = <float*> take(&free, 4 * BLOCK * tree.n_axes * LISTED)
     batch.stride = k + LANES
     batch.squared = <double*> take(&free, 8 * BLOCK * batch.stride)
-    batch.place = <int64_t*> take(&free, 8 * BLOCK * batch.stride)
+    batch.id = <int64_t*> take(&free, 8 * BLOCK * batch.stride)
+    batch.sorted = <double*> take(&free, 8 * BLOCK * batch.stride)
+    batch.sorted_id = <int64_t*> take(&free, 8 * BLOCK * batch.stride)
     batch.points = <double*> take(&free, 24 * BLOCK * batch.stride)
     set_axes(tree, &batch.reach, batch.low, batch.high)
     for i in range(BLOCK):
@@ -131,13 +133,13 @@ cdef void limit_range(Query* query, double radius) noexcept nogil:
     query.reach.squared_range = squared if squared < INFINITY else -1.0
 
 
-cdef void list_places(Tree tree, Batch* batch) noexcept nogil:
-    """List the neighbours of all queries, by place."""
+cdef void list_neighbours(Tree tree, Batch* batch) noexcept nogil:
+    """List the neighbours of all queries."""
     cdef Py_ssize_t i
     for i in range(batch.n_queries):
         tree.lanes.list(
             &tree.coords[0, 0, 0], &batch.queries[i].reach, &batch.queries[i].found,
-            batch.squared + i * batch.stride, batch.place + i * batch.stride
+            &tree.ids[0], batch.squared + i * batch.stride, batch.id + i * batch.stride
         )
 
 

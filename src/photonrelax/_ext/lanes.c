@@ -58,6 +58,17 @@ static double of_rank(double *x, int64_t n, int64_t rank)
     return x[rank - 1];
 }
 
+/* Make keys from 1 to 2 all different: their last bits are replaced by their number. */
+static ALWAYS_INLINE void number_keys(float *keys, int64_t count)
+{
+    for (int64_t j = 0; j < count; ++j) {
+        uint32_t bits;
+        memcpy(&bits, keys + j, sizeof bits);
+        bits = (bits & ~(uint32_t)(KEYS - 1)) | (uint32_t)j;
+        memcpy(keys + j, &bits, sizeof bits);
+    }
+}
+
 /* Sort by insertion what is nearly sorted: by squared distance, then id. */
 static void sort_exactly(double *squared, int64_t *id, int64_t count)
 {
@@ -186,13 +197,13 @@ static void find_nothing(Found *found)
 #define PICK(m, a, b) ((m) ? (a) : (b))
 #define PACK(to, m, v) memcpy(to, &(v), sizeof(double))
 #define CHOOSE(bits) (bits)
-#define PLACES(first) as_double(first)
 #define F_WIDTH 1
 #define F_VECTOR float
 #define F_MASK unsigned
 #define F_SET(x) (x)
 #define F_LOAD(x) (*(x))
 #define F_STORE(x, v) (*(x) = (v))
+#define F_STORE_INTEGERS(x, v) (*(x) = (int32_t)(v))
 #define F_ADD(a, b) ((a) + (b))
 #define F_SUB(a, b) ((a) - (b))
 #define F_MUL(a, b) ((a) * (b))
@@ -202,13 +213,6 @@ static void find_nothing(Found *found)
 #define F_BOTH(a, b) ((a) & (b))
 #define F_BITS(m) (m)
 #define F_PICK(m, a, b) ((m) ? (a) : (b))
-
-static ALWAYS_INLINE double as_double(int64_t x)
-{
-    double out;
-    memcpy(&out, &x, sizeof out);
-    return out;
-}
 
 #if defined(__SSE2__)
 #include <emmintrin.h>
@@ -307,6 +311,7 @@ static ALWAYS_INLINE uint64_t keys_next_to_portable(const uint8_t *keys, int key
 #define F_SET(x) _mm256_set1_ps(x)
 #define F_LOAD(x) _mm256_loadu_ps(x)
 #define F_STORE(x, v) _mm256_storeu_ps(x, v)
+#define F_STORE_INTEGERS(x, v) _mm256_storeu_si256((__m256i *)(x), _mm256_cvttps_epi32(v))
 #define F_ADD(a, b) _mm256_add_ps(a, b)
 #define F_SUB(a, b) _mm256_sub_ps(a, b)
 #define F_MUL(a, b) _mm256_mul_ps(a, b)
@@ -317,8 +322,6 @@ static ALWAYS_INLINE uint64_t keys_next_to_portable(const uint8_t *keys, int key
 #define F_BITS(m) ((unsigned)_mm256_movemask_ps(m))
 #define F_PICK(m, a, b) _mm256_blendv_ps(b, a, m)
 #define STORE_ROUNDED(to, v) _mm_storeu_ps(to, _mm256_cvtpd_ps(v))
-#define PLACES(first) \
-    _mm256_castsi256_pd(_mm256_add_epi64(_mm256_set1_epi64x(first), _mm256_setr_epi64x(0, 1, 2, 3)))
 
 #define LANE(i) 2 * (i), 2 * (i) + 1
 #define ROW(a, b, c, d) {LANE(a), LANE(b), LANE(c), LANE(d)}
@@ -417,6 +420,7 @@ static INLINE uint64_t keys_equal_avx2(const uint8_t *keys, int key)
 #define F_SET(x) _mm512_set1_ps(x)
 #define F_LOAD(x) _mm512_loadu_ps(x)
 #define F_STORE(x, v) _mm512_storeu_ps(x, v)
+#define F_STORE_INTEGERS(x, v) _mm512_storeu_si512(x, _mm512_cvttps_epi32(v))
 #define F_ADD(a, b) _mm512_add_ps(a, b)
 #define F_SUB(a, b) _mm512_sub_ps(a, b)
 #define F_MUL(a, b) _mm512_mul_ps(a, b)
@@ -427,9 +431,6 @@ static INLINE uint64_t keys_equal_avx2(const uint8_t *keys, int key)
 #define F_BITS(m) ((unsigned)(m))
 #define F_PICK(m, a, b) _mm512_mask_blend_ps(m, b, a)
 #define STORE_ROUNDED(to, v) _mm256_storeu_ps(to, _mm512_cvtpd_ps(v))
-#define PLACES(first)                                         \
-    _mm512_castsi512_pd(_mm512_add_epi64(_mm512_set1_epi64(first), \
-                                         _mm512_setr_epi64(0, 1, 2, 3, 4, 5, 6, 7)))
 
 static INLINE uint64_t keys_at_most_avx512(const uint8_t *keys, int most)
 {

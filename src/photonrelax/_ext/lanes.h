@@ -99,15 +99,18 @@ typedef struct {
                     Found *const *found, int n, int64_t k, const int64_t *ids);
     /* Keep only the blocks of what was found, and put all else in them out of reach. */
     void (*compact)(Found *found);
-    /* Write squared distances and places of what was found, in the order of the places. Lists have
-     * room for LANES more. What is listed is best not read at once: wide loads wait for stores. */
-    void (*list)(const double *coords, const Reach *reach, const Found *found, double *squared,
-                 int64_t *place);
+    /* Write squared distances and ids of what was found. Lists have room for LANES more. What is
+     * listed, or sorted, is best not read at once: wide loads wait for stores. */
+    void (*list)(const double *coords, const Reach *reach, const Found *found, const int64_t *ids,
+                 double *squared, int64_t *id);
     /* Write three coordinates of what was found, axis by axis, count + LANES apart. */
     void (*list_points)(const double *coords, int64_t n_axes, const Found *found, double *points);
-    /* Write distances and ids of what was listed, at most KEYS, nearest first, ties by id. */
-    void (*sorted)(double *squared, const int64_t *place, int64_t count, double squared_radius,
-                   const int64_t *ids, double *distance, int64_t *id);
+    /* Sort what was listed, at most KEYS, nearest first, but for those whose squared distances
+     * differ by less than a 50,000-th of the greatest. */
+    void (*sort)(const double *squared, const int64_t *id, int64_t count, double squared_radius,
+                 double *to, int64_t *to_id);
+    /* Write distances and ids of what was sorted so, nearest first, ties by id. */
+    void (*write)(double *squared, int64_t *id, int64_t count, double *distance, int64_t *to_id);
     /* Second moments uu, uv, vv about the mean, divided by their number, of the offsets of what was
      * found from a point, along the two directions of `frame`, multiplied by `scale` first. */
     void (*moments)(const double *coords, int64_t n_axes, const Found *found, const double *at,

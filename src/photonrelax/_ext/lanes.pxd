@@ -75,12 +75,13 @@ cdef extern from "lanes.h" nogil:
         ) noexcept nogil
         void (*compact)(Found*) noexcept nogil
         void (*list)(
-            const double*, const Reach*, const Found*, double*, int64_t*
+            const double*, const Reach*, const Found*, const int64_t*, double*, int64_t*
         ) noexcept nogil
         void (*list_points)(const double*, int64_t, const Found*, double*) noexcept nogil
-        void (*sorted)(
-            double*, const int64_t*, int64_t, double, const int64_t*, double*, int64_t*
+        void (*sort)(
+            const double*, const int64_t*, int64_t, double, double*, int64_t*
         ) noexcept nogil
+        void (*write)(double*, int64_t*, int64_t, double*, int64_t*) noexcept nogil
         void (*moments)(
             const double*, int64_t, const Found*, const double*, const double*, double, double*
         ) noexcept nogil

@@ -12,7 +12,7 @@
 
 static const Lanes NAME(lanes) = {
     SET_NAME, NAME(boxes_near), NAME(copies_near), NAME(list_boxes), NAME(copy), NAME(scan), NAME(scan_copies),
-    NAME(rescan), NAME(nearest), NAME(compact), NAME(list), NAME(list_points), NAME(sorted),
+    NAME(rescan), NAME(nearest), NAME(compact), NAME(list), NAME(list_points), NAME(sort), NAME(write),
     NAME(moments), NAME(repulsion), NAME(weigh),
 };
 
@@ -41,7 +41,6 @@ static const Lanes NAME(lanes) = {
 #undef PICK
 #undef CHOOSE
 #undef PACK
-#undef PLACES
 #undef F16
 #undef FM16
 #undef F_PARTS
@@ -51,6 +50,7 @@ static const Lanes NAME(lanes) = {
 #undef F_SET
 #undef F_LOAD
 #undef F_STORE
+#undef F_STORE_INTEGERS
 #undef F_ADD
 #undef F_SUB
 #undef F_MUL

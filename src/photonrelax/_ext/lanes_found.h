@@ -40,23 +40,15 @@ static INLINE const double *NAME(lanes_at)(const double *coords, int64_t n_axes,
     return coords + n_axes * (place - place % BLOCK) + place % BLOCK;
 }
 
-/* Eight places that follow each other, as the bits of doubles. */
-static INLINE V8 NAME(places)(int64_t first)
-{
-    V8 out;
-    for (int i = 0; i < PARTS; ++i) out.part[i] = PLACES(first + WIDTH * i);
-    return out;
-}
-
 static TARGET void NAME(list)(const double *coords, const Reach *reach, const Found *found,
-                              double *squared, int64_t *place)
+                              const int64_t *ids, double *squared, int64_t *id)
 {
     for (Eights at = NAME(eights)(found); NAME(next)(&at);) {
         const double *points = NAME(lanes_at)(coords, reach->n_axes, at.place);
         NAME(pack)(squared, at.bits, NAME(squared_gap)(points, 0, reach->n_metric, reach->low));
-        NAME(pack)(place, at.bits, NAME(places)(at.place));
+        NAME(pack)(id, at.bits, NAME(load_ids)(ids + at.place));
         squared += COUNT_BITS(at.bits);
-        place += COUNT_BITS(at.bits);
+        id += COUNT_BITS(at.bits);
     }
 }
 
@@ -72,39 +64,75 @@ static TARGET void NAME(list_points)(const double *coords, int64_t n_axes, const
     }
 }
 
-/* Write up to KEYS neighbours to their rough rank, that of their key and then of their place. */
-static INLINE void NAME(sort_roughly)(const double *restrict squared, const int64_t *restrict place,
-                                      int64_t count, double squared_radius,
-                                      const int64_t *restrict ids, double *restrict to,
-                                      int64_t *restrict id)
+/* Count for each of n vectors of keys those that are no greater. With a constant number of vectors
+ * counts stay in registers. */
+static INLINE void NAME(count_lesser)(const float *keys, int64_t count, int n, int32_t *lesser)
 {
-    const V8 scale = NAME(all)(key_scale(squared_radius));
-    uint8_t keys[2 * KEYS];
-    for (int64_t j = 0; j < count; j += LANES)
-        NAME(store_keys)(keys + j, NAME(mul)(NAME(load)(squared + j), scale));
-    memset(keys + count, OUTSIDE, KEYS);
+    F16 key[KEYS / BLOCK], sum[KEYS / BLOCK];
+    for (int i = 0; i < n; ++i) {
+        key[i] = NAME(f_load)(keys + BLOCK * i);
+        sum[i] = NAME(f_all)(0.0f);
+    }
     for (int64_t j = 0; j < count; ++j) {
-        uint64_t less_or_equal = NAME(keys_at_most)(keys, keys[j]);
-        uint64_t equal = NAME(keys_equal)(keys, keys[j]);
-        int rank = COUNT_LONG(less_or_equal & ~(equal & (UINT64_MAX << j)));
-        to[rank] = squared[j];
-        id[rank] = ids[place[j]];
+        const F16 own = NAME(f_all)(keys[j]);
+        for (int i = 0; i < n; ++i)
+            sum[i] = NAME(f_add)(sum[i], NAME(f_pick)(NAME(f_at_most)(own, key[i]),
+                                                      NAME(f_all)(1.0f), NAME(f_all)(0.0f)));
+    }
+    for (int i = 0; i < n; ++i) NAME(f_store_integers)(lesser + BLOCK * i, sum[i]);
+}
+
+static TARGET void NAME(sort)(const double *squared, const int64_t *id, int64_t count,
+                              double squared_radius, double *to, int64_t *to_id)
+{
+    const V8 scale = NAME(all)(squared_radius > 1e-300 ? 1.0 / squared_radius : 0.0);
+    const int n = (int)((count + BLOCK - 1) / BLOCK);
+    float keys[KEYS];
+    int32_t rank[KEYS];
+    for (int64_t j = 0; j < count; j += LANES)
+        NAME(store_rounded)(keys + j, NAME(add)(NAME(mul)(NAME(load)(squared + j), scale),
+                                                NAME(all)(1.0)));
+    number_keys(keys, count);
+    for (int64_t j = count; j < BLOCK * n; ++j) keys[j] = INFINITY;
+    if (n <= 1)
+        NAME(count_lesser)(keys, count, 1, rank);
+    else if (n == 2)
+        NAME(count_lesser)(keys, count, 2, rank);
+    else if (n == 3)
+        NAME(count_lesser)(keys, count, 3, rank);
+    else
+        NAME(count_lesser)(keys, count, KEYS / BLOCK, rank);
+    for (int64_t j = 0; j < count; ++j) {
+        to[rank[j] - 1] = squared[j];
+        to_id[rank[j] - 1] = id[j];
     }
 }
 
-static TARGET void NAME(sorted)(double *squared, const int64_t *place, int64_t count,
-                                double squared_radius, const int64_t *ids, double *distance,
-                                int64_t *id)
+/* Tell whether numbers grow from one to the next. */
+static INLINE int NAME(growing)(const double *x, int64_t count)
 {
-    double sorted[KEYS];
-    int64_t sorted_id[KEYS], j;
-    for (j = 0; j < LANES; ++j) squared[count + j] = 0.0;
-    NAME(sort_roughly)(squared, place, count, squared_radius, ids, sorted, sorted_id);
-    sort_exactly(sorted, sorted_id, count);
-    for (j = 0; j + LANES <= count; j += LANES)
-        NAME(store)(distance + j, NAME(root)(NAME(load)(sorted + j)));
-    for (; j < count; ++j) distance[j] = sqrt(sorted[j]);
-    memcpy(id, sorted_id, count * sizeof(int64_t));
+    unsigned not_growing = 0;
+    for (int64_t j = 0; j + 1 < count; j += LANES) {
+        const int64_t pairs = count - 1 - j;
+        unsigned bits = NAME(bits)(NAME(at_most)(NAME(load)(x + j + 1), NAME(load)(x + j)));
+        not_growing |= bits & ((pairs < LANES ? 1u << pairs : 1u << LANES) - 1);
+    }
+    return not_growing == 0;
+}
+
+static TARGET void NAME(write)(double *squared, int64_t *id, int64_t count, double *distance,
+                               int64_t *to_id)
+{
+    int64_t j = 0;
+    if (!NAME(growing)(squared, count)) sort_exactly(squared, id, count);
+    for (; j + LANES <= count; j += LANES) {
+        NAME(store)(distance + j, NAME(root)(NAME(load)(squared + j)));
+        NAME(store)((double *)(to_id + j), NAME(load_ids)(id + j));
+    }
+    for (; j < count; ++j) {
+        distance[j] = sqrt(squared[j]);
+        to_id[j] = id[j];
+    }
 }
 
 static TARGET void NAME(moments)(const double *coords, int64_t n_axes, const Found *found,

@@ -49,6 +49,14 @@ static INLINE void NAME(store_rounded)(float *x, V8 a)
     for (int i = 0; i < PARTS; ++i) STORE_ROUNDED(x + WIDTH * i, a.part[i]);
 }
 
+/* Eight ids, as the bits of doubles. */
+static INLINE V8 NAME(load_ids)(const int64_t *x)
+{
+    V8 out;
+    memcpy(&out, x, sizeof out);
+    return out;
+}
+
 #define EACH(name, operation, type)                                                      \
     static INLINE type NAME(name)(V8 a, V8 b)                                            \
     {                                                                                    \
@@ -161,4 +169,9 @@ static INLINE unsigned NAME(f_bits)(FM16 a)
     unsigned out = 0;
     for (int i = 0; i < F_PARTS; ++i) out |= F_BITS(a.part[i]) << (F_WIDTH * i);
     return out;
+}
+
+static INLINE void NAME(f_store_integers)(int32_t *x, F16 a)
+{
+    for (int i = 0; i < F_PARTS; ++i) F_STORE_INTEGERS(x + F_WIDTH * i, a.part[i]);
 }

@@ -7,7 +7,7 @@ from libc.stdint cimport int64_t
 
 import numpy as np
 
-from .batch cimport Batch, Query, limit_range, list_places, open_block, open_query, scratch
+from .batch cimport Batch, Query, limit_range, list_neighbours, open_block, open_query, scratch
 from .kdtree cimport Tree
 from .lanes cimport BLOCK, KEYS, Found, prefetch_row
 from .search cimport find
@@ -82,14 +82,17 @@ cdef void write_rows(
     cdef Py_ssize_t i, j, count, k = table.id_rows.shape[1]
     for i in range(min(AHEAD, batch.n_queries)):
         prefetch_rows(table, rows[i])
-    list_places(tree, batch)
+    list_neighbours(tree, batch)
+    # One after the other for all queries: what is sorted is best not read at once.
+    for i in range(batch.n_queries):
+        sort_list(tree, batch, i, <Neighbour*> &table.room[thread, 0])
     for i in range(batch.n_queries):
         if i + AHEAD < batch.n_queries:
             prefetch_rows(table, rows[i + AHEAD])
         count = batch.queries[i].found.count
-        write_row(
-            tree, batch, i, &table.distance_rows[rows[i], 0], &table.id_rows[rows[i], 0],
-            <Neighbour*> &table.room[thread, 0]
+        tree.lanes.write(
+            batch.sorted + i * batch.stride, batch.sorted_id + i * batch.stride, count,
+            &table.distance_rows[rows[i], 0], &table.id_rows[rows[i], 0]
         )
         for j in range(count, k):
             table.id_rows[rows[i], j] = tree.n_points
@@ -101,26 +104,24 @@ cdef inline void prefetch_rows(Table table, Py_ssize_t row) noexcept nogil:
     prefetch_row(&table.distance_rows[row, 0], 8 * table.id_rows.shape[1])
 
 
-cdef void write_row(
-    Tree tree, Batch* batch, Py_ssize_t i, double* distance, int64_t* ids, Neighbour* room
-) noexcept nogil:
-    """Write what one query found, nearest first."""
+cdef void sort_list(Tree tree, Batch* batch, Py_ssize_t i, Neighbour* room) noexcept nogil:
+    """Sort what one query found, nearest first."""
     cdef const Found* found = &batch.queries[i].found
-    cdef double* squared = batch.squared + i * batch.stride
-    cdef const int64_t* place = batch.place + i * batch.stride
+    cdef const double* squared = batch.squared + i * batch.stride
+    cdef const int64_t* ids = batch.id + i * batch.stride
+    cdef double* to = batch.sorted + i * batch.stride
+    cdef int64_t* to_id = batch.sorted_id + i * batch.stride
     cdef Py_ssize_t j
     if found.count <= KEYS:
-        tree.lanes.sorted(
-            squared, place, found.count, found.squared_radius, &tree.ids[0], distance, ids
-        )
+        tree.lanes.sort(squared, ids, found.count, found.squared_radius, to, to_id)
         return
     for j in range(found.count):
         room[j].squared = squared[j]
-        room[j].id = tree.ids[place[j]]
+        room[j].id = ids[j]
     sort(room, room + found.count)
     for j in range(found.count):
-        distance[j] = sqrt(room[j].squared)
-        ids[j] = room[j].id
+        to[j] = room[j].squared
+        to_id[j] = room[j].id
 
 
 def query(
