@@ -120,8 +120,8 @@ cdef void gather_one(Gather photons, Query* query, double* out) noexcept nogil:
         weights.squared_bandwidth = query.found.squared_radius
         scale = photons.nearest_scale
     photons.tree.lanes.weigh(
-        &photons.tree.coords[0, 0, 0], &query.reach, &query.found, &weights, &photons.values[0, 0, 0],
-        n_channels, out
+        &photons.tree.coords[0, 0, 0], &query.reach, &query.found, &weights,
+        &photons.values[0, 0, 0], n_channels, out
     )
     for channel in range(n_channels):
         out[channel] *= scale / (M_PI * weights.squared_bandwidth)

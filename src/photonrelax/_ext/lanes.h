@@ -14,7 +14,7 @@ enum {
     BLOCK = 16,
     LANES = 8,
     /* Candidates are sorted roughly by keys, up to FARTHEST within the limit. As those are off a
-     * little, some just beyond the limit have it or the next one; OUTSIDE is for those out of reach. */
+     * little, some just beyond the limit have it or the next one. Others are OUTSIDE. */
     FARTHEST = 250,
     OUTSIDE = 255,
     /* Keys are looked at so many at a time, in no fewer chunks than these. */
@@ -23,7 +23,7 @@ enum {
     /* So many searches among candidates run side by side. */
     TOGETHER = 4,
     /* Copies bear no more axes than these. */
-    MOST_COPIED_AXES = 16
+    MOST_COPIED_AXES = 12
 };
 
 /* What may be found from a point, or from any point of a box: squared distances up to
@@ -47,11 +47,11 @@ typedef struct {
     float doubt;
 } Local;
 
-/* Candidates: all points of some blocks. Their heights, squared distances as multiples of the limit's
- * FARTHEST-th part, and keys, heights rounded down, lie block by block; keys have room for
- * FEW_CHUNKS * KEYS more. Found are the `count` candidates of keys up to `key`, the farthest of them
- * at `squared_radius`. It is among the `n_few` whose exact squared distances had to be looked at;
- * there is room for as many as candidates, and twice the number of distances. */
+/* Candidates: all points of some blocks. Their heights, squared distances as multiples of the
+ * FARTHEST-th part of the limit, and keys, heights rounded down, lie block by block; keys have room
+ * for FEW_CHUNKS * KEYS more. Found are the `count` candidates of keys up to `key`, the farthest of
+ * them at `squared_radius`. It is among the `n_few` whose exact squared distances had to be looked
+ * at; there is room for as many as candidates, and twice the number of distances. */
 typedef struct {
     int32_t *blocks;
     uint8_t *keys;
@@ -79,12 +79,12 @@ typedef struct {
     /* The same, but some boxes just out of reach may be among them. */
     unsigned (*copies_near)(const float *boxes, int64_t stride, const Reach *reach,
                             const Local *local);
-    /* Write these of 16 boxes one behind the other, and more behind them, into rows of that stride. */
+    /* Write these of 16 boxes one behind the other into rows of that stride, and more behind. */
     void (*list_boxes)(const double *boxes, int64_t n_axes, unsigned bits, double *to,
                        int64_t stride);
     /* Copy eights of lanes of n rows, one an axis. */
-    void (*copy)(const double *rows, int64_t stride, int64_t n, int64_t n_eights, const double *origin,
-                 double scale, float *to);
+    void (*copy)(const double *rows, int64_t stride, int64_t n, int64_t n_eights,
+                 const double *origin, double scale, float *to);
     /* Make the points of more blocks candidates; reach is from a point. */
     void (*scan)(const double *coords, const int32_t *blocks, unsigned bits, const Reach *reach,
                  Found *found);
@@ -150,7 +150,8 @@ static inline int64_t last_found(const Found *found, const int64_t *ids)
 /* Have a row that will soon be read or written brought into the cache. */
 static inline void prefetch_row(const void *row, int64_t n_bytes)
 {
-    for (int64_t i = 0; i < n_bytes; i += 64) __builtin_prefetch((const char *)row + i, 1);
+    for (int64_t i = 0; i < n_bytes - 1; i += 64) __builtin_prefetch((const char *)row + i, 1);
+    __builtin_prefetch((const char *)row + n_bytes - 1, 1);
 }
 
 /* The set of that name: avx512, avx2 or portable, or for the empty name the widest this processor

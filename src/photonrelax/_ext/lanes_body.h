@@ -1,5 +1,5 @@
-/* The loops of lanes.h for one instruction set: VECTOR of WIDTH doubles, F_VECTOR of F_WIDTH floats,
- * and what is done to them.
+/* The loops of lanes.h for one instruction set: VECTOR of WIDTH doubles, F_VECTOR of F_WIDTH
+ * floats, and what is done to them.
  *
  * Loops work on eight doubles, V8, or sixteen floats, F16, however many vectors that takes, and add
  * up in one order, so that all instruction sets give the same bits.
@@ -11,8 +11,9 @@
 #include "lanes_found.h"
 
 static const Lanes NAME(lanes) = {
-    SET_NAME, NAME(boxes_near), NAME(copies_near), NAME(list_boxes), NAME(copy), NAME(scan), NAME(scan_copies),
-    NAME(rescan), NAME(nearest), NAME(compact), NAME(list), NAME(list_points), NAME(sort), NAME(write),
+    SET_NAME, NAME(boxes_near), NAME(copies_near), NAME(list_boxes), NAME(copy),
+    NAME(scan), NAME(scan_copies), NAME(rescan), NAME(nearest), NAME(compact),
+    NAME(list), NAME(list_points), NAME(sort), NAME(write),
     NAME(moments), NAME(repulsion), NAME(weigh),
 };
 
@@ -60,4 +61,5 @@ static const Lanes NAME(lanes) = {
 #undef F_BOTH
 #undef F_BITS
 #undef F_PICK
+#undef F_ADD_WHERE
 #undef STORE_ROUNDED

@@ -76,8 +76,7 @@ static INLINE void NAME(count_lesser)(const float *keys, int64_t count, int n, i
     for (int64_t j = 0; j < count; ++j) {
         const F16 own = NAME(f_all)(keys[j]);
         for (int i = 0; i < n; ++i)
-            sum[i] = NAME(f_add)(sum[i], NAME(f_pick)(NAME(f_at_most)(own, key[i]),
-                                                      NAME(f_all)(1.0f), NAME(f_all)(0.0f)));
+            sum[i] = NAME(f_add_where)(NAME(f_at_most)(own, key[i]), sum[i], NAME(f_all)(1.0f));
     }
     for (int i = 0; i < n; ++i) NAME(f_store_integers)(lesser + BLOCK * i, sum[i]);
 }
@@ -87,7 +86,7 @@ static TARGET void NAME(sort)(const double *squared, const int64_t *id, int64_t 
 {
     const V8 scale = NAME(all)(squared_radius > 1e-300 ? 1.0 / squared_radius : 0.0);
     const int n = (int)((count + BLOCK - 1) / BLOCK);
-    float keys[KEYS];
+    float keys[KEYS] = {0.0f};
     int32_t rank[KEYS];
     for (int64_t j = 0; j < count; j += LANES)
         NAME(store_rounded)(keys + j, NAME(add)(NAME(mul)(NAME(load)(squared + j), scale),
@@ -207,7 +206,8 @@ static INLINE void NAME(weigh_some)(const double *coords, const Reach *reach, co
     for (Eights at = NAME(eights)(found); NAME(next)(&at);) {
         const double *points = NAME(lanes_at)(coords, reach->n_axes, at.place);
         const double *value = NAME(lanes_at)(values, n_channels, at.place);
-        V8 weight = NAME(weight)(NAME(squared_gap)(points, 0, reach->n_metric, reach->low), weights);
+        V8 squared = NAME(squared_gap)(points, 0, reach->n_metric, reach->low);
+        V8 weight = NAME(weight)(squared, weights);
         weight = NAME(pick)(NAME(chosen)(at.bits), weight, NAME(all)(0.0));
         for (int channel = 0; channel < n; ++channel)
             sum[channel] = NAME(add)(sum[channel],

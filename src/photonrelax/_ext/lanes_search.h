@@ -42,7 +42,8 @@ static TARGET unsigned NAME(boxes_near)(const double *boxes, int64_t stride, con
            NAME(eight_near)(boxes + LANES, stride, reach) << LANES;
 }
 
-static INLINE V8 NAME(squared_gap)(const double *points, int64_t first, int64_t end, const double *at)
+static INLINE V8 NAME(squared_gap)(const double *points, int64_t first, int64_t end,
+                                   const double *at)
 {
     V8 gap = NAME(sub)(NAME(load)(points + BLOCK * first), NAME(all)(at[first]));
     V8 squared = NAME(mul)(gap, gap);
@@ -58,7 +59,8 @@ static INLINE M8 NAME(within_half)(const double *points, const Reach *reach, M8 
     for (int64_t axis = reach->n_metric; axis < reach->n_axes; ++axis) {
         V8 x = NAME(load)(points + BLOCK * axis), at = NAME(all)(reach->low[axis]);
         V8 gap = NAME(greater)(NAME(sub)(x, at), NAME(sub)(at, x));
-        near = NAME(both)(near, NAME(at_most)(gap, NAME(all)(reach->half_range[axis - reach->n_metric])));
+        V8 half_range = NAME(all)(reach->half_range[axis - reach->n_metric]);
+        near = NAME(both)(near, NAME(at_most)(gap, half_range));
     }
     return near;
 }
@@ -153,15 +155,15 @@ static INLINE F16 NAME(copied_box_gap)(const float *boxes, int64_t stride, int64
 static TARGET unsigned NAME(copies_near)(const float *boxes, int64_t stride, const Reach *reach,
                                          const Local *local)
 {
-    FM16 near = NAME(f_at_most)(NAME(copied_box_gap)(boxes, stride, 0, reach->n_metric, reach->n_axes,
-                                                     local->at),
-                                NAME(f_all)(local->squared_limit + local->limit_slack));
-    if (local->squared_range >= 0.0f)
-        near = NAME(f_both)(near, NAME(f_at_most)(NAME(copied_box_gap)(boxes, stride, reach->n_metric,
-                                                                       reach->n_axes, reach->n_axes,
-                                                                       local->at),
-                                                  NAME(f_all)(local->squared_range +
-                                                              local->range_slack)));
+    const int64_t n_metric = reach->n_metric, n_axes = reach->n_axes;
+    F16 squared = NAME(copied_box_gap)(boxes, stride, 0, n_metric, n_axes, local->at);
+    F16 most = NAME(f_all)(local->squared_limit + local->limit_slack);
+    FM16 near = NAME(f_at_most)(squared, most);
+    if (local->squared_range >= 0.0f) {
+        squared = NAME(copied_box_gap)(boxes, stride, n_metric, n_axes, n_axes, local->at);
+        most = NAME(f_all)(local->squared_range + local->range_slack);
+        near = NAME(f_both)(near, NAME(f_at_most)(squared, most));
+    }
     return NAME(f_bits)(near);
 }
 
@@ -226,8 +228,8 @@ static TARGET void NAME(scan_copies)(const double *coords, const float *copies,
                           reach->n_axes);
 }
 
-/* Find the key of the k-th nearest candidate, OUTSIDE if there are fewer, and how many have a lesser
- * one: bit by bit, as the greatest key that fewer than k are less than. Several searches run side
+/* Find the key of the k-th nearest candidate, OUTSIDE if there are fewer, and how many have a
+ * lesser one: bit by bit, as the greatest key that fewer than k are less than. Several searches run side
  * by side, as each step of one waits for the last. */
 static INLINE void NAME(keys_of)(Ranked *ranked, int n, int64_t n_chunks)
 {
@@ -258,8 +260,8 @@ static INLINE Ranked NAME(rank)(Found *found, int64_t k)
 
 /* Note the candidates next to a key, from `doubt` below to `doubt` above it, that are within the
  * limit, and their exact distances; return how many are lower, of whom `fewer` have lesser keys. */
-static INLINE int64_t NAME(note_few)(const double *coords, const Reach *reach, Found *found, int key,
-                                     int64_t fewer, float doubt)
+static INLINE int64_t NAME(note_few)(const double *coords, const Reach *reach, Found *found,
+                                     int key, int64_t fewer, float doubt)
 {
     const float low = (float)key - doubt, high = (float)(key + 1) + doubt;
     int64_t n = 0;
@@ -311,8 +313,9 @@ static INLINE void NAME(settle)(const double *coords, const Reach *reach, float 
     }
 }
 
-static TARGET void NAME(nearest)(const double *coords, const Reach *const *reach, const float *doubt,
-                                 Found *const *found, int n, int64_t k, const int64_t *ids)
+static TARGET void NAME(nearest)(const double *coords, const Reach *const *reach,
+                                 const float *doubt, Found *const *found, int n, int64_t k,
+                                 const int64_t *ids)
 {
     Ranked ranked[TOGETHER];
     int64_t most_chunks = 0;

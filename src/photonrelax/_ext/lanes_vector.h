@@ -164,6 +164,15 @@ static INLINE F16 NAME(f_pick)(FM16 chosen, F16 a, F16 b)
     return out;
 }
 
+/* a + b where chosen, else a. */
+static INLINE F16 NAME(f_add_where)(FM16 chosen, F16 a, F16 b)
+{
+    F16 out;
+    for (int i = 0; i < F_PARTS; ++i)
+        out.part[i] = F_ADD_WHERE(chosen.part[i], a.part[i], b.part[i]);
+    return out;
+}
+
 static INLINE unsigned NAME(f_bits)(FM16 a)
 {
     unsigned out = 0;

@@ -82,6 +82,7 @@ cdef void move_block(
     cdef Py_ssize_t lane, place, row
     cdef Query* query
     open_block(tree, batch, block)
+    prefetch_limits(tree, block + 1, sheet)
     for lane in range(batch.n_queries):
         query = &batch.queries[lane]
         place = BLOCK * block + lane
@@ -97,6 +98,16 @@ cdef void move_block(
     list_points(tree, batch)
     for lane in range(batch.n_queries):
         move_one(tree, batch, lane, BLOCK * block + lane, sheet, step, moved)
+
+
+cdef inline void prefetch_limits(Tree tree, Py_ssize_t block, Sheet sheet) noexcept nogil:
+    """Have the limits that the next block reads brought into the cache."""
+    cdef Py_ssize_t place
+    for place in range(BLOCK * block, min(BLOCK * block + BLOCK, tree.n_points)):
+        if sheet.range_radius is not None:
+            prefetch_row(&sheet.range_radius[sheet.rows[place]], sizeof(double))
+        if sheet.reach is not None:
+            prefetch_row(&sheet.reach[sheet.rows[place]], sizeof(double))
 
 
 cdef void move_one(

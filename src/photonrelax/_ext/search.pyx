@@ -7,8 +7,8 @@ from libc.string cimport memcpy
 from .batch cimport LISTED, LISTED_STRIDE, Query, candidates_before_drop
 from .kdtree cimport fan_out, first_block, last_kept
 from .lanes cimport (
-    BLOCK, FARTHEST, KEYS, LANES, MOST_COPIED_AXES, OUTSIDE, TOGETHER, Found, Local, Reach, count_bits,
-    highest_bit, last_found, lowest_bit,
+    BLOCK, FARTHEST, KEYS, LANES, MOST_COPIED_AXES, OUTSIDE, TOGETHER, Found, Local, Reach,
+    count_bits, highest_bit, last_found, lowest_bit,
 )
 
 cdef enum:

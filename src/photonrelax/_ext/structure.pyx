@@ -211,6 +211,7 @@ cdef void detect_block(
     cdef Query* query
     cdef double squared_reach, share = 0.0
     open_block(tree, batch, block)
+    prefetch_limits(tree, block + 1, sheet)
     for lane in range(batch.n_queries):
         query = &batch.queries[lane]
         row = sheet.rows[BLOCK * block + lane]
@@ -231,6 +232,16 @@ cdef void detect_block(
             squared_reach = sheet.reach[row] * sheet.reach[row]
             share += batch.queries[lane].found.squared_radius / squared_reach
     batch.share = share / batch.n_queries
+
+
+cdef inline void prefetch_limits(Tree tree, Py_ssize_t block, Sheet sheet) noexcept nogil:
+    """Have the limits that the next block reads brought into the cache."""
+    cdef Py_ssize_t place
+    for place in range(BLOCK * block, min(BLOCK * block + BLOCK, tree.n_points)):
+        if sheet.range_radius is not None:
+            prefetch_row(&sheet.range_radius[sheet.rows[place]], sizeof(double))
+        if sheet.reach is not None:
+            prefetch_row(&sheet.reach[sheet.rows[place]], sizeof(double))
 
 
 cdef inline void prefetch(Targets out, Py_ssize_t row) noexcept nogil:
