@@ -106,9 +106,7 @@ def test_same_bytes_for_every_number_of_threads_and_in_parts(scene):
         assert other.tobytes() == one.tobytes()
 
 
-@pytest.mark.parametrize(
-    ("scene", "n_sets"), [(scene_of_faces, 5), (drum, 0), (sphere, 0)], ids=lambda x: str(x)
-)
+@pytest.mark.parametrize(("scene", "n_sets"), [(scene_of_faces, 5), (drum, 0), (sphere, 0)])
 def test_few_faces_need_no_axes_for_normals(scene, n_sets):
     """Unless photons would be in many trees."""
     rng = np.random.default_rng(2)

@@ -14,7 +14,7 @@ from ._arrays import Floats
 from ._ext import estimate as _estimate
 from ._facing import FacingTrees
 from ._progress import Progress, Reporter
-from ._sheets import NORMAL_RANGE, side_by_side
+from ._sheets import NORMAL_RANGE
 from .kdtree import KDTree
 from .photonmap import PhotonMap
 from .relax import RelaxSettings
@@ -207,12 +207,14 @@ class Densities:
         radius, bias = settings.gather_radius, well_spaced_bias(settings.k, settings.kernel)
         return _estimate.Gather(
             tree.kernel,
-            side_by_side([self._values], [1.0], rows, field._n_threads),
+            self._values,
+            rows,
             settings.k,
             KERNELS[settings.kernel],
             radius=np.inf if radius is None else radius,
             normal_range=NORMAL_RANGE if tree.n_axes > tree.n_metric else -1.0,
             nearest_scale=1.0 / bias if field.photons.well_spaced else 1.0,
+            n_threads=field._n_threads,
         )
 
 

@@ -13,8 +13,8 @@ from .lanes cimport BLOCK, Found, Local, Reach
 cdef enum:
     # Blocks are listed up to so many before queries take their candidates. Rows of what is listed
     # of them are so far apart, as more is written behind them.
-    LISTED = 64
-    LISTED_STRIDE = 80
+    LISTED = 48
+    LISTED_STRIDE = 64
 
 
 cdef struct Query:
@@ -67,8 +67,8 @@ cdef struct Batch:
     float* copied_boxes
     Py_ssize_t n_listed
     bint listed_all
-    # Lists of neighbours, `stride` apart: squared distances, ids, both sorted, and coordinates of
-    # three axes.
+    # Lists of neighbours, `stride` apart: squared distances, ids, and both sorted; or, in the same
+    # room, coordinates of three axes.
     Py_ssize_t stride
     double* squared
     int64_t* id

@@ -35,6 +35,7 @@ cdef Py_ssize_t lay_out(Tree tree, unsigned char* room, Py_ssize_t k):
     cdef unsigned char* free = room + 64 * ((sizeof(Batch) + 63) // 64)
     cdef Py_ssize_t i, points = BLOCK * most_candidates(tree, k)
     cdef Found* found
+    cdef double* spare
     batch.k = k
     # As if points were spread evenly over a plane.
     batch.squared_first = batch.squared_then = tree.squared_diagonal * k / (4 * tree.n_points + 1)
@@ -49,15 +50,17 @@ cdef Py_ssize_t lay_out(Tree tree, unsigned char* room, Py_ssize_t k):
     batch.copied_boxes = <float*> take(&free, 8 * tree.n_axes * LISTED_STRIDE)
     batch.copied_blocks = <float*> take(&free, 4 * BLOCK * tree.n_axes * LISTED)
     batch.stride = k + LANES
-    batch.squared = <double*> take(&free, 8 * BLOCK * batch.stride)
-    batch.id = <int64_t*> take(&free, 8 * BLOCK * batch.stride)
-    batch.sorted = <double*> take(&free, 8 * BLOCK * batch.stride)
-    batch.sorted_id = <int64_t*> take(&free, 8 * BLOCK * batch.stride)
-    batch.points = <double*> take(&free, 24 * BLOCK * batch.stride)
+    batch.squared = <double*> take(&free, 32 * BLOCK * batch.stride)
+    batch.id = <int64_t*> (batch.squared + BLOCK * batch.stride)
+    batch.sorted = batch.squared + 2 * BLOCK * batch.stride
+    batch.sorted_id = <int64_t*> (batch.squared + 3 * BLOCK * batch.stride)
+    batch.points = batch.squared
+    spare = <double*> take(&free, 8 * points)
     set_axes(tree, &batch.reach, batch.low, batch.high)
     for i in range(BLOCK):
         found = &batch.queries[i].found
-        found.squared = <double*> take(&free, 16 * points)
+        found.squared = <double*> take(&free, 8 * points)
+        found.spare = spare
         found.keys = <uint8_t*> take(&free, points + FEW_CHUNKS * KEYS)
         found.heights = <float*> take(&free, 4 * points)
         found.blocks = <int32_t*> take(&free, 4 * points // BLOCK)

@@ -23,8 +23,10 @@ cdef class Gather:
     Parameters
     ----------
     tree : Tree
-    values : (n, c) float64 array
-        What is summed, in the tree's leaf order.
+    values : (m, c) float64 array
+        What is summed.
+    rows : (n,) intp array
+        Row of the photon at each place of the tree.
     k : int
     kernel : int
         CONSTANT, CONE or EPANECHNIKOV.
@@ -45,9 +47,11 @@ cdef class Gather:
     cdef double radius
     cdef double normal_range
 
-    def __init__(self, tree, values, k, kernel, *, radius, normal_range, nearest_scale):
+    def __init__(
+        self, tree, values, rows, k, kernel, *, radius, normal_range, nearest_scale, n_threads
+    ):
         self.tree = tree
-        self.values = in_blocks(values)
+        self.values = in_blocks(values, rows, n_threads)
         self.k = k
         self.kernel = kernel
         self.nearest_scale = nearest_scale
@@ -71,16 +75,28 @@ cdef class Gather:
             gather_batch(self, <Batch*> &room[threadid(), 0], queries, order, i, out)
 
 
-cdef object in_blocks(const double[:, ::1] values):
-    """Return rows (n, c) as (n / 16, c, 16), zero where there are none."""
-    cdef Py_ssize_t row, channel, n = values.shape[0]
-    out = aligned(((n + BLOCK - 1) // BLOCK, values.shape[1], BLOCK))
+cdef object in_blocks(const double[:, ::1] values, const Py_ssize_t[::1] rows, int n_threads):
+    """Return values (m, c) of chosen rows (n,) as (n / 16, c, 16), zero where there are none."""
+    cdef Py_ssize_t n_blocks = (rows.shape[0] + BLOCK - 1) // BLOCK
+    cdef Py_ssize_t block
+    out = aligned((n_blocks, values.shape[1], BLOCK))
     cdef double[:, :, ::1] blocks = out
-    out[n // BLOCK:] = 0.0
-    for row in range(n):
-        for channel in range(values.shape[1]):
-            blocks[row // BLOCK, channel, row % BLOCK] = values[row, channel]
+    for block in prange(n_blocks, nogil=True, schedule="static", num_threads=n_threads):
+        fill_block(values, rows, block, blocks)
     return out
+
+
+cdef void fill_block(
+    const double[:, ::1] values, const Py_ssize_t[::1] rows, Py_ssize_t block,
+    double[:, :, ::1] blocks
+) noexcept nogil:
+    cdef Py_ssize_t lane, channel
+    cdef Py_ssize_t n = min(rows.shape[0] - BLOCK * block, <Py_ssize_t> BLOCK)
+    for channel in range(values.shape[1]):
+        for lane in range(n):
+            blocks[block, channel, lane] = values[rows[BLOCK * block + lane], channel]
+        for lane in range(n, BLOCK):
+            blocks[block, channel, lane] = 0.0
 
 
 cdef void gather_batch(

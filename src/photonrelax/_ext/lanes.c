@@ -75,7 +75,8 @@ static void sort_exactly(double *squared, int64_t *id, int64_t count)
     for (int64_t j = 1; j < count; ++j) {
         double x = squared[j];
         int64_t own = id[j], hole = j;
-        while (hole > 0 && (squared[hole - 1] > x || (squared[hole - 1] == x && id[hole - 1] > own))) {
+        while (hole > 0 &&
+               (squared[hole - 1] > x || (squared[hole - 1] == x && id[hole - 1] > own))) {
             squared[hole] = squared[hole - 1];
             id[hole] = id[hole - 1];
             --hole;
@@ -113,7 +114,7 @@ static void settle_range(const double *coords, int64_t block, unsigned bits, con
  * highest ids. */
 static void drop_ties(Found *found, int64_t excess, const int64_t *ids)
 {
-    double *equal = found->squared + found->n_few, highest;
+    double *equal = found->spare, highest;
     int64_t n = 0;
     for (int64_t j = 0; j < found->n_few; ++j)
         if (found->squared[j] == found->squared_radius)
@@ -147,11 +148,10 @@ static void look_at_few(const double *coords, const Reach *reach, Found *found)
 static double few_of_rank(const Found *found, int64_t rank)
 {
     const double *x = found->squared;
-    double *spare = found->squared + found->n_few;
     if (found->n_few == 1) return x[0];
     if (found->n_few == 2) return (x[0] < x[1]) == (rank == 1) ? x[0] : x[1];
-    memcpy(spare, x, found->n_few * sizeof(double));
-    return of_rank(spare, found->n_few, rank);
+    memcpy(found->spare, x, found->n_few * sizeof(double));
+    return of_rank(found->spare, found->n_few, rank);
 }
 
 /* Choose among the few what is found; `fewer` of all are nearer than these. */

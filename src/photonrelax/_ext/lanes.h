@@ -51,7 +51,7 @@ typedef struct {
  * FARTHEST-th part of the limit, and keys, heights rounded down, lie block by block; keys have room
  * for FEW_CHUNKS * KEYS more. Found are the `count` candidates of keys up to `key`, the farthest of
  * them at `squared_radius`. It is among the `n_few` whose exact squared distances had to be looked
- * at; there is room for as many as candidates, and twice the number of distances. */
+ * at; there is room for as many as candidates, and as many spare numbers. */
 typedef struct {
     int32_t *blocks;
     uint8_t *keys;
@@ -60,7 +60,7 @@ typedef struct {
     double squared_radius;
     int64_t key, n_few;
     int32_t *few;
-    double *squared;
+    double *squared, *spare;
 } Found;
 
 /* How much the photons found weigh: CONSTANT, CONE or EPANECHNIKOV, over a squared bandwidth. */

@@ -45,6 +45,7 @@ cdef extern from "lanes.h" nogil:
         int64_t n_few
         int32_t* few
         double* squared
+        double* spare
 
     ctypedef struct Weights:
         int64_t shape
