@@ -7,7 +7,7 @@ and read or listed.
 from libc.stdint cimport int32_t, int64_t
 
 from .kdtree cimport Tree
-from .lanes cimport BLOCK, Found, Local, Reach
+from .lanes cimport BLOCK, Found, Frame, Local, Reach
 
 
 cdef enum:
@@ -54,10 +54,9 @@ cdef struct Batch:
     # Coordinates of the queries, (16, n_axes), and among copies.
     double* at
     float* local_at
-    # Where the origin of copies is, what they are multiplied by, and on range axes.
+    # How copies are made, and where their origin is.
+    Frame frame
     double* origin
-    double scale
-    double range_scale
     # Blocks in reach, what number they have among all boxes, and these; whether that is all.
     int32_t[LISTED] listed
     int32_t[LISTED] box_number

@@ -45,7 +45,9 @@ cdef Py_ssize_t lay_out(Tree tree, unsigned char* room, Py_ssize_t k):
     batch.high = <double*> take(&free, 8 * tree.n_axes)
     batch.half_range = <double*> take(&free, 8 * tree.n_axes)
     batch.local_at = <float*> take(&free, 4 * BLOCK * tree.n_axes)
-    batch.origin = <double*> take(&free, 8 * tree.n_axes)
+    batch.frame.origin = batch.origin = <double*> take(&free, 8 * tree.n_axes)
+    batch.frame.n_metric = tree.n_metric
+    batch.frame.n_axes = tree.n_axes
     batch.boxes = <double*> take(&free, 16 * tree.n_axes * LISTED_STRIDE)
     batch.copied_boxes = <float*> take(&free, 8 * tree.n_axes * LISTED_STRIDE)
     batch.copied_blocks = <float*> take(&free, 4 * BLOCK * tree.n_axes * LISTED)

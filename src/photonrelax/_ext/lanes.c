@@ -86,7 +86,7 @@ static void sort_exactly(double *squared, int64_t *id, int64_t count)
     }
 }
 
-static double squared_gap_at(const double *coords, int64_t first, int64_t end, const Reach *reach,
+static ALWAYS_INLINE double squared_gap_at(const double *coords, int64_t first, int64_t end, const Reach *reach,
                              int64_t place)
 {
     const double *point = coords + BLOCK * reach->n_axes * (place / BLOCK) + place % BLOCK;
@@ -127,7 +127,7 @@ static void drop_ties(Found *found, int64_t excess, const int64_t *ids)
 }
 
 /* Note how far away the few are; those beyond the limit are out of reach, and none of them. */
-static void look_at_few(const double *coords, const Reach *reach, Found *found)
+static ALWAYS_INLINE void look_at_few(const double *coords, const Reach *reach, Found *found)
 {
     int64_t n = 0;
     for (int64_t j = 0; j < found->n_few; ++j) {
@@ -144,11 +144,17 @@ static void look_at_few(const double *coords, const Reach *reach, Found *found)
     found->n_few = n;
 }
 
+/* Choose the only one of the few; most often there is no other. */
+static ALWAYS_INLINE void choose_only(Found *found)
+{
+    found->squared_radius = found->squared[0];
+    found->keys[found->few[0]] = (uint8_t)found->key;
+}
+
 /* The squared distance of a rank, counted from one, among the few. */
 static double few_of_rank(const Found *found, int64_t rank)
 {
     const double *x = found->squared;
-    if (found->n_few == 1) return x[0];
     if (found->n_few == 2) return (x[0] < x[1]) == (rank == 1) ? x[0] : x[1];
     memcpy(found->spare, x, found->n_few * sizeof(double));
     return of_rank(found->spare, found->n_few, rank);

@@ -36,8 +36,14 @@ typedef struct {
     int64_t n_metric, n_axes;
 } Reach;
 
-/* Copies of points are floats, moved and scaled so that what is in reach lies within 1. This is the
- * reach of a point among them, and by how much
+/* Copies of points are floats, (x - origin) * scale, so that what is in reach lies within 1. */
+typedef struct {
+    const double *origin;
+    double scale, range_scale;
+    int64_t n_metric, n_axes;
+} Frame;
+
+/* The reach of a point among copies, and by how much
  * squared distances may be off. */
 typedef struct {
     const float *at;
@@ -82,9 +88,11 @@ typedef struct {
     /* Write these of 16 boxes one behind the other into rows of that stride, and more behind. */
     void (*list_boxes)(const double *boxes, int64_t n_axes, unsigned bits, double *to,
                        int64_t stride);
-    /* Copy eights of lanes of n rows, one an axis. */
-    void (*copy)(const double *rows, int64_t stride, int64_t n, int64_t n_eights,
-                 const double *origin, double scale, float *to);
+    /* Copy rows of n numbers, one an axis. */
+    void (*copy_rows)(const double *rows, int64_t stride, int64_t n, const Frame *frame, float *to);
+    /* Copy blocks. */
+    void (*copy_blocks)(const double *coords, const int32_t *blocks, int64_t n, const Frame *frame,
+                        float *to);
     /* Make the points of more blocks candidates; reach is from a point. */
     void (*scan)(const double *coords, const int32_t *blocks, unsigned bits, const Reach *reach,
                  Found *found);

@@ -26,6 +26,13 @@ cdef extern from "lanes.h" nogil:
         int64_t n_metric
         int64_t n_axes
 
+    ctypedef struct Frame:
+        const double* origin
+        double scale
+        double range_scale
+        int64_t n_metric
+        int64_t n_axes
+
     ctypedef struct Local:
         const float* at
         float squared_limit
@@ -60,8 +67,11 @@ cdef extern from "lanes.h" nogil:
         void (*list_boxes)(
             const double*, int64_t, unsigned int, double*, int64_t
         ) noexcept nogil
-        void (*copy)(
-            const double*, int64_t, int64_t, int64_t, const double*, double, float*
+        void (*copy_rows)(
+            const double*, int64_t, int64_t, const Frame*, float*
+        ) noexcept nogil
+        void (*copy_blocks)(
+            const double*, const int32_t*, int64_t, const Frame*, float*
         ) noexcept nogil
         void (*scan)(
             const double*, const int32_t*, unsigned int, const Reach*, Found*

@@ -11,7 +11,8 @@
 #include "lanes_found.h"
 
 static const Lanes NAME(lanes) = {
-    SET_NAME, NAME(boxes_near), NAME(copies_near), NAME(list_boxes), NAME(copy),
+    SET_NAME, NAME(boxes_near), NAME(copies_near), NAME(list_boxes), NAME(copy_rows),
+    NAME(copy_blocks),
     NAME(scan), NAME(scan_copies), NAME(rescan), NAME(nearest), NAME(compact),
     NAME(list), NAME(list_points), NAME(sort), NAME(write),
     NAME(moments), NAME(repulsion), NAME(weigh),

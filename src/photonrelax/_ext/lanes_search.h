@@ -20,9 +20,10 @@ static INLINE V8 NAME(squared_box_gap)(const double *boxes, int64_t stride, int6
     return squared;
 }
 
-static INLINE unsigned NAME(eight_near)(const double *boxes, int64_t stride, const Reach *reach)
+static INLINE unsigned NAME(eight_near)(const double *boxes, int64_t stride, const Reach *reach,
+                                        int64_t n_metric)
 {
-    const int64_t n_metric = reach->n_metric, n_axes = reach->n_axes;
+    const int64_t n_axes = reach->n_axes;
     M8 near = NAME(at_most)(NAME(squared_box_gap)(boxes, stride, 0, n_metric, reach),
                             NAME(all)(reach->squared_limit));
     if (reach->squared_range >= 0.0)
@@ -38,8 +39,11 @@ static INLINE unsigned NAME(eight_near)(const double *boxes, int64_t stride, con
 
 static TARGET unsigned NAME(boxes_near)(const double *boxes, int64_t stride, const Reach *reach)
 {
-    return NAME(eight_near)(boxes, stride, reach) |
-           NAME(eight_near)(boxes + LANES, stride, reach) << LANES;
+    if (reach->n_metric == 3)
+        return NAME(eight_near)(boxes, stride, reach, 3) |
+               NAME(eight_near)(boxes + LANES, stride, reach, 3) << LANES;
+    return NAME(eight_near)(boxes, stride, reach, reach->n_metric) |
+           NAME(eight_near)(boxes + LANES, stride, reach, reach->n_metric) << LANES;
 }
 
 static INLINE V8 NAME(squared_gap)(const double *points, int64_t first, int64_t end,
@@ -126,15 +130,46 @@ static TARGET void NAME(list_boxes)(const double *boxes, int64_t n_axes, unsigne
     }
 }
 
-static TARGET void NAME(copy)(const double *rows, int64_t stride, int64_t n, int64_t n_eights,
-                              const double *origin, double scale, float *to)
+static INLINE void NAME(copy_row)(const double *restrict row, int64_t n, double origin,
+                                  double scale, float *restrict to)
 {
-    const V8 factor = NAME(all)(scale);
-    for (int64_t row = 0; row < n; ++row) {
-        const V8 from = NAME(all)(origin[row]);
-        for (int64_t i = stride * row; i < stride * row + LANES * n_eights; i += LANES)
-            NAME(store_rounded)(to + i, NAME(mul)(NAME(sub)(NAME(load)(rows + i), from), factor));
+    const V8 from = NAME(all)(origin), factor = NAME(all)(scale);
+    for (int64_t i = 0; i < n; i += LANES)
+        NAME(store_rounded)(to + i, NAME(mul)(NAME(sub)(NAME(load)(row + i), from), factor));
+}
+
+static TARGET void NAME(copy_rows)(const double *rows, int64_t stride, int64_t n,
+                                   const Frame *frame, float *to)
+{
+    for (int64_t axis = 0; axis < frame->n_axes; ++axis)
+        NAME(copy_row)(rows + stride * axis, n, frame->origin[axis],
+                       axis < frame->n_metric ? frame->scale : frame->range_scale,
+                       to + stride * axis);
+}
+
+/* With constant numbers of axes origins stay in registers. */
+static INLINE void NAME(copy_all)(const double *restrict coords, const int32_t *restrict blocks,
+                                  int64_t n, const Frame *frame, int64_t n_metric, int64_t n_axes,
+                                  float *restrict to)
+{
+    const Frame by = *frame;
+    for (int64_t i = 0; i < n; ++i) {
+        const double *block = coords + BLOCK * n_axes * (int64_t)blocks[i];
+        for (int64_t axis = 0; axis < n_axes; ++axis, to += BLOCK)
+            NAME(copy_row)(block + BLOCK * axis, BLOCK, by.origin[axis],
+                           axis < n_metric ? by.scale : by.range_scale, to);
     }
+}
+
+static TARGET void NAME(copy_blocks)(const double *coords, const int32_t *blocks, int64_t n,
+                                     const Frame *frame, float *to)
+{
+    if (frame->n_metric == 3 && frame->n_axes == 3)
+        NAME(copy_all)(coords, blocks, n, frame, 3, 3, to);
+    else if (frame->n_metric == 3 && frame->n_axes == 6)
+        NAME(copy_all)(coords, blocks, n, frame, 3, 6, to);
+    else
+        NAME(copy_all)(coords, blocks, n, frame, frame->n_metric, frame->n_axes, to);
 }
 
 static INLINE F16 NAME(copied_box_gap)(const float *boxes, int64_t stride, int64_t first,
@@ -302,7 +337,10 @@ static INLINE void NAME(settle)(const double *coords, const Reach *reach, float 
         found->count = ranked.k;
         found->key = ranked.key;
         if (within && fewer + found->n_few >= ranked.k) {
-            choose_few(found, fewer, ids);
+            if (found->n_few == 1)
+                choose_only(found);
+            else
+                choose_few(found, fewer, ids);
             return;
         }
         if (fewer + found->n_few == 0) {

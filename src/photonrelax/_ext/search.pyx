@@ -7,7 +7,7 @@ from libc.string cimport memcpy
 from .batch cimport LISTED, LISTED_STRIDE, Query, candidates_before_drop
 from .kdtree cimport fan_out, first_block, last_kept
 from .lanes cimport (
-    BLOCK, FARTHEST, KEYS, LANES, MOST_COPIED_AXES, OUTSIDE, TOGETHER, Found, Local, Reach,
+    BLOCK, FARTHEST, KEYS, MOST_COPIED_AXES, OUTSIDE, TOGETHER, Found, Local, Reach,
     count_bits, highest_bit, last_found, lowest_bit,
 )
 
@@ -134,8 +134,8 @@ cdef void set_frame(Tree tree, Batch* batch) noexcept nogil:
             widest = max(widest, half)
         else:
             widest_range = max(widest_range, half)
-    batch.scale = 1.0 / (widest + sqrt(batch.reach.squared_limit))
-    batch.range_scale = 1.0 / (widest_range + sqrt(max(batch.reach.squared_range, 0.0)))
+    batch.frame.scale = 1.0 / (widest + sqrt(batch.reach.squared_limit))
+    batch.frame.range_scale = 1.0 / (widest_range + sqrt(max(batch.reach.squared_range, 0.0)))
 
 
 cdef inline void set_local(Tree tree, Batch* batch, Query* query) noexcept nogil:
@@ -143,24 +143,24 @@ cdef inline void set_local(Tree tree, Batch* batch, Query* query) noexcept nogil
     cdef Py_ssize_t axis
     cdef Local* local = &query.local
     cdef float* at = batch.local_at + tree.n_axes * (query - &batch.queries[0])
-    cdef double limit = local_radius(query.reach.squared_limit, batch.scale)
+    cdef double limit = local_radius(query.reach.squared_limit, batch.frame.scale)
     cdef double reach
     query.exact = (
         limit < 0.0 or query.reach.half_range != NULL or tree.n_axes > MOST_COPIED_AXES
     )
     local.at = at
     for axis in range(tree.n_metric):
-        at[axis] = <float> (batch.scale * (query.reach.low[axis] - batch.origin[axis]))
+        at[axis] = <float> (batch.frame.scale * (query.reach.low[axis] - batch.origin[axis]))
     local.squared_limit = <float> (limit * limit)
     local.limit_slack = <float> (ROUNDING * limit * (1.0 + limit))
     local.doubt = <float> (FARTHEST * ROUNDING * (1.0 + 1.0 / limit)) if limit > 0.0 else 0.25
     local.squared_range = -1.0
     if query.reach.squared_range < 0.0:
         return
-    reach = local_radius(query.reach.squared_range, batch.range_scale)
+    reach = local_radius(query.reach.squared_range, batch.frame.range_scale)
     query.exact = query.exact or reach < 0.0
     for axis in range(tree.n_metric, tree.n_axes):
-        at[axis] = <float> (batch.range_scale * (query.reach.low[axis] - batch.origin[axis]))
+        at[axis] = <float> (batch.frame.range_scale * (query.reach.low[axis] - batch.origin[axis]))
     local.squared_range = <float> (reach * reach)
     local.range_slack = <float> (ROUNDING * reach * (1.0 + reach))
 
@@ -293,32 +293,17 @@ cdef void serve(Tree tree, Batch* batch) noexcept nogil:
 
 cdef void copy_listed(Tree tree, Batch* batch) noexcept nogil:
     """Copy the listed blocks and their boxes."""
-    cdef Py_ssize_t i, n_axes = tree.n_axes
-    cdef Py_ssize_t n_eights = (batch.n_listed + LANES - 1) // LANES
-    for i in range(batch.n_listed):
-        copy_rows(
-            tree, batch, &tree.coords[batch.listed[i], 0, 0], BLOCK, BLOCK // LANES,
-            batch.copied_blocks + BLOCK * n_axes * i
-        )
-    for i in range(2):
-        copy_rows(
-            tree, batch, batch.boxes + LISTED_STRIDE * n_axes * i, LISTED_STRIDE, n_eights,
-            batch.copied_boxes + LISTED_STRIDE * n_axes * i
-        )
-
-
-cdef inline void copy_rows(
-    Tree tree, const Batch* batch, const double* rows, Py_ssize_t stride, Py_ssize_t n_eights,
-    float* to
-) noexcept nogil:
-    """Copy a row an axis."""
-    cdef Py_ssize_t n = tree.n_metric
-    tree.lanes.copy(rows, stride, n, n_eights, batch.origin, batch.scale, to)
-    if n < tree.n_axes:
-        tree.lanes.copy(
-            rows + stride * n, stride, tree.n_axes - n, n_eights, batch.origin + n,
-            batch.range_scale, to + stride * n
-        )
+    cdef Py_ssize_t highs = LISTED_STRIDE * tree.n_axes
+    tree.lanes.copy_blocks(
+        &tree.coords[0, 0, 0], batch.listed, batch.n_listed, &batch.frame, batch.copied_blocks
+    )
+    tree.lanes.copy_rows(
+        batch.boxes, LISTED_STRIDE, batch.n_listed, &batch.frame, batch.copied_boxes
+    )
+    tree.lanes.copy_rows(
+        batch.boxes + highs, LISTED_STRIDE, batch.n_listed, &batch.frame,
+        batch.copied_boxes + highs
+    )
 
 
 cdef void take_candidates(Tree tree, Batch* batch, Query* query) noexcept nogil:
