@@ -18,14 +18,17 @@ cdef enum:
 # Queries look as far, squared, as the last batch found on the mean, and so much farther (divided
 # by the root of k, as their radii scatter); if that is not enough, as far as it found at most, and
 # so much farther. What is guessed for a query itself is nearer the truth.
-cdef double FIRST = 4.5
+cdef double FIRST = 5.0
 cdef double THEN = 1.3
-cdef double FIRST_GUESSED = 1.2
-cdef double THEN_GUESSED = 1.5
+cdef double FIRST_GUESSED = 1.3
+cdef double THEN_GUESSED = 1.6
 # Copies are floats: on up to MOST_COPIED_AXES axes, squared distances up to r² among them are off
-# by at most ROUNDING * (r + r²), which is a quarter of a key's width where r is COARSEST.
+# by at most ROUNDING * (r + r²), which is MOST_DOUBT keys where r is COARSEST. What is in reach is
+# within 1, but for rounding.
 cdef double ROUNDING = 1e-6
 cdef double COARSEST = 1e-3
+cdef double MOST_DOUBT = 0.25
+cdef double FARTHEST_COPIED = 1.1
 # Lesser squares underflow in part.
 cdef double LEAST_COPIED = 1e-280
 # If even that was too little they look farther, squared, by at least and at most so much.
@@ -143,34 +146,41 @@ cdef inline void set_local(Tree tree, Batch* batch, Query* query) noexcept nogil
     cdef Py_ssize_t axis
     cdef Local* local = &query.local
     cdef float* at = batch.local_at + tree.n_axes * (query - &batch.queries[0])
-    cdef double limit = local_radius(query.reach.squared_limit, batch.frame.scale)
-    cdef double reach
+    cdef double limit = local_squared(query.reach.squared_limit, batch.frame.scale)
+    cdef double within = -1.0
     query.exact = (
         limit < 0.0 or query.reach.half_range != NULL or tree.n_axes > MOST_COPIED_AXES
     )
-    local.at = at
     for axis in range(tree.n_metric):
         at[axis] = <float> (batch.frame.scale * (query.reach.low[axis] - batch.origin[axis]))
-    local.squared_limit = <float> (limit * limit)
-    local.limit_slack = <float> (ROUNDING * limit * (1.0 + limit))
-    local.doubt = <float> (FARTHEST * ROUNDING * (1.0 + 1.0 / limit)) if limit > 0.0 else 0.25
-    local.squared_range = -1.0
-    if query.reach.squared_range < 0.0:
-        return
-    reach = local_radius(query.reach.squared_range, batch.frame.range_scale)
-    query.exact = query.exact or reach < 0.0
-    for axis in range(tree.n_metric, tree.n_axes):
-        at[axis] = <float> (batch.frame.range_scale * (query.reach.low[axis] - batch.origin[axis]))
-    local.squared_range = <float> (reach * reach)
-    local.range_slack = <float> (ROUNDING * reach * (1.0 + reach))
+    if query.reach.squared_range >= 0.0:
+        within = local_squared(query.reach.squared_range, batch.frame.range_scale)
+        query.exact = query.exact or within < 0.0
+        for axis in range(tree.n_metric, tree.n_axes):
+            at[axis] = <float> (
+                batch.frame.range_scale * (query.reach.low[axis] - batch.origin[axis])
+            )
+    local.at = at
+    local.squared_limit = <float> limit
+    local.squared_range = <float> within
+    local.limit_slack = <float> rounding(limit)
+    local.range_slack = <float> rounding(within)
+    local.doubt = <float> (FARTHEST * rounding(limit) / limit) if limit > 0.0 else MOST_DOUBT
 
 
-cdef inline double local_radius(double squared, double scale) noexcept nogil:
-    """Return a radius among copies, -1 where they are too coarse, or finer than what is exact."""
-    cdef double radius = sqrt(squared) * scale
-    if squared >= LEAST_COPIED and COARSEST <= radius <= 1.5:
-        return radius
+cdef inline double local_squared(double squared, double scale) noexcept nogil:
+    """Return a squared radius among copies, -1 where they are too coarse, or finer than is exact."""
+    cdef double local = squared * (scale * scale)
+    if squared >= LEAST_COPIED and COARSEST * COARSEST <= local <= FARTHEST_COPIED:
+        return local
     return -1.0
+
+
+cdef inline double rounding(double squared) noexcept nogil:
+    """Return by how much squared distances up to this may be off among copies."""
+    if squared >= 0.01:
+        return ROUNDING * 2.0 * FARTHEST_COPIED
+    return ROUNDING * (sqrt(max(squared, 0.0)) + squared)
 
 
 cdef void set_half_range(Tree tree, Batch* batch) noexcept nogil:
