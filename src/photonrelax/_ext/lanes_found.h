@@ -3,10 +3,10 @@
  * It is read eight lanes at a time, those eights of which any were found.
  */
 
-/* Eight lanes from a place on, and which of them were found, as bits. */
+/* Eight lanes of a block, from a lane on, and which of them were found, as bits. */
 typedef struct {
     const Found *found;
-    int64_t chunk, place;
+    int64_t chunk, block, lane;
     uint64_t left;
     unsigned bits;
 } NAME(Eights);
@@ -14,42 +14,53 @@ typedef struct {
 
 static INLINE Eights NAME(eights)(const Found *found)
 {
-    Eights out = {found, -KEYS, 0, 0, 0};
+    Eights out = {found, -KEYS, 0, 0, 0, 0};
     return out;
 }
 
 /* Go to the next eight; tell whether there is one. */
 static INLINE int NAME(next)(Eights *at)
 {
-    int eight;
+    unsigned first;
     while (!at->left) {
         at->chunk += KEYS;
         if (at->chunk >= BLOCK * at->found->n_blocks) return 0;
         at->left = NAME(keys_at_most)(at->found->keys + at->chunk, (int)at->found->key);
     }
-    eight = LOWEST_BIT(at->left) / LANES;
-    at->bits = at->left >> (LANES * eight) & 0xFF;
-    at->left &= ~((uint64_t)0xFF << (LANES * eight));
-    at->place = BLOCK * (int64_t)at->found->blocks[at->chunk / BLOCK + eight / 2] +
-                eight % 2 * LANES;
+    first = LOWEST_BIT(at->left) & ~(LANES - 1u);
+    at->bits = at->left >> first & 0xFF;
+    at->left ^= (uint64_t)at->bits << first;
+    at->block = at->found->blocks[at->chunk / BLOCK + first / BLOCK];
+    at->lane = first % BLOCK;
     return 1;
 }
 
-static INLINE const double *NAME(lanes_at)(const double *coords, int64_t n_axes, int64_t place)
+static INLINE const double *NAME(lanes_at)(const double *coords, int64_t n_axes, const Eights *at)
 {
-    return coords + n_axes * (place - place % BLOCK) + place % BLOCK;
+    return coords + BLOCK * n_axes * at->block + at->lane;
+}
+
+/* With constant numbers of axes the compiler unrolls their loops. */
+static INLINE void NAME(list_all)(const double *coords, const Reach *reach, const Found *found,
+                                  const int64_t *ids, double *squared, int64_t *id,
+                                  int64_t n_metric, int64_t n_axes)
+{
+    for (Eights at = NAME(eights)(found); NAME(next)(&at);) {
+        const double *points = NAME(lanes_at)(coords, n_axes, &at);
+        NAME(pack)(squared, at.bits, NAME(squared_gap)(points, 0, n_metric, reach->low));
+        NAME(pack)(id, at.bits, NAME(load_ids)(ids + BLOCK * at.block + at.lane));
+        squared += COUNT_BITS(at.bits);
+        id += COUNT_BITS(at.bits);
+    }
 }
 
 static TARGET void NAME(list)(const double *coords, const Reach *reach, const Found *found,
                               const int64_t *ids, double *squared, int64_t *id)
 {
-    for (Eights at = NAME(eights)(found); NAME(next)(&at);) {
-        const double *points = NAME(lanes_at)(coords, reach->n_axes, at.place);
-        NAME(pack)(squared, at.bits, NAME(squared_gap)(points, 0, reach->n_metric, reach->low));
-        NAME(pack)(id, at.bits, NAME(load_ids)(ids + at.place));
-        squared += COUNT_BITS(at.bits);
-        id += COUNT_BITS(at.bits);
-    }
+    if (reach->n_metric == 3 && reach->n_axes == 3)
+        NAME(list_all)(coords, reach, found, ids, squared, id, 3, 3);
+    else
+        NAME(list_all)(coords, reach, found, ids, squared, id, reach->n_metric, reach->n_axes);
 }
 
 static TARGET void NAME(list_points)(const double *coords, int64_t n_axes, const Found *found,
@@ -57,7 +68,7 @@ static TARGET void NAME(list_points)(const double *coords, int64_t n_axes, const
 {
     const int64_t stride = found->count + LANES;
     for (Eights at = NAME(eights)(found); NAME(next)(&at);) {
-        const double *from = NAME(lanes_at)(coords, n_axes, at.place);
+        const double *from = NAME(lanes_at)(coords, n_axes, &at);
         for (int axis = 0; axis < 3; ++axis)
             NAME(pack)(points + axis * stride, at.bits, NAME(load)(from + BLOCK * axis));
         points += COUNT_BITS(at.bits);
@@ -141,7 +152,7 @@ static TARGET void NAME(moments)(const double *coords, int64_t n_axes, const Fou
     V8 sum_u = zero, sum_v = zero, uu = zero, uv = zero, vv = zero;
     double mean_u, mean_v, n = (double)found->count;
     for (Eights at_eight = NAME(eights)(found); NAME(next)(&at_eight);) {
-        const double *points = NAME(lanes_at)(coords, n_axes, at_eight.place);
+        const double *points = NAME(lanes_at)(coords, n_axes, &at_eight);
         const M8 chosen = NAME(chosen)(at_eight.bits);
         V8 u = zero, v = zero;
         for (int axis = 0; axis < 3; ++axis) {
@@ -204,8 +215,8 @@ static INLINE void NAME(weigh_some)(const double *coords, const Reach *reach, co
 {
     V8 sum[3] = {NAME(all)(0.0), NAME(all)(0.0), NAME(all)(0.0)};
     for (Eights at = NAME(eights)(found); NAME(next)(&at);) {
-        const double *points = NAME(lanes_at)(coords, reach->n_axes, at.place);
-        const double *value = NAME(lanes_at)(values, n_channels, at.place);
+        const double *points = NAME(lanes_at)(coords, reach->n_axes, &at);
+        const double *value = NAME(lanes_at)(values, n_channels, &at);
         V8 squared = NAME(squared_gap)(points, 0, reach->n_metric, reach->low);
         V8 weight = NAME(weight)(squared, weights);
         weight = NAME(pick)(NAME(chosen)(at.bits), weight, NAME(all)(0.0));
