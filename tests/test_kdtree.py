@@ -191,3 +191,13 @@ def test_bad_queries_are_refused(queries, k, options, error, message):
 def test_a_tree_without_range_axes_takes_no_range():
     with pytest.raises(ValueError, match="no range axes: all its 3"):
         pr.KDTree(np.zeros((8, 3))).query(np.zeros((1, 3)), 1, range_radius=1.0)
+
+
+def test_tables_larger_than_caches_hold_what_smaller_ones_do():
+    rng = np.random.default_rng(2)
+    points, some = rng.random((600_000, 3)), rng.integers(600_000, size=3000)
+    tree = pr.KDTree(points)
+    for threads in (1, 2):
+        large, small = tree.query_self(16, n_threads=threads), tree.query(points[some], 16)
+        np.testing.assert_array_equal(large.ids[some], small.ids)
+        np.testing.assert_array_equal(large.distance[some], small.distance)

@@ -117,8 +117,10 @@ typedef struct {
      * differ by less than a 50,000-th of the greatest. */
     void (*sort)(const double *squared, const int64_t *id, int64_t count, double squared_radius,
                  double *to, int64_t *to_id);
-    /* Write distances and ids of what was sorted so, nearest first, ties by id. */
-    void (*write)(double *squared, int64_t *id, int64_t count, double *distance, int64_t *to_id);
+    /* Write distances and ids of what was sorted so, nearest first, ties by id; past the cache, if
+     * asked to: then count is a multiple of LANES and rows start where lines of the cache do. */
+    void (*write)(double *squared, int64_t *id, int64_t count, int past_cache, double *distance,
+                  int64_t *to_id);
     /* Second moments uu, uv, vv about the mean, divided by their number, of the offsets of what was
      * found from a point, along the two directions of `frame`, multiplied by `scale` first. */
     void (*moments)(const double *coords, int64_t n_axes, const Found *found, const double *at,
@@ -160,6 +162,14 @@ static inline void prefetch_row(const void *row, int64_t n_bytes)
 {
     for (int64_t i = 0; i < n_bytes - 1; i += 64) __builtin_prefetch((const char *)row + i, 1);
     __builtin_prefetch((const char *)row + n_bytes - 1, 1);
+}
+
+/* Have what was written past the cache seen by all threads. */
+static inline void finish_writing(void)
+{
+#if defined(__SSE__)
+    __builtin_ia32_sfence();
+#endif
 }
 
 /* The set of that name: avx512, avx2 or portable, or for the empty name the widest this processor

@@ -92,7 +92,7 @@ cdef extern from "lanes.h" nogil:
         void (*sort)(
             const double*, const int64_t*, int64_t, double, double*, int64_t*
         ) noexcept nogil
-        void (*write)(double*, int64_t*, int64_t, double*, int64_t*) noexcept nogil
+        void (*write)(double*, int64_t*, int64_t, int, double*, int64_t*) noexcept nogil
         void (*moments)(
             const double*, int64_t, const Found*, const double*, const double*, double, double*
         ) noexcept nogil
@@ -106,5 +106,6 @@ cdef extern from "lanes.h" nogil:
     int lowest_bit(unsigned int bits)
     int count_bits(unsigned int bits)
     int highest_bit(unsigned int bits)
+    void finish_writing()
     void prefetch_row(const void* row, int64_t n_bytes)
     const Lanes* lanes_named(const char* name)

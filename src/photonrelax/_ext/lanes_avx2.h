@@ -8,6 +8,7 @@
 #define SET(x) _mm256_set1_pd(x)
 #define LOAD(x) _mm256_loadu_pd(x)
 #define STORE(x, v) _mm256_storeu_pd(x, v)
+#define STREAM(x, v) _mm256_stream_pd(x, v)
 #define ADD(a, b) _mm256_add_pd(a, b)
 #define SUB(a, b) _mm256_sub_pd(a, b)
 #define MUL(a, b) _mm256_mul_pd(a, b)

@@ -8,6 +8,7 @@
 #define SET(x) _mm512_set1_pd(x)
 #define LOAD(x) _mm512_loadu_pd(x)
 #define STORE(x, v) _mm512_storeu_pd(x, v)
+#define STREAM(x, v) _mm512_stream_pd(x, v)
 #define ADD(a, b) _mm512_add_pd(a, b)
 #define SUB(a, b) _mm512_sub_pd(a, b)
 #define MUL(a, b) _mm512_mul_pd(a, b)

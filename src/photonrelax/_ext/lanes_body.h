@@ -30,6 +30,7 @@ static const Lanes NAME(lanes) = {
 #undef SET
 #undef LOAD
 #undef STORE
+#undef STREAM
 #undef ADD
 #undef SUB
 #undef MUL

@@ -130,11 +130,18 @@ static INLINE int NAME(growing)(const double *x, int64_t count)
     return not_growing == 0;
 }
 
-static TARGET void NAME(write)(double *squared, int64_t *id, int64_t count, double *distance,
-                               int64_t *to_id)
+static TARGET void NAME(write)(double *squared, int64_t *id, int64_t count, int past_cache,
+                               double *distance, int64_t *to_id)
 {
     int64_t j = 0;
     if (!NAME(growing)(squared, count)) sort_exactly(squared, id, count);
+    if (past_cache) {
+        for (; j < count; j += LANES) {
+            NAME(stream)(distance + j, NAME(root)(NAME(load)(squared + j)));
+            NAME(stream)((double *)(to_id + j), NAME(load_ids)(id + j));
+        }
+        return;
+    }
     for (; j + LANES <= count; j += LANES) {
         NAME(store)(distance + j, NAME(root)(NAME(load)(squared + j)));
         NAME(store)((double *)(to_id + j), NAME(load_ids)(id + j));

@@ -8,6 +8,7 @@
 #define SET(x) (x)
 #define LOAD(x) (*(x))
 #define STORE(x, v) (*(x) = (v))
+#define STREAM(x, v) (*(x) = (v))
 #define ADD(a, b) ((a) + (b))
 #define SUB(a, b) ((a) - (b))
 #define MUL(a, b) ((a) * (b))

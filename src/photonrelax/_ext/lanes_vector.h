@@ -44,6 +44,12 @@ static INLINE void NAME(store)(double *x, V8 a)
     for (int i = 0; i < PARTS; ++i) STORE(x + WIDTH * i, a.part[i]);
 }
 
+/* Store where a line of the cache starts, past the cache. */
+static INLINE void NAME(stream)(double *x, V8 a)
+{
+    for (int i = 0; i < PARTS; ++i) STREAM(x + WIDTH * i, a.part[i]);
+}
+
 static INLINE void NAME(store_rounded)(float *x, V8 a)
 {
     for (int i = 0; i < PARTS; ++i) STORE_ROUNDED(x + WIDTH * i, a.part[i]);

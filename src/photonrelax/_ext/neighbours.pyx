@@ -9,7 +9,7 @@ import numpy as np
 
 from .batch cimport Batch, Query, limit_range, list_neighbours, open_block, open_query, scratch
 from .kdtree cimport Tree
-from .lanes cimport BLOCK, KEYS, Found, prefetch_row
+from .lanes cimport BLOCK, KEYS, LANES, Found, finish_writing, prefetch_row
 from .search cimport find
 
 from .kdtree import aligned
@@ -18,6 +18,8 @@ from .kdtree import aligned
 cdef enum:
     # Rows to be written are brought into the cache so many ahead: they are all over the table.
     AHEAD = 2
+    # Tables of at least so many bytes are written past the cache, which would lose them anyway.
+    LARGE = 1 << 26
 
 
 cdef extern from "<algorithm>" namespace "std" nogil:
@@ -58,12 +60,14 @@ cdef class Table:
     cdef int64_t[:, ::1] id_rows
     cdef double[:, ::1] distance_rows
     cdef unsigned char[:, ::1] room
+    cdef bint past_cache
 
     def __init__(self, Py_ssize_t n_queries, Py_ssize_t k, int n_threads):
         self.ids = aligned((n_queries, k), np.int64)
         self.distance = aligned((n_queries, k))
         self.id_rows = self.ids
         self.distance_rows = self.distance
+        self.past_cache = 8 * n_queries * k >= LARGE and k % LANES == 0
         n_sorted = k if k > KEYS else 0
         self.room = np.empty((n_threads, max(n_sorted * sizeof(Neighbour), 1)), dtype=np.uint8)
 
@@ -92,14 +96,19 @@ cdef void write_rows(
         count = batch.queries[i].found.count
         tree.lanes.write(
             batch.sorted + i * batch.stride, batch.sorted_id + i * batch.stride, count,
+            table.past_cache and count == k,
             &table.distance_rows[rows[i], 0], &table.id_rows[rows[i], 0]
         )
         for j in range(count, k):
             table.id_rows[rows[i], j] = tree.n_points
             table.distance_rows[rows[i], j] = INFINITY
+    if table.past_cache:
+        finish_writing()
 
 
 cdef inline void prefetch_rows(Table table, Py_ssize_t row) noexcept nogil:
+    if table.past_cache:
+        return
     prefetch_row(&table.id_rows[row, 0], 8 * table.id_rows.shape[1])
     prefetch_row(&table.distance_rows[row, 0], 8 * table.id_rows.shape[1])
 
