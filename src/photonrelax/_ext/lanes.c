@@ -86,8 +86,8 @@ static void sort_exactly(double *squared, int64_t *id, int64_t count)
     }
 }
 
-static ALWAYS_INLINE double squared_gap_at(const double *coords, int64_t first, int64_t end, const Reach *reach,
-                             int64_t place)
+static ALWAYS_INLINE double squared_gap_at(const double *coords, int64_t first, int64_t end,
+                                           const Reach *reach, int64_t place)
 {
     const double *point = coords + BLOCK * reach->n_axes * (place / BLOCK) + place % BLOCK;
     double gap = point[BLOCK * first] - reach->low[first], squared = gap * gap;

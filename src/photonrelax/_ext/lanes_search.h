@@ -264,8 +264,8 @@ static TARGET void NAME(scan_copies)(const double *coords, const float *copies,
 }
 
 /* Find the key of the k-th nearest candidate, OUTSIDE if there are fewer, and how many have a
- * lesser one: bit by bit, as the greatest key that fewer than k are less than. Several searches run side
- * by side, as each step of one waits for the last. */
+ * lesser one: bit by bit, as the greatest key that fewer than k are less than. Several searches run
+ * side by side, as each step of one waits for the last. */
 static INLINE void NAME(keys_of)(Ranked *ranked, int n, int64_t n_chunks)
 {
     for (int bit = 128; bit > 0; bit >>= 1)

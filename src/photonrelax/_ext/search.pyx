@@ -169,7 +169,7 @@ cdef inline void set_local(Tree tree, Batch* batch, Query* query) noexcept nogil
 
 
 cdef inline double local_squared(double squared, double scale) noexcept nogil:
-    """Return a squared radius among copies, -1 where they are too coarse, or finer than is exact."""
+    """Return a squared radius among copies, -1 where they are too coarse or finer than exact."""
     cdef double local = squared * (scale * scale)
     if squared >= LEAST_COPIED and COARSEST * COARSEST <= local <= FARTHEST_COPIED:
         return local
