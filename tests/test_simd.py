@@ -16,8 +16,8 @@ from photonrelax import _progress
 from photonrelax._ext import kdtree
 
 NEEDED = {
-    "avx512": {"avx512f", "avx512bw", "avx512dq", "avx512vl"},
-    "avx2": {"avx2"},
+    "avx512": {"avx512f", "avx512bw", "avx512dq", "avx512vl", "popcnt", "bmi1"},
+    "avx2": {"avx2", "popcnt", "bmi1"},
     "portable": set(),
 }
 on_each_path = simd_paths.each("path")

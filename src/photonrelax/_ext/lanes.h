@@ -13,11 +13,12 @@
 enum {
     BLOCK = 16,
     LANES = 8,
-    /* Candidates are sorted roughly by keys, up to FARTHEST within the limit. As those are off a
-     * little, some just beyond the limit have it or the next one. Others are OUTSIDE. */
+    /* Candidates are sorted roughly by keys. Those up to FARTHEST are within the limit or, as keys
+     * are off a little, just beyond it; what is out of range, or far beyond, is OUTSIDE. */
     FARTHEST = 250,
     OUTSIDE = 255,
-    /* Keys are looked at so many at a time, in no fewer chunks than these. */
+    /* Keys are looked at so many at a time; up to FEW_CHUNKS of such, several searches look at as
+     * many as the one that needs the most. */
     KEYS = 64,
     FEW_CHUNKS = 4,
     /* So many searches among candidates run side by side. */
@@ -43,21 +44,21 @@ typedef struct {
     int64_t n_metric, n_axes;
 } Frame;
 
-/* The reach of a point among copies, and by how much
- * squared distances may be off. */
+/* The reach of a point among copies, and by how much squared distances may be off. */
 typedef struct {
     const float *at;
     float squared_limit, squared_range;
     float limit_slack, range_slack;
-    /* By how much heights of candidates may be off. */
+    /* How much higher a candidate may seem than one that is farther away, or as far. */
     float doubt;
 } Local;
 
 /* Candidates: all points of some blocks. Their heights, squared distances as multiples of the
- * FARTHEST-th part of the limit, and keys, heights rounded down, lie block by block; keys have room
- * for FEW_CHUNKS * KEYS more. Found are the `count` candidates of keys up to `key`, the farthest of
- * them at `squared_radius`. It is among the `n_few` whose exact squared distances had to be looked
- * at; there is room for as many as candidates, and as many spare numbers. */
+ * FARTHEST-th part of the limit, and keys, heights rounded down but OUTSIDE for what is not to be
+ * found, lie block by block; keys have room for FEW_CHUNKS * KEYS more. Found are the `count`
+ * candidates of keys up to `key`, the farthest of them at `squared_radius`. It is among the `n_few`
+ * whose exact squared distances had to be looked at; there is room for as many as candidates, and
+ * as many spare numbers. */
 typedef struct {
     int32_t *blocks;
     uint8_t *keys;
@@ -105,7 +106,7 @@ typedef struct {
      * searches, at most TOGETHER. */
     void (*nearest)(const double *coords, const Reach *const *reach, const float *doubt,
                     Found *const *found, int n, int64_t k, const int64_t *ids);
-    /* Keep only the blocks of what was found, and put all else in them out of reach. */
+    /* Keep only the blocks of what was found; all in them need new keys. */
     void (*compact)(Found *found);
     /* Write squared distances and ids of what was found. Lists have room for LANES more. What is
      * listed, or sorted, is best not read at once: wide loads wait for stores. */

@@ -107,6 +107,7 @@ cdef void set_outer_reach(Tree tree, Batch* batch) noexcept nogil:
     """Let the batch reach what any of its open queries wants to."""
     cdef Py_ssize_t i, axis
     cdef const Query* query
+    cdef bint any_unlimited = False
     for axis in range(tree.n_axes):
         batch.low[axis] = INFINITY
         batch.high[axis] = -INFINITY
@@ -122,8 +123,12 @@ cdef void set_outer_reach(Tree tree, Batch* batch) noexcept nogil:
             batch.high[axis] = max(batch.high[axis], query.reach.low[axis])
         batch.reach.squared_limit = max(batch.reach.squared_limit, query.squared_wanted)
         batch.reach.squared_range = max(batch.reach.squared_range, query.reach.squared_range)
+        any_unlimited = any_unlimited or query.reach.squared_range < 0.0
     set_half_range(tree, batch)
     set_frame(tree, batch)
+    # Only now, as the frame suits those that have a range.
+    if any_unlimited:
+        batch.reach.squared_range = -1.0
 
 
 cdef void set_frame(Tree tree, Batch* batch) noexcept nogil:
@@ -177,7 +182,10 @@ cdef inline double local_squared(double squared, double scale) noexcept nogil:
 
 
 cdef inline double rounding(double squared) noexcept nogil:
-    """Return by how much squared distances up to this may be off among copies."""
+    """Return by how much squared distances up to this may be off among copies.
+
+    It is enough for the errors of two of them, by which a farther point may seem nearer.
+    """
     if squared >= 0.01:
         return ROUNDING * 2.0 * FARTHEST_COPIED
     return ROUNDING * (sqrt(max(squared, 0.0)) + squared)
