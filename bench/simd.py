@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from .timing import Timing
+from .timing import Timing, keep_memory
 
 PATHS = ("avx2", "portable")
 _VARIABLE = "PHOTONRELAX_SIMD"
@@ -46,6 +46,7 @@ def main(n: int, n_threads: int, rounds: int) -> None:
     wanted, used = os.environ[_VARIABLE], kdtree.instruction_set()
     if used != wanted:
         raise SystemExit(f"{_VARIABLE} should make searches use {wanted}, but they use {used}")
+    keep_memory()
     bench = Workbench(n, n_threads, pixels=1)
     results = bench.measured(list(bench.searches(50)), rounds)
     print(json.dumps({name: {"wall": t.wall, "cpu": t.cpu} for name, t in results.items()}))
