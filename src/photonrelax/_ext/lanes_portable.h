@@ -2,43 +2,75 @@
 #define SET_SUFFIX portable
 #define SET_NAME "portable"
 #define TARGET
-#define WIDTH 1
-#define VECTOR double
-#define MASK unsigned
-#define SET(x) (x)
-#define LOAD(x) (*(x))
-#define STORE(x, v) (*(x) = (v))
-#define STREAM(x, v) (*(x) = (v))
+#define WIDTH 2
+#define VECTOR TwoDoubles
+#define MASK TwoMasks
+#define SET(x) ((TwoDoubles){x, x})
+#define LOAD(x) load_two(x)
+#define STORE(x, v) memcpy(x, &(v), sizeof(TwoDoubles))
+#define STREAM(x, v) STORE(x, v)
 #define ADD(a, b) ((a) + (b))
 #define SUB(a, b) ((a) - (b))
 #define MUL(a, b) ((a) * (b))
 #define DIV(a, b) ((a) / (b))
-#define MAX(a, b) ((a) > (b) ? (a) : (b))
-#define MIN(a, b) ((a) < (b) ? (a) : (b))
-#define SQRT(a) sqrt(a)
-#define AT_MOST(a, b) ((unsigned)((a) <= (b)))
+#define MAX(a, b) PICK((TwoMasks)((a) > (b)), a, b)
+#define MIN(a, b) PICK((TwoMasks)((a) < (b)), a, b)
+#define SQRT(a) ((TwoDoubles){sqrt((a)[0]), sqrt((a)[1])})
+#define AT_MOST(a, b) ((TwoMasks)((a) <= (b)))
 #define BOTH(a, b) ((a) & (b))
-#define BITS(m) (m)
-#define PICK(m, a, b) ((m) ? (a) : (b))
-#define PACK(to, m, v) memcpy(to, &(v), sizeof(double))
-#define CHOOSE(bits) (bits)
-#define F_WIDTH 1
-#define F_VECTOR float
-#define F_MASK unsigned
-#define F_SET(x) (x)
-#define F_LOAD(x) (*(x))
-#define F_STORE(x, v) (*(x) = (v))
-#define F_STORE_INTEGERS(x, v) (*(x) = (int32_t)(v))
+#define BITS(m) ((unsigned)(((m)[0] & 1) | ((m)[1] & 2)))
+#define PICK(m, a, b) ((TwoDoubles)(((TwoMasks)(a) & (m)) | ((TwoMasks)(b) & ~(m))))
+#define PACK(to, bits, v) pack_two(to, bits, v)
+#define CHOOSE(bits) ((TwoMasks){-(int64_t)((bits) & 1), -(int64_t)((bits) >> 1)})
+#define F_WIDTH 4
+#define F_VECTOR FourFloats
+#define F_MASK FourMasks
+#define F_SET(x) ((FourFloats){x, x, x, x})
+#define F_LOAD(x) load_four(x)
+#define F_STORE(x, v) memcpy(x, &(v), sizeof(FourFloats))
 #define F_ADD(a, b) ((a) + (b))
 #define F_SUB(a, b) ((a) - (b))
 #define F_MUL(a, b) ((a) * (b))
-#define F_MAX(a, b) ((a) > (b) ? (a) : (b))
-#define F_MIN(a, b) ((a) < (b) ? (a) : (b))
-#define F_AT_MOST(a, b) ((unsigned)((a) <= (b)))
+#define F_MAX(a, b) F_PICK((FourMasks)((a) > (b)), a, b)
+#define F_MIN(a, b) F_PICK((FourMasks)((a) < (b)), a, b)
+#define F_AT_MOST(a, b) ((FourMasks)((a) <= (b)))
 #define F_BOTH(a, b) ((a) & (b))
-#define F_BITS(m) (m)
-#define F_PICK(m, a, b) ((m) ? (a) : (b))
-#define F_ADD_WHERE(m, a, b) ((m) ? (a) + (b) : (a))
+#define F_BITS(m) ((unsigned)(((m)[0] & 1) | ((m)[1] & 2) | ((m)[2] & 4) | ((m)[3] & 8)))
+#define F_PICK(m, a, b) ((FourFloats)(((FourMasks)(a) & (m)) | ((FourMasks)(b) & ~(m))))
+#define F_ADD_WHERE(m, a, b) ((a) + (FourFloats)((FourMasks)(b) & (m)))
+#define F_STORE_INTEGERS(x, v) store_integers(x, v)
+#define STORE_ROUNDED(to, v) ((to)[0] = (float)(v)[0], (to)[1] = (float)(v)[1])
+
+/* Vectors of GCC and Clang, which become those of SSE2 and NEON. */
+typedef double TwoDoubles __attribute__((vector_size(16)));
+typedef int64_t TwoMasks __attribute__((vector_size(16)));
+typedef float FourFloats __attribute__((vector_size(16)));
+typedef int32_t FourMasks __attribute__((vector_size(16)));
+
+static ALWAYS_INLINE TwoDoubles load_two(const double *x)
+{
+    TwoDoubles out;
+    memcpy(&out, x, sizeof out);
+    return out;
+}
+
+static ALWAYS_INLINE FourFloats load_four(const float *x)
+{
+    FourFloats out;
+    memcpy(&out, x, sizeof out);
+    return out;
+}
+
+static ALWAYS_INLINE void pack_two(void *to, unsigned bits, TwoDoubles v)
+{
+    TwoDoubles packed = {bits & 1 ? v[0] : v[1], v[1]};
+    memcpy(to, &packed, sizeof packed);
+}
+
+static ALWAYS_INLINE void store_integers(int32_t *to, FourFloats v)
+{
+    for (int i = 0; i < 4; ++i) to[i] = (int32_t)v[i];
+}
 
 #if defined(__SSE2__)
 #include <emmintrin.h>
@@ -86,16 +118,26 @@ static ALWAYS_INLINE uint64_t keys_next_to_portable(const uint8_t *keys, int key
            (key > 0 ? keys_equal_portable(keys, key - 1) : 0);
 }
 
-#define store_keys_portable(to, v)                                   \
-    do {                                                             \
-        V8 key = (v);                                                \
-        for (int i = 0; i < LANES; ++i) (to)[i] = (uint8_t)key.part[i]; \
+#define store_keys_portable(to, v)                                                        \
+    do {                                                                                  \
+        V8 key = (v);                                                                     \
+        for (int i = 0; i < LANES; ++i) (to)[i] = (uint8_t)key.part[i / 2][i % 2];        \
     } while (0)
 
-#define store_f_keys_portable(to, v)                                    \
-    do {                                                                \
-        F16 f_key = (v);                                                \
-        for (int i = 0; i < BLOCK; ++i) (to)[i] = (uint8_t)f_key.part[i]; \
+#if defined(__SSE2__)
+#define store_f_keys_portable(to, v)                                                      \
+    do {                                                                                  \
+        F16 f_key = (v);                                                                  \
+        __m128i low = _mm_packs_epi32(_mm_cvttps_epi32((__m128)f_key.part[0]),            \
+                                      _mm_cvttps_epi32((__m128)f_key.part[1]));           \
+        __m128i high = _mm_packs_epi32(_mm_cvttps_epi32((__m128)f_key.part[2]),           \
+                                       _mm_cvttps_epi32((__m128)f_key.part[3]));          \
+        _mm_storeu_si128((__m128i *)(to), _mm_packus_epi16(low, high));                   \
     } while (0)
-
-#define STORE_ROUNDED(to, v) (*(to) = (float)(v))
+#else
+#define store_f_keys_portable(to, v)                                                      \
+    do {                                                                                  \
+        F16 f_key = (v);                                                                  \
+        for (int i = 0; i < BLOCK; ++i) (to)[i] = (uint8_t)f_key.part[i / 4][i % 4];      \
+    } while (0)
+#endif
