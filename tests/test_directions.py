@@ -54,6 +54,14 @@ def test_normals_are_alike_only_if_all_are_the_same():
     assert directions.alike(normals, np.arange(0))
 
 
+def test_roundings_do_not_make_normals_differ():
+    normals = random_directions(1).repeat(3, axis=0)
+    normals[1] = np.nextafter(normals[1], 0.0)
+    assert directions.alike(normals, None)
+    normals[2, 0] += 1e-14
+    assert not directions.alike(normals, None)
+
+
 @pytest.mark.parametrize("n_threads", [1, 2, 7])
 def test_faces_near_a_normal_are_those_within_the_chord(n_threads):
     """Sets that are known have their number, no faces at all −1, any others come last."""

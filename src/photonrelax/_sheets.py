@@ -67,7 +67,8 @@ def photon_tree(
     """Return the tree some photons are searched in, and the radius of every photon's range.
 
     Range axes are the emitter coordinates, if given with their ranges, and the normals, unless
-    all are the same: photons on the other side of a plate or round a corner are no neighbours.
+    all are the same but for roundings: photons on the other side of a plate or round a corner are
+    no neighbours.
     Normals are scaled so that NORMAL_RANGE between two of them uses up the largest of the ranges.
     """
     columns, scales = [position], [1.0]

@@ -11,6 +11,9 @@ cdef enum:
     # Directions looked at by one thread, one after the other.
     PART = 8192
 
+# Normals of the triangles of a plane differ by so little.
+cdef double ROUNDINGS = 1e-15
+
 
 cdef inline Py_ssize_t n_parts(Py_ssize_t n) noexcept nogil:
     return (n + PART - 1) // PART
@@ -18,6 +21,13 @@ cdef inline Py_ssize_t n_parts(Py_ssize_t n) noexcept nogil:
 
 cdef inline bint same(const double* a, const double* b) noexcept nogil:
     return a[0] == b[0] and a[1] == b[1] and a[2] == b[2]
+
+
+cdef inline bint nearly_same(const double* a, const double* b) noexcept nogil:
+    return (
+        fabs(a[0] - b[0]) <= ROUNDINGS and fabs(a[1] - b[1]) <= ROUNDINGS
+        and fabs(a[2] - b[2]) <= ROUNDINGS
+    )
 
 
 cdef inline bint to_unit(double* unit, const double* vector) noexcept nogil:
@@ -104,7 +114,7 @@ cdef int face_of(const double[:, ::1] faces, int n_faces, const double* normal) 
 
 
 def alike(const double[:, ::1] normals, const Py_ssize_t[::1] rows):
-    """Tell whether the normals in some rows, in all if `rows` is None, are the same."""
+    """Tell whether normals are the same but for roundings: in some rows, or all for None."""
     cdef Py_ssize_t i, n = normals.shape[0] if rows is None else rows.shape[0]
     cdef Py_ssize_t first, row
     if n == 0:
@@ -113,7 +123,7 @@ def alike(const double[:, ::1] normals, const Py_ssize_t[::1] rows):
     with nogil:
         for i in range(1, n):
             row = i if rows is None else rows[i]
-            if not same(&normals[row, 0], &normals[first, 0]):
+            if not nearly_same(&normals[row, 0], &normals[first, 0]):
                 break
         else:
             i = n
