@@ -96,3 +96,20 @@ def test_columns_are_copied_side_by_side(rows):
         columns.copy_rows(target, 3, source, rows, 0.5, 2)
     with pytest.raises(ValueError, match="rows do not fit the target"):
         columns.copy_rows(target[1:], 0, source, rows, 0.5, 2)
+
+
+@pytest.mark.parametrize("n", [1, 1024, 5000])
+@pytest.mark.parametrize("n_threads", [1, 2, 7])
+def test_bounds_are_the_least_and_the_greatest_of_each_axis(n, n_threads):
+    points = np.random.default_rng(n).normal(size=(n, 4))
+    low, high = columns.bounds(points, 3, n_threads)
+    np.testing.assert_array_equal(low, points[:, :3].min(axis=0))
+    np.testing.assert_array_equal(high, points[:, :3].max(axis=0))
+
+
+def test_no_points_have_no_bounds():
+    low, high = columns.bounds(np.empty((0, 2)), 2, 2)
+    assert (low == np.inf).all()
+    assert (high == -np.inf).all()
+    with pytest.raises(ValueError, match="from 0 to 2"):
+        columns.bounds(np.empty((0, 2)), 3, 1)

@@ -11,12 +11,11 @@ from . import _arrays
 from ._arrays import Floats
 from ._ext import kdtree as _kdtree
 from ._ext import neighbours as _neighbours
+from ._ext.columns import bounds
 from ._ext.curve import curve_order
 
 # Squared distances must stay finite.
 _LARGEST_EXTENT = 1e150
-# Points whose extent is found together.
-_TOGETHER = 64
 # The tree is built with numbers of 32 bits.
 _MOST_POINTS = 2**31 - 1
 
@@ -82,8 +81,9 @@ class KDTree:
             )
         if self.n_points > _MOST_POINTS:
             raise ValueError(f"points should be at most {_MOST_POINTS}, but are {self.n_points}")
-        scale = _axis_scale(array, self.n_metric)
-        self.kernel = _kdtree.Tree(array, self.n_metric, scale, _arrays.thread_count(n_threads))
+        threads = _arrays.thread_count(n_threads)
+        scale = _axis_scale(array, self.n_metric, threads)
+        self.kernel = _kdtree.Tree(array, self.n_metric, scale, threads)
 
     def __len__(self) -> int:
         return self.n_points
@@ -246,13 +246,14 @@ def _ranges(value: ArrayLike | None, name: str, shape: tuple[int, ...]) -> Float
     return array
 
 
-def _axis_scale(points: Floats, n_metric: int) -> Floats:
+def _axis_scale(points: Floats, n_metric: int, n_threads: int) -> Floats:
     """Return what makes extents on the metric and on the range axes comparable.
 
     Photons are a sheet over the coordinates they left their emitter with. Splitting on both kinds
     of axes keeps leaves compact in both, and so prunes best.
     """
-    extent = _extent(points)
+    low, high = bounds(points, points.shape[1], n_threads)
+    extent = high - low if len(points) else np.zeros_like(low)
     if (extent > _LARGEST_EXTENT).any():
         raise ValueError(
             f"points should span at most {_LARGEST_EXTENT:g}, but span {extent.max():g}"
@@ -264,16 +265,3 @@ def _axis_scale(points: Floats, n_metric: int) -> Floats:
             # The inverse of the least of numbers would be infinite.
             scale[axes] = 1.0 / max(largest, 1e-300)
     return scale
-
-
-def _extent(points: Floats) -> Floats:
-    """Return how far points extend on each axis."""
-    n, n_axes = points.shape
-    if n < _TOGETHER:
-        return np.ptp(points, axis=0) if n else np.zeros(n_axes)
-    # Rows of a few numbers are slow to reduce, so many points count as one of many axes.
-    whole = n // _TOGETHER * _TOGETHER
-    wide, rest = points[:whole].reshape(-1, _TOGETHER * n_axes), points[whole:]
-    low = np.vstack([wide.min(axis=0).reshape(-1, n_axes), rest]).min(axis=0)
-    high = np.vstack([wide.max(axis=0).reshape(-1, n_axes), rest]).max(axis=0)
-    return high - low

@@ -1,6 +1,12 @@
-"""Columns of arrays put side by side."""
+"""Columns of arrays: put side by side, and bounded."""
 
 from cython.parallel cimport prange
+
+import numpy as np
+
+cdef enum:
+    # Rows of a column looked at before those of the next; they fit the cache.
+    PART = 1024
 
 
 def copy_rows(
@@ -27,3 +33,48 @@ cdef inline void copy_row(
     cdef Py_ssize_t column
     for column in range(n):
         target[column] = scale * source[column]
+
+
+def bounds(const double[:, ::1] points, Py_ssize_t n_axes, int n_threads):
+    """Return the least and the greatest coordinates (n_axes,) of points, on their first axes.
+
+    Infinity and its negative if there are no points.
+    """
+    if not 0 <= n_axes <= points.shape[1]:
+        raise ValueError(f"n_axes should be from 0 to {points.shape[1]}, but is {n_axes}")
+    cdef double[:, ::1] low = np.full((n_threads, n_axes), np.inf)
+    cdef double[:, ::1] high = np.full((n_threads, n_axes), -np.inf)
+    cdef int thread
+    for thread in prange(n_threads, nogil=True, num_threads=n_threads):
+        bound_share(points, n_axes, thread, n_threads, low, high)
+    return np.min(low, axis=0), np.max(high, axis=0)
+
+
+cdef void bound_share(
+    const double[:, ::1] points, Py_ssize_t n_axes, int thread, int n_threads,
+    double[:, ::1] low, double[:, ::1] high
+) noexcept nogil:
+    """Bound a thread's share of the points; write its row only."""
+    cdef Py_ssize_t first = thread * points.shape[0] // n_threads
+    cdef Py_ssize_t end = (thread + 1) * points.shape[0] // n_threads
+    cdef Py_ssize_t axis
+    while first < end:
+        for axis in range(n_axes):
+            bound_part(
+                points, axis, first, min(first + PART, end), &low[thread, axis], &high[thread, axis]
+            )
+        first += PART
+
+
+cdef inline void bound_part(
+    const double[:, ::1] points, Py_ssize_t axis, Py_ssize_t first, Py_ssize_t end, double* low,
+    double* high
+) noexcept nogil:
+    """Widen bounds, which lie next to those of another thread, so they are written only once."""
+    cdef double least = low[0], greatest = high[0]
+    cdef Py_ssize_t i
+    for i in range(first, end):
+        least = min(least, points[i, axis])
+        greatest = max(greatest, points[i, axis])
+    low[0] = least
+    high[0] = greatest

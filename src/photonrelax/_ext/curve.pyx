@@ -7,11 +7,12 @@ the ones before.
 """
 
 from cython.parallel cimport prange
-from libc.math cimport INFINITY
 from libc.stdint cimport UINT32_MAX, int64_t, uint32_t, uint64_t
 from libc.string cimport memset
 
 import numpy as np
+
+from .columns import bounds
 
 cdef enum:
     KEY_BITS = 32
@@ -82,7 +83,7 @@ def curve_order(const double[:, ::1] points, int n_axes, int n_threads):
     job.n_threads = n_threads
     if n > 0 and n_axes > 0:
         job.points = &points[0, 0]
-        low, high = bounds(&job, n_axes)
+        low, high = bounds(points, n_axes, n_threads)
         share_bits(&job, low, high)
     if job.n_axes == 0:
         return np.arange(n, dtype=np.intp)
@@ -96,32 +97,6 @@ def curve_order(const double[:, ::1] points, int n_axes, int n_threads):
 
 
 # Cells
-
-cdef tuple bounds(Job* job, int n_axes):
-    """Return the least and the greatest coordinates."""
-    cdef double[:, ::1] low = np.empty((job.n_threads, n_axes))
-    cdef double[:, ::1] high = np.empty((job.n_threads, n_axes))
-    cdef int thread
-    for thread in prange(job.n_threads, nogil=True, num_threads=job.n_threads):
-        bound_share(job, thread, n_axes, &low[thread, 0], &high[thread, 0])
-    return np.min(low, axis=0), np.max(high, axis=0)
-
-
-cdef void bound_share(
-    const Job* job, int thread, int n_axes, double* low, double* high
-) noexcept nogil:
-    cdef Py_ssize_t i
-    cdef int axis
-    cdef double x
-    for axis in range(n_axes):
-        low[axis] = INFINITY
-        high[axis] = -INFINITY
-    for i in range(share_start(job, thread), share_start(job, thread + 1)):
-        for axis in range(n_axes):
-            x = job.points[i * job.n_columns + axis]
-            low[axis] = min(low[axis], x)
-            high[axis] = max(high[axis], x)
-
 
 cdef Py_ssize_t share_start(const Job* job, int thread) noexcept nogil:
     return thread * job.n_points // job.n_threads

@@ -7,6 +7,7 @@ from .batch cimport Batch, Query, limit_radius, limit_range, open_query, scratch
 from .kdtree cimport Tree
 from .lanes cimport (
     BLOCK, CONE_WEIGHTS, CONSTANT_WEIGHTS, EPANECHNIKOV_WEIGHTS, OUTSIDE, Weights, last_found,
+    prefetch_row,
 )
 from .search cimport find
 
@@ -113,9 +114,21 @@ cdef void gather_batch(
         limit_radius(query, photons.radius * photons.radius)
         if photons.normal_range >= 0.0:
             limit_range(query, photons.normal_range)
+    prefetch_queries(queries, order, BLOCK * number + BLOCK)
     find(photons.tree, batch)
     for i in range(batch.n_queries):
+        prefetch_row(&out[order[BLOCK * number + i], 0], 8 * out.shape[1])
+    for i in range(batch.n_queries):
         gather_one(photons, &batch.queries[i], &out[order[BLOCK * number + i], 0])
+
+
+cdef inline void prefetch_queries(
+    const double[:, ::1] queries, const Py_ssize_t[::1] order, Py_ssize_t first
+) noexcept nogil:
+    """Have the queries of the next batch brought into the cache."""
+    cdef Py_ssize_t i
+    for i in range(first, min(first + BLOCK, order.shape[0])):
+        prefetch_row(&queries[order[i], 0], 8 * queries.shape[1])
 
 
 cdef void gather_one(Gather photons, Query* query, double* out) noexcept nogil:

@@ -8,7 +8,7 @@ from .batch cimport LISTED, LISTED_STRIDE, Query, candidates_before_drop
 from .kdtree cimport fan_out, first_block, last_kept
 from .lanes cimport (
     BLOCK, FARTHEST, KEYS, MOST_COPIED_AXES, OUTSIDE, TOGETHER, Found, Local, Reach,
-    count_bits, highest_bit, last_found, lowest_bit,
+    count_bits, highest_bit, last_found, lowest_bit, prefetch_row,
 )
 
 cdef enum:
@@ -286,6 +286,9 @@ cdef void list_blocks(Tree tree, Batch* batch, Py_ssize_t g, unsigned int near) 
         child = lowest_bit(near)
         near &= near - 1
         batch.listed[batch.n_listed] = <int32_t> first_block(tree, node + child)
+        prefetch_row(
+            &tree.coords[batch.listed[batch.n_listed], 0, 0], 8 * BLOCK * tree.n_metric
+        )
         batch.box_number[batch.n_listed] = <int32_t> (BLOCK * group + child)
         batch.n_listed += 1
 
