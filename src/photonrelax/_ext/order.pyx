@@ -75,7 +75,8 @@ def median_order(const double[:, ::1] points, const double[::1] axis_scale, int 
     Returns
     -------
     (n,) intp array
-        Ids, the rows of `points`, in the order of the leaves.
+        Ids, the rows of `points`, in the order of the leaves. Behind them is room for as many as
+        the last block lacks, so that ids can be read several at a time.
 
     Raises
     ------
@@ -86,13 +87,14 @@ def median_order(const double[:, ::1] points, const double[::1] axis_scale, int 
     cdef Py_ssize_t[::1] axes = np.flatnonzero(axis_scale)
     cdef double[::1] scale = np.take(axis_scale, axes)
     check(n, points.shape[1], axis_scale.shape[0], axes.shape[0])
+    order = np.zeros((n + BLOCK - 1) // BLOCK * BLOCK, np.intp)[:n]
     if n <= BLOCK or axes.shape[0] == 0:
-        return np.arange(n, dtype=np.intp)
+        order[:] = np.arange(n)
+        return order
     cdef Job job
     cdef Team team
     job.n_keys = <int> axes.shape[0]
     job.words = (job.n_keys + QUAD) // QUAD * QUAD
-    order = np.empty(n, np.intp)
     cdef Py_ssize_t[::1] order_view = order
     cdef int32_t[:, :, ::1] rows = np.empty((2, n, job.words), np.int32)
     cdef unsigned char[:, ::1] found = np.zeros((n_threads, sizeof(Found)), np.uint8)
