@@ -17,8 +17,9 @@ TIERS = [
     {"kdtree", "raycast", "scene"},
     {"camera", "emit", "photonmap"},
     {"_facing", "_sheets", "_surfaces", "trace", "structure", "relax", "estimate"},
+    {"methods"},
     {"render", "gallery"},
-    {"cli", "_bars", "_text", "__main__"},
+    {"cli", "_bars", "_options", "_text", "__main__"},
 ]
 TIER = {module: tier for tier, modules in enumerate(TIERS) for module in modules}
 OWNERS = {"embreex": {"raycast"}, "trimesh.ray": {"raycast"}, "OpenEXR": {"image"}}

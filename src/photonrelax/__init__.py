@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from .estimate import GatherSettings as GatherSettings
     from .estimate import IrradianceField as IrradianceField
     from .estimate import estimate_irradiance as estimate_irradiance
-    from .estimate import irradiance_field as irradiance_field
     from .image import Image as Image
     from .kdtree import KDTree as KDTree
     from .kdtree import Neighbours as Neighbours
+    from .methods import irradiance_field as irradiance_field
     from .photonmap import EnergyLedger as EnergyLedger
     from .photonmap import PhotonMap as PhotonMap
     from .relax import RelaxSettings as RelaxSettings
@@ -65,7 +65,7 @@ _MODULE_OF = {
     "StructureSettings": "structure",
     "detect_structure": "structure",
     "estimate_irradiance": "estimate",
-    "irradiance_field": "estimate",
+    "irradiance_field": "methods",
     "relax": "relax",
     "render": "render",
     "trace_photons": "trace",

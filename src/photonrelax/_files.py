@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 
 @contextmanager
@@ -51,6 +53,37 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         ) from None
     finally:
         probe.unlink(missing_ok=True)
+
+
+def output_path(path: Path, suffix: str | None = None) -> Path:
+    """Return a path that can be written to; better to find out before the work than after.
+
+    Raises
+    ------
+    ValueError
+        If it does not end in `suffix`.
+    OSError
+        As `check_writable`.
+    """
+    if suffix is not None and path.suffix.lower() != suffix:
+        raise ValueError(f"the output should be named *{suffix}, but is {path}")
+    check_writable(path)
+    return path
+
+
+def check_distinct(paths: Mapping[str, Path | None]) -> None:
+    """Raise ValueError if one file would overwrite another."""
+    names: dict[str, str] = {}
+    for name, path in paths.items():
+        if path is not None:
+            other = names.setdefault(os.path.realpath(path), name)
+            if other != name:
+                raise ValueError(f"{name} and {other} should not be one file, but both are {path}")
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON, indented."""
+    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
 def _check_folder(path: Path) -> None:

@@ -14,6 +14,7 @@ import photonrelax as pr
 
 from . import gallery
 from ._bars import Bars
+from ._files import check_distinct, output_path, whole_file, write_json
 from ._interrupts import Interrupts
 
 # Everything else is imported where it is used: an interrupt meanwhile is then caught in `main`.
@@ -61,10 +62,10 @@ def _interrupted() -> int:
 def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
     if options.photon_map is not None and (options.photons, options.seed) != (None, None):
         options.wrong_usage("--photon-map brings its photons: leave out --photons and --seed")
-    output = _output(options.output, ".exr")
-    preview = _output(output.with_suffix(".png"))
-    stats = None if options.stats is None else _output(options.stats)
-    _check_distinct(
+    output = output_path(options.output, ".exr")
+    preview = output_path(output.with_suffix(".png"))
+    stats = None if options.stats is None else output_path(options.stats)
+    check_distinct(
         {
             "the picture": output,
             "the preview": preview,
@@ -78,7 +79,7 @@ def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
         image.write_exr(_partial(files, output))
         image.write_png(_partial(files, preview), exposure=options.exposure)
         if stats is not None:
-            _write_json(_partial(files, stats), image.stats)
+            write_json(_partial(files, stats), image.stats)
         interrupts.check()
     from ._text import stage_table
 
@@ -106,7 +107,7 @@ def _image(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
 def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ._text import stage_table
 
-    output = _output(options.output, ".npz")
+    output = output_path(options.output, ".npz")
     scene = gallery.scene(options.scene)
     with Bars(options.quiet, interrupts) as bars:
         photons, seconds = _timed(
@@ -128,7 +129,7 @@ def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:
 def _relax(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ._text import stage_table
 
-    output = _output(options.output, ".npz")
+    output = output_path(options.output, ".npz")
     photons = pr.PhotonMap.load(options.photon_map)
     scene = None if options.scene is None else gallery.scene(options.scene)
     settings = pr.RelaxSettings(n_iterations=tuple(options.iterations))
@@ -182,41 +183,11 @@ def _report(options: argparse.Namespace, *texts: str) -> None:
         print("\n".join(texts))
 
 
-# --- files and scenes -------------------------------------------------------------------------
-
-
-def _output(path: Path, suffix: str | None = None) -> Path:
-    """Return a path that can be written to; better to find out before the work than after."""
-    from ._files import check_writable
-
-    if suffix is not None and path.suffix.lower() != suffix:
-        raise ValueError(f"the output should be named *{suffix}, but is {path}")
-    check_writable(path)
-    return path
-
-
-def _check_distinct(paths: Mapping[str, Path | None]) -> None:
-    """Raise ValueError if one file would overwrite another."""
-    import os
-
-    names: dict[str, str] = {}
-    for name, path in paths.items():
-        if path is not None:
-            other = names.setdefault(os.path.realpath(path), name)
-            if other != name:
-                raise ValueError(f"{name} and {other} should not be one file, but both are {path}")
+# --- scenes and files --------------------------------------------------------------------------
 
 
 def _partial(files: ExitStack, path: Path) -> Path:
-    from ._files import whole_file
-
     return files.enter_context(whole_file(path))
-
-
-def _write_json(path: Path, content: Mapping[str, Any]) -> None:
-    import json
-
-    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
 def _photons(options: argparse.Namespace) -> int:
@@ -260,7 +231,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_render(commands: Any) -> None:
-    from .estimate import METHODS
+    from .methods import METHODS
 
     about = "render a built-in scene to an EXR file, and a PNG preview beside it"
     parser = commands.add_parser("render", help=about, description=about)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from time import perf_counter
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,12 +17,8 @@ from ._progress import Progress, Reporter
 from ._sheets import NORMAL_RANGE
 from .kdtree import KDTree
 from .photonmap import PhotonMap
-from .relax import RelaxSettings
-from .relax import relax as relax_photons
-from .scene import Scene
-from .structure import Structure, StructureSettings, detect_structure
+from .structure import Structure
 
-METHODS = ("standard", "parameterised")
 KERNELS = {
     "constant": _estimate.CONSTANT,
     "cone": _estimate.CONE,
@@ -71,8 +67,46 @@ class GatherSettings:
             object.__setattr__(self, "gather_radius", radius)
 
 
+class Field(Protocol):
+    """Photons prepared once by any method, their irradiance evaluated anywhere.
+
+    Attributes
+    ----------
+    photons : PhotonMap
+        As gathered from.
+    structure : Structure or None
+        What was found for these photons on the way, for those who want to look at it.
+    seconds : dict
+        How long each stage of the preparation took.
+    used : dict
+        Settings of each stage, by their names, with what was left open filled in.
+    """
+
+    photons: PhotonMap
+    structure: Structure | None
+    seconds: dict[str, float]
+    used: dict[str, dict[str, Any]]
+
+    def __call__(
+        self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
+    ) -> Floats:
+        """Return the irradiance (m, 3), W/m², at points on surfaces with the given normals."""
+
+    def densities(self, values: ArrayLike) -> Estimate:
+        """Return what estimates, per area, anything else that photons carry, (n, c)."""
+
+
+class Estimate(Protocol):
+    """Called with points and normals, (m, 3) each, it returns densities, (m, c)."""
+
+    def __call__(
+        self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
+    ) -> Floats:
+        """Return the estimates."""
+
+
 class IrradianceField:
-    """Photons prepared once, their irradiance evaluated anywhere.
+    """The k nearest photons gathered anywhere (Jensen's estimate): a `Field`.
 
     Parameters
     ----------
@@ -81,14 +115,14 @@ class IrradianceField:
     settings : GatherSettings, optional
     structure : Structure, optional
         What was found for these photons on the way, for those who want to look at it.
-    seconds : dict, optional
-        How long each stage of the preparation took.
+    seconds, used : dict, optional
+        How long each stage of the preparation took, and with which settings.
     n_threads : int, optional
         Threads; all available by default. Results do not depend on it.
 
     Attributes
     ----------
-    photons, settings, structure, seconds
+    photons, settings, structure, seconds, used
         As given; `settings.gather_radius` holds the radius in use, None for an empty map.
 
     Raises
@@ -104,6 +138,7 @@ class IrradianceField:
         *,
         structure: Structure | None = None,
         seconds: dict[str, float] | None = None,
+        used: dict[str, dict[str, Any]] | None = None,
         n_threads: int | None = None,
     ) -> None:
         settings = settings or GatherSettings()
@@ -119,6 +154,7 @@ class IrradianceField:
             del tree
         self._trees.build()
         self.settings = settings
+        self.used = {"gather": asdict(settings), **(used or {})}
 
     def __call__(
         self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
@@ -303,60 +339,3 @@ def estimate_irradiance(
         If a shape is wrong, a value is not finite or a normal is zero.
     """
     return IrradianceField(photons, settings, n_threads=n_threads)(points, normals)
-
-
-def irradiance_field(
-    photons: PhotonMap,
-    *,
-    method: str = "parameterised",
-    structure: StructureSettings | None = None,
-    relax: RelaxSettings | None = None,
-    gather: GatherSettings | None = None,
-    scene: Scene | None = None,
-    n_threads: int | None = None,
-    progress: Progress | None = None,
-) -> IrradianceField:
-    """Do a method's preparation once; the result gives irradiance anywhere.
-
-    Parameters
-    ----------
-    photons : PhotonMap
-        Photons from `trace_photons` or from any other renderer.
-    method : {"parameterised", "standard"}
-        SJ13, or the photons as they are (Jensen).
-    structure, relax, gather : settings, optional
-        Of the stages; those the method has not are not looked at.
-    scene : Scene, optional
-        Keeps moved photons on their objects; see `photonrelax.relax`.
-    n_threads : int, optional
-        Threads; all available by default. Results do not depend on it.
-    progress : callable, optional
-        Called as ``progress(stage, done, total)``.
-
-    Returns
-    -------
-    IrradianceField
-        Called as ``field(points, normals)``.
-
-    Raises
-    ------
-    ValueError
-        If the method is not known.
-    """
-    check_method(method)
-    if method == "standard":
-        return IrradianceField(photons, gather, n_threads=n_threads)
-    started = perf_counter()
-    found = detect_structure(photons, structure, n_threads=n_threads, progress=progress)
-    detected = perf_counter()
-    relaxed = relax_photons(
-        photons, found, relax, scene=scene, n_threads=n_threads, progress=progress
-    )
-    seconds = {"structure": detected - started, "relax": perf_counter() - detected}
-    return IrradianceField(relaxed, gather, structure=found, seconds=seconds, n_threads=n_threads)
-
-
-def check_method(method: str) -> None:
-    """Raise ValueError unless the method is known."""
-    if method not in METHODS:
-        raise ValueError(f"method should be one of {', '.join(METHODS)}, but is {method!r}")

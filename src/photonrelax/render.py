@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from time import perf_counter
 from typing import Any
 
@@ -14,8 +13,9 @@ from . import __version__, _arrays
 from ._arrays import Floats
 from ._progress import Progress, Reporter
 from .camera import MAX_DEPTH, HitPoints, direct_irradiance, trace_hit_points
-from .estimate import Densities, GatherSettings, IrradianceField, check_method, irradiance_field
+from .estimate import Estimate, Field, GatherSettings
 from .image import Image
+from .methods import Settings, Task, check_method, prepare
 from .photonmap import PhotonMap
 from .raycast import RayCaster
 from .relax import RelaxSettings
@@ -48,8 +48,8 @@ def render(
     ----------
     scene : Scene
         With a camera.
-    method : {"parameterised", "standard"}
-        How irradiance is estimated from photons.
+    method : str
+        How irradiance is estimated from photons; see `photonrelax.irradiance_field`.
     n_emitted, seed : int
         Photons to emit; what shifts their sequence and chooses their paths.
     structure, relax, gather : settings, optional
@@ -78,24 +78,15 @@ def render(
         raise ValueError("scene should have a camera to be rendered")
     supersampling = _arrays.count(supersampling, "supersampling")
     max_depth = _arrays.count(max_depth, "max_depth", low=0, high=MAX_DEPTH)
-    _check(method, structure, relax, gather)
+    check_method(method)
+    settings = Settings(structure=structure, relax=relax, gather=gather)
     pipeline = _Pipeline(scene, n_threads, progress)
     photons = pipeline.trace(n_emitted, seed) if photons is None else photons
-    field = pipeline.prepare(photons, method, structure, relax, gather)
+    field = pipeline.prepare(photons, method, settings)
     layers = pipeline.picture(field, scene.camera, supersampling, max_depth)
-    used = _settings_used(field, structure, relax)
-    used |= {"supersampling": supersampling, "max_depth": max_depth}
+    used = field.used | {"supersampling": supersampling, "max_depth": max_depth}
     metadata = _metadata(photons, scene=scene.name, method=method, settings=used)
     return Image(layers, metadata, pipeline.stats(photons))
-
-
-def _check(method: str, *settings: object) -> None:
-    """Refuse what the stages would refuse, before anything is computed."""
-    check_method(method)
-    kinds = (StructureSettings, RelaxSettings, GatherSettings)
-    for name, value, kind in zip(("structure", "relax", "gather"), settings, kinds, strict=True):
-        if value is not None and not isinstance(value, kind):
-            raise TypeError(f"{name} should be {kind.__name__}, but is {value!r}")
 
 
 LAYERS = {
@@ -129,30 +120,16 @@ class _Pipeline:
         self._finished("trace", perf_counter() - started, emitted=n_emitted, stored=len(photons))
         return photons
 
-    def prepare(
-        self,
-        photons: PhotonMap,
-        method: str,
-        structure: StructureSettings | None,
-        relax: RelaxSettings | None,
-        gather: GatherSettings | None,
-    ) -> IrradianceField:
-        field = irradiance_field(
-            photons,
-            method=method,
-            structure=structure,
-            relax=relax,
-            gather=gather,
-            scene=None if photons.object_id is None else self._scene,
-            n_threads=self._n_threads,
-            progress=self._progress,
-        )
+    def prepare(self, photons: PhotonMap, method: str, settings: Settings) -> Field:
+        scene = None if photons.object_id is None else self._scene
+        task = Task(photons, settings, scene, self._n_threads, self._progress)
+        field = prepare(method, task)
         for stage, seconds in field.seconds.items():
             self._finished(stage, seconds, photons=len(photons))
         return field
 
     def picture(
-        self, field: IrradianceField, camera: Camera, supersampling: int, max_depth: int
+        self, field: Field, camera: Camera, supersampling: int, max_depth: int
     ) -> dict[str, Floats]:
         started = perf_counter()
         picture = _Picture(self._scene, camera, field, supersampling, max_depth)
@@ -170,16 +147,6 @@ class _Pipeline:
 
 def _ledger(photons: PhotonMap) -> dict[str, Any] | None:
     return None if photons.ledger is None else photons.ledger.to_dict()
-
-
-def _settings_used(
-    field: IrradianceField, structure: StructureSettings | None, relax: RelaxSettings | None
-) -> dict[str, Any]:
-    used = {"gather": asdict(field.settings)}
-    if field.structure is not None:
-        used["structure"] = asdict(structure or StructureSettings())
-        used["relax"] = asdict(relax or RelaxSettings())
-    return used
 
 
 def _metadata(photons: PhotonMap, **others: Any) -> dict[str, str]:
@@ -210,7 +177,7 @@ class _Picture:
         self,
         scene: Scene,
         camera: Camera,
-        field: IrradianceField,
+        field: Field,
         supersampling: int,
         max_depth: int,
     ) -> None:
@@ -289,7 +256,7 @@ def _pixel_sums(pixel: NDArray, values: Floats, shape: tuple[int, int]) -> Float
     return sums.reshape(*shape, -1)
 
 
-def _photon_attributes(field: IrradianceField) -> dict[str, Floats]:
+def _photon_attributes(field: Field) -> dict[str, Floats]:
     """Return what photons carry beside flux, by layer, each (n, 1) or (n, 3)."""
     photons, attributes = field.photons, {}
     if field.structure is not None:
@@ -301,7 +268,7 @@ def _photon_attributes(field: IrradianceField) -> dict[str, Floats]:
     return attributes
 
 
-def _weighted_densities(field: IrradianceField, attributes: dict[str, Floats]) -> Densities:
+def _weighted_densities(field: Field, attributes: dict[str, Floats]) -> Estimate:
     """Return densities of flux in three channels, mean flux, and attributes times mean flux."""
     mean = field.photons.flux.mean(axis=1, keepdims=True)
     weighted = [mean * values for values in attributes.values()]

@@ -11,7 +11,7 @@ from .lanes cimport (
 )
 from .search cimport find
 
-from .kdtree import aligned
+from .columns import in_blocks
 
 CONSTANT = CONSTANT_WEIGHTS
 CONE = CONE_WEIGHTS
@@ -74,30 +74,6 @@ cdef class Gather:
             n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
         ):
             gather_batch(self, <Batch*> &room[threadid(), 0], queries, order, i, out)
-
-
-cdef object in_blocks(const double[:, ::1] values, const Py_ssize_t[::1] rows, int n_threads):
-    """Return values (m, c) of chosen rows (n,) as (n / 16, c, 16), zero where there are none."""
-    cdef Py_ssize_t n_blocks = (rows.shape[0] + BLOCK - 1) // BLOCK
-    cdef Py_ssize_t block
-    out = aligned((n_blocks, values.shape[1], BLOCK))
-    cdef double[:, :, ::1] blocks = out
-    for block in prange(n_blocks, nogil=True, schedule="static", num_threads=n_threads):
-        fill_block(values, rows, block, blocks)
-    return out
-
-
-cdef void fill_block(
-    const double[:, ::1] values, const Py_ssize_t[::1] rows, Py_ssize_t block,
-    double[:, :, ::1] blocks
-) noexcept nogil:
-    cdef Py_ssize_t lane, channel
-    cdef Py_ssize_t n = min(rows.shape[0] - BLOCK * block, <Py_ssize_t> BLOCK)
-    for channel in range(values.shape[1]):
-        for lane in range(n):
-            blocks[block, channel, lane] = values[rows[BLOCK * block + lane], channel]
-        for lane in range(n, BLOCK):
-            blocks[block, channel, lane] = 0.0
 
 
 cdef void gather_batch(

@@ -1,0 +1,132 @@
+"""The methods by name: each prepares photons once, for irradiance anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from time import perf_counter
+from typing import Any
+
+from ._progress import Progress
+from .estimate import Field, GatherSettings, IrradianceField
+from .photonmap import PhotonMap
+from .relax import RelaxSettings
+from .relax import relax as relax_photons
+from .scene import Scene
+from .structure import StructureSettings, detect_structure
+
+
+def irradiance_field(
+    photons: PhotonMap,
+    *,
+    method: str = "parameterised",
+    structure: StructureSettings | None = None,
+    relax: RelaxSettings | None = None,
+    gather: GatherSettings | None = None,
+    scene: Scene | None = None,
+    n_threads: int | None = None,
+    progress: Progress | None = None,
+) -> Field:
+    """Do a method's preparation once; the result gives irradiance anywhere.
+
+    Parameters
+    ----------
+    photons : PhotonMap
+        Photons from `trace_photons` or from any other renderer.
+    method : {"parameterised", "standard"}
+        SJ13, or the photons as they are (Jensen).
+    structure, relax, gather : settings, optional
+        Of the stages; those the method has not are not looked at.
+    scene : Scene, optional
+        Keeps moved photons on their objects; see `photonrelax.relax`.
+    n_threads : int, optional
+        Threads; all available by default. Results do not depend on it.
+    progress : callable, optional
+        Called as ``progress(stage, done, total)``.
+
+    Returns
+    -------
+    Field
+        Called as ``field(points, normals)``.
+
+    Raises
+    ------
+    ValueError
+        If the method is not known.
+    """
+    settings = Settings(structure=structure, relax=relax, gather=gather)
+    return prepare(method, Task(photons, settings, scene, n_threads, progress))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """The settings of every stage of every method; None for the paper's."""
+
+    structure: StructureSettings | None = None
+    relax: RelaxSettings | None = None
+    gather: GatherSettings | None = None
+
+    def __post_init__(self) -> None:
+        for name, kind in _KINDS.items():
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, kind):
+                raise TypeError(f"{name} should be {kind.__name__}, but is {value!r}")
+
+
+_KINDS: dict[str, type] = {
+    "structure": StructureSettings,
+    "relax": RelaxSettings,
+    "gather": GatherSettings,
+}
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a method is given."""
+
+    photons: PhotonMap
+    settings: Settings
+    scene: Scene | None
+    n_threads: int | None
+    progress: Progress | None
+
+
+def _standard(task: Task) -> Field:
+    return IrradianceField(task.photons, task.settings.gather, n_threads=task.n_threads)
+
+
+def _parameterised(task: Task) -> Field:
+    structure = task.settings.structure or StructureSettings()
+    relax = task.settings.relax or RelaxSettings()
+    how: dict[str, Any] = {"n_threads": task.n_threads, "progress": task.progress}
+    started = perf_counter()
+    found = detect_structure(task.photons, structure, **how)
+    detected = perf_counter()
+    relaxed = relax_photons(task.photons, found, relax, scene=task.scene, **how)
+    return IrradianceField(
+        relaxed,
+        task.settings.gather,
+        structure=found,
+        seconds={"structure": detected - started, "relax": perf_counter() - detected},
+        used={"structure": asdict(structure), "relax": asdict(relax)},
+        n_threads=task.n_threads,
+    )
+
+
+_METHODS: dict[str, Callable[[Task], Field]] = {
+    "standard": _standard,
+    "parameterised": _parameterised,
+}
+METHODS = tuple(_METHODS)
+
+
+def prepare(method: str, task: Task) -> Field:
+    """Do a method's preparation; raise ValueError if the method is not known."""
+    check_method(method)
+    return _METHODS[method](task)
+
+
+def check_method(method: str) -> None:
+    """Raise ValueError unless the method is known."""
+    if method not in METHODS:
+        raise ValueError(f"method should be one of {', '.join(METHODS)}, but is {method!r}")
