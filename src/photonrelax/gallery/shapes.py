@@ -1,0 +1,220 @@
+"""A disc, a square and three lines of equal density on black: after SSO08 Fig. 3.
+
+The figure gives the kinds of shapes and the number of photons; places and sizes are ours. Lines
+slant, so that pixels and range axes do not favour them, and no shape touches another or the border.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._arrays import Floats, count, float_array, positive
+from ..photonmap import PhotonMap
+from ..sampling import check_seed, halton, seed_shift, square_to_disk
+from ._distribution import Distribution
+
+_DISC = ((0.27, 0.76), 0.17)
+_SQUARE = ((0.73, 0.76), 0.15)
+_LINES_LEFT, _LINES_RIGHT = 0.08, 0.92
+# How much a line rises from left to right, and where its middle is.
+_RISE = 0.15
+_LINE_MIDDLES = (0.44, 0.28, 0.12)
+# Lines any wider would leave the square.
+_WIDEST = 0.08
+
+
+def shapes(
+    *,
+    n: int = 48_000,
+    sampler: str = "random",
+    seed: int = 0,
+    irradiance: float = 1.0,
+    line_widths: Sequence[float] = (0.01, 0.02, 0.04),
+) -> Distribution:
+    """Return photons as of collimated light through a stencil onto the unit square.
+
+    Parameters
+    ----------
+    n : int
+        Photons; all are stored, as all that are emitted pass the stencil.
+    sampler : {"random", "halton"}
+        Independent photons, as in SSO08, or evenly spaced ones within each shape.
+    seed : int
+        Of the random numbers, or what shifts the sequence.
+    irradiance : float
+        Within the shapes, W/m².
+    line_widths : three floats
+        From the uppermost line, the thinnest, down, m.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is not of its kind, or a line is wider than 0.08 m.
+    """
+    n, lit = count(n, "n", low=0), positive(irradiance, "irradiance")
+    parts = _parts(float_array(line_widths, "line_widths", (3,)))
+    areas = np.array([part.area for part in parts])
+    area = areas.sum()
+    xy = _placed(_square(n, sampler, seed), parts, areas / area)
+    photons = PhotonMap(
+        np.column_stack([xy, np.zeros(n)]),
+        np.tile([0.0, 0.0, 1.0], (n, 1)),
+        np.full(n, lit * area / max(n, 1)),
+        wi=np.tile([0.0, 0.0, 1.0], (n, 1)),
+        emitter_coords=xy,
+        emitter_density=np.full(n, n / area),
+        emitter_id=np.zeros(n, dtype=np.int32),
+        n_emitted=n,
+        well_spaced=sampler == "halton",
+        seed=seed,
+        sampler=sampler,
+    )
+
+    def irradiance_at(points: Floats) -> Floats:
+        xy = float_array(points, "points", (None, 3))[:, :2]
+        return _grey(lit * np.any([part.holds(xy) for part in parts], axis=0))
+
+    def pixel_means(width: int, height: int) -> Floats:
+        x = np.linspace(0.0, 1.0, count(width, "width") + 1)
+        y = np.linspace(1.0, 0.0, count(height, "height") + 1)
+        below = sum(part.area_below(x, y[:, np.newaxis]) for part in parts)
+        covered = -np.diff(np.diff(below, axis=0), axis=1) * width * height
+        return _grey(lit * covered)
+
+    return Distribution("shapes", photons, irradiance_at, pixel_means)
+
+
+def _grey(values: Floats) -> Floats:
+    return np.repeat(values[..., np.newaxis], 3, axis=-1)
+
+
+def _square(n: int, sampler: str, seed: int) -> Floats:
+    if sampler == "halton":
+        return halton(0, n, shift=seed_shift(seed))
+    if sampler == "random":
+        return np.random.default_rng(check_seed(seed)).random((n, 2))
+    raise ValueError(f"sampler should be random or halton, but is {sampler!r}")
+
+
+def _placed(uv: Floats, parts: Sequence[_Disc | _Parallelogram], shares: Floats) -> Floats:
+    """Map the unit square to the shapes, each a strip of it as wide as its share of the area."""
+    edges = np.cumsum(shares)
+    number = np.searchsorted(edges[:-1], uv[:, 0], side="right")
+    xy = np.empty_like(uv)
+    for i, part in enumerate(parts):
+        rows = number == i
+        across = (uv[rows, 0] - (edges[i] - shares[i])) / shares[i]
+        # The share's rounding may lead out of the strip.
+        inside = np.column_stack([np.clip(across, 0.0, np.nextafter(1.0, 0.0)), uv[rows, 1]])
+        xy[rows] = part.placed(inside)
+    return xy
+
+
+def _parts(line_widths: Floats) -> list[_Disc | _Parallelogram]:
+    (x, y), half = _SQUARE
+    square = _Parallelogram((x - half, y - half), (2 * half, 0.0), (0.0, 2 * half))
+    lines = [_line(*line) for line in zip(_LINE_MIDDLES, line_widths, strict=True)]
+    return [_Disc(*_DISC), square, *lines]
+
+
+def _line(middle: float, width: float) -> _Parallelogram:
+    """Return a line with upright ends; its width is measured across."""
+    if not 0.0 < width <= _WIDEST:
+        raise ValueError(f"line_widths should lie in (0, {_WIDEST}], but one is {width}")
+    run = _LINES_RIGHT - _LINES_LEFT
+    upright = width * np.hypot(run, _RISE) / run
+    corner = (_LINES_LEFT, middle - 0.5 * (_RISE + upright))
+    return _Parallelogram(corner, (0.0, float(upright)), (run, _RISE))
+
+
+@dataclass(frozen=True)
+class _Disc:
+    centre: tuple[float, float]
+    radius: float
+
+    @property
+    def area(self) -> float:
+        return float(np.pi * self.radius**2)
+
+    def placed(self, uv: Floats) -> Floats:
+        """Map points of the unit square to the disc, evenly."""
+        return self.centre + self.radius * square_to_disk(uv)
+
+    def holds(self, xy: Floats) -> NDArray[np.bool_]:
+        return np.linalg.norm(xy - self.centre, axis=1) <= self.radius
+
+    def area_below(self, x: Floats, y: Floats) -> Floats:
+        """Return the area of the part that has lesser coordinates than both x and y.
+
+        For the unit disc: ∫ from -1 to x of min(y, s) - min(y, -s), s = √(1 - t²); the integrand
+        is y + s where s > |y|, and otherwise 2s above the centre and nothing below.
+        """
+        u = np.clip((x - self.centre[0]) / self.radius, -1.0, 1.0)
+        v = np.clip((y - self.centre[1]) / self.radius, -1.0, 1.0)
+        half_chord = np.sqrt(1.0 - v * v)
+        middle = np.clip(u, -half_chord, half_chord)
+        between = v * (middle + half_chord) + _cap(middle) - _cap(-half_chord)
+        outside = _cap(u) - _cap(-1.0) - (_cap(middle) - _cap(-half_chord))
+        return self.radius**2 * (between + np.where(v > 0.0, 2.0 * outside, 0.0))
+
+
+def _cap(t: Floats | float) -> Floats:
+    """Return the integral of √(1 - t²)."""
+    return 0.5 * (t * np.sqrt(1.0 - np.square(t)) + np.arcsin(t))
+
+
+@dataclass(frozen=True)
+class _Parallelogram:
+    """Spanned from a corner by two sides, one way round or the other."""
+
+    corner: tuple[float, float]
+    first: tuple[float, float]
+    second: tuple[float, float]
+
+    @property
+    def area(self) -> float:
+        return float(abs(np.linalg.det([self.first, self.second])))
+
+    def placed(self, uv: Floats) -> Floats:
+        """Map points of the unit square to the parallelogram, evenly."""
+        return self.corner + uv @ np.array([self.first, self.second])
+
+    def holds(self, xy: Floats) -> NDArray[np.bool_]:
+        uv = (xy - self.corner) @ np.linalg.inv([self.first, self.second])
+        return (uv.min(axis=1) >= 0.0) & (uv.max(axis=1) <= 1.0)
+
+    def area_below(self, x: Floats, y: Floats) -> Floats:
+        """Return the area of the part that has lesser coordinates than both x and y."""
+        corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) @ np.array([self.first, self.second])
+        corners = corners + self.corner
+        total = sum(
+            _area_under(start, end, x, y)
+            for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True)
+        )
+        turns = np.sign(np.linalg.det([self.first, self.second]))
+        # Going round anticlockwise the upper sides lead to lesser x.
+        return -turns * total
+
+
+def _area_under(start: Floats, end: Floats, x: Floats, y: Floats) -> Floats:
+    """Return ∫ min(height of a side, y) over its run up to x; negative if it runs to the left."""
+    (left, low), (right, high) = sorted([tuple(start), tuple(end)])
+    if right == left:
+        return np.zeros(np.broadcast(x, y).shape)
+    run = np.clip(x, left, right) - left
+    slope = (high - low) / (right - left)
+    reached = low + slope * run
+    # The mean over the run of min(t, y), t going linearly from `low` to `reached`.
+    rise = np.where(reached == low, 1.0, reached - low)
+    mean = (_ramp(reached, y) - _ramp(np.full_like(reached, low), y)) / rise
+    mean = np.where(reached == low, np.minimum(low, y), mean)
+    return run * mean * np.sign(end[0] - start[0])
+
+
+def _ramp(t: Floats, y: Floats) -> Floats:
+    """Return the integral of min(t, y) over t."""
+    return np.where(t <= y, 0.5 * t * t, y * t - 0.5 * y * y)
