@@ -1,5 +1,6 @@
 """The command line: what it parses, prints, writes and returns."""
 
+import argparse
 import json
 import os
 import subprocess
@@ -11,7 +12,7 @@ import pytest
 from PIL import Image as Picture
 
 import photonrelax as pr
-from photonrelax import cli, gallery
+from photonrelax import _options, cli, gallery
 from photonrelax._text import describe_photons, stage_table
 from photonrelax.image import read_exr
 
@@ -86,13 +87,13 @@ def test_wrong_usage_exits_2_and_says_why(arguments, complaint, capsys):
     [("7", 7), ("2e6", 2_000_000), ("1_000", 1000), (str(2**60 + 1), 2**60 + 1)],
 )
 def test_numbers_may_be_written_as_people_write_them(text, number):
-    assert cli._whole(text) == number
+    assert _options.whole(text) == number
 
 
 @pytest.mark.parametrize("text", ["inf", "nan", "1e999", "-3", "", "0x10"])
 def test_what_is_no_whole_number_is_refused(text):
-    with pytest.raises(cli.argparse.ArgumentTypeError):
-        cli._whole(text)
+    with pytest.raises(argparse.ArgumentTypeError):
+        _options.whole(text)
 
 
 def test_an_output_that_cannot_be_written_is_an_error_before_the_work(tmp_path, capsys):

@@ -17,7 +17,7 @@ TIERS = [
     {"kdtree", "raycast", "scene"},
     {"camera", "emit", "photonmap"},
     {"_facing", "_sheets", "_surfaces", "trace", "structure", "relax", "estimate"},
-    {"methods"},
+    {"methods", "picture"},
     {"render", "gallery"},
     {"cli", "_bars", "_options", "_text", "__main__"},
 ]

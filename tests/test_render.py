@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 import photonrelax as pr
-from photonrelax import gallery
+from photonrelax import gallery, picture
 
 # The module; `pr.render` is the function it holds.
 render = importlib.import_module("photonrelax.render")
@@ -129,7 +129,7 @@ def test_the_constraint_layer_shows_what_was_found(prism):
 
 def test_bands_do_not_show(prism, image, monkeypatch):
     """A picture made row by row is the same picture."""
-    monkeypatch.setattr(render, "_RAYS_PER_BAND", 1)
+    monkeypatch.setattr(picture, "_RAYS_PER_BAND", 1)
     again = pr.render(prism, n_emitted=20_000)
     for name, layer in image.layers.items():
         assert again.layers[name].tobytes() == layer.tobytes()

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import photonrelax as pr
 
@@ -16,6 +16,7 @@ from . import gallery
 from ._bars import Bars
 from ._files import check_distinct, output_path, whole_file, write_json
 from ._interrupts import Interrupts
+from ._options import PHOTONS, parser
 
 # Everything else is imported where it is used: an interrupt meanwhile is then caught in `main`.
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 INTERRUPTED = 130
 _MAGIC_EXR, _MAGIC_NPZ = b"v/1\x01", b"PK\x03\x04"
 _EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
-_PHOTONS = 1_000_000
 Result = TypeVar("Result")
 
 
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     with Interrupts() as interrupts:
         try:
-            options = _parser().parse_args(arguments)
+            options = parser(_COMMANDS).parse_args(arguments)
             options.command(options, interrupts)
         except KeyboardInterrupt:
             return _interrupted()
@@ -191,7 +191,7 @@ def _partial(files: ExitStack, path: Path) -> Path:
 
 
 def _photons(options: argparse.Namespace) -> int:
-    return options.photons or _PHOTONS
+    return options.photons or PHOTONS
 
 
 def _resized(scene: Scene, width: int | None, height: int | None) -> Scene:
@@ -209,163 +209,10 @@ def _timed(work: Callable[[], Result]) -> tuple[Result, float]:
     return result, perf_counter() - start
 
 
-# --- arguments --------------------------------------------------------------------------------
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="photonrelax", description="Render sharp, noise-free caustics from few photons."
-    )
-    parser.add_argument("--version", action="version", version=f"photonrelax {pr.__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    _add_render(commands)
-    _add_trace(commands)
-    _add_relax(commands)
-    about = "list the built-in scenes"
-    commands.add_parser("list", help=about, description=about).set_defaults(command=_list)
-    about = "describe an EXR file or a photon map"
-    info = commands.add_parser("info", help=about, description=about)
-    info.add_argument("file", metavar="FILE", type=Path)
-    info.set_defaults(command=_info)
-    return parser
-
-
-def _add_render(commands: Any) -> None:
-    from .methods import METHODS
-
-    about = "render a built-in scene to an EXR file, and a PNG preview beside it"
-    parser = commands.add_parser("render", help=about, description=about)
-    parser.set_defaults(command=_render, wrong_usage=parser.error)
-    _add_scene(parser)
-    _add_output(parser, "FILE.exr")
-    parser.add_argument(
-        "--method", choices=METHODS, default="parameterised", help="default: %(default)s"
-    )
-    _add_emission(parser)
-    parser.add_argument(
-        "--photon-map",
-        type=Path,
-        metavar="FILE.npz",
-        help="photons traced before, in place of new ones; with relaxed ones: --method standard",
-    )
-    parser.add_argument(
-        "--k", type=_positive, default=15, metavar="N", help="photons per estimate (%(default)s)"
-    )
-    _add_iterations(parser)
-    for name in ("width", "height"):
-        parser.add_argument(f"--{name}", type=_positive, metavar="PIXELS", help="of the picture")
-    parser.add_argument(
-        "--supersampling",
-        type=_positive,
-        default=2,
-        metavar="N",
-        help="N x N rays per pixel (%(default)s)",
-    )
-    parser.add_argument(
-        "--exposure", type=_stops, default=0.0, metavar="STOPS", help="of the PNG preview"
-    )
-    parser.add_argument("--stats", type=Path, metavar="FILE.json", help="write times and counts")
-    _add_common(parser)
-
-
-def _add_trace(commands: Any) -> None:
-    about = "trace the photons of a built-in scene into a photon map"
-    parser = commands.add_parser("trace", help=about, description=about)
-    parser.set_defaults(command=_trace)
-    _add_scene(parser)
-    _add_output(parser, "FILE.npz")
-    _add_emission(parser)
-    parser.add_argument(
-        "--sampler", choices=("halton", "random"), default="halton", help="default: %(default)s"
-    )
-    _add_common(parser)
-
-
-def _add_relax(commands: Any) -> None:
-    about = "relax the photons of a photon map"
-    parser = commands.add_parser("relax", help=about, description=about)
-    parser.set_defaults(command=_relax)
-    parser.add_argument("photon_map", metavar="PHOTONS.npz", type=Path)
-    _add_output(parser, "FILE.npz")
-    parser.add_argument(
-        "--scene",
-        choices=gallery.names(),
-        help="the scene of the photons, to keep them on its curved surfaces",
-    )
-    _add_iterations(parser)
-    _add_common(parser)
-
-
-def _add_scene(parser: argparse.ArgumentParser) -> None:
-    names = gallery.names()
-    parser.add_argument("scene", choices=names, metavar="SCENE", help=", ".join(names))
-
-
-def _add_output(parser: argparse.ArgumentParser, metavar: str) -> None:
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar)
-
-
-def _add_emission(parser: argparse.ArgumentParser) -> None:
-    # No defaults here: whether they were given matters beside --photon-map.
-    parser.add_argument("--photons", type=_positive, metavar="N", help=f"emitted ({_PHOTONS})")
-    parser.add_argument("--seed", type=_whole, metavar="N", help="of the photons (0)")
-
-
-def _add_iterations(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--iterations",
-        type=_whole,
-        nargs=2,
-        default=(7, 7),
-        metavar=("CONSTRAINED", "COLLAPSED"),
-        help="of relaxation (7 7)",
-    )
-
-
-def _add_common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--threads", type=_positive, metavar="N", help="default: every core; results are the same"
-    )
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
-
-
-def _whole(text: str) -> int:
-    """Return a whole number of at least 0; 2e6 and 2_000_000 are fine."""
-    try:
-        number = int(text)
-    except ValueError:
-        number = _integral(text)
-    if number < 0:
-        raise argparse.ArgumentTypeError(f"should be a whole number, but is {text!r}")
-    return number
-
-
-def _integral(text: str) -> int:
-    """Return the integer that a number like 2e6 stands for, -1 if it stands for none."""
-    try:
-        number = float(text)
-    except ValueError:
-        return -1
-    return int(number) if number.is_integer() else -1
-
-
-def _positive(text: str) -> int:
-    number = _whole(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"should be at least 1, but is {text!r}")
-    return number
-
-
-def _stops(text: str) -> float:
-    from .image import LARGEST_EXPOSURE
-
-    try:
-        stops = float(text)
-    except ValueError:
-        stops = float("nan")
-    if not abs(stops) <= LARGEST_EXPOSURE:
-        raise argparse.ArgumentTypeError(
-            f"should be a number between -{LARGEST_EXPOSURE:g} and {LARGEST_EXPOSURE:g}, "
-            f"but is {text!r}"
-        )
-    return stops
+_COMMANDS = {
+    "render": _render,
+    "trace": _trace,
+    "relax": _relax,
+    "list": _list,
+    "info": _info,
+}

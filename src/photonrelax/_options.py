@@ -1,0 +1,182 @@
+"""The arguments of the command line."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from . import __version__, gallery
+
+PHOTONS = 1_000_000
+
+
+def parser(commands: Mapping[str, Callable[..., None]]) -> argparse.ArgumentParser:
+    """Return what parses the command line; `commands` holds what each command calls."""
+    parser = argparse.ArgumentParser(
+        prog="photonrelax", description="Render sharp, noise-free caustics from few photons."
+    )
+    parser.add_argument("--version", action="version", version=f"photonrelax {__version__}")
+    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
+    for name, (about, add) in _COMMANDS.items():
+        subparser = subparsers.add_parser(name, help=about, description=about)
+        subparser.set_defaults(command=commands[name], wrong_usage=subparser.error)
+        add(subparser)
+    return parser
+
+
+def _add_render(parser: argparse.ArgumentParser) -> None:
+    from .methods import METHODS
+
+    _add_scene(parser)
+    _add_output(parser, "FILE.exr")
+    parser.add_argument(
+        "--method", choices=METHODS, default="parameterised", help="default: %(default)s"
+    )
+    _add_emission(parser)
+    parser.add_argument(
+        "--photon-map",
+        type=Path,
+        metavar="FILE.npz",
+        help="photons traced before, in place of new ones; with relaxed ones: --method standard",
+    )
+    _add_gathering(parser)
+    _add_picture(parser)
+    parser.add_argument("--stats", type=Path, metavar="FILE.json", help="write times and counts")
+    _add_common(parser)
+
+
+def _add_trace(parser: argparse.ArgumentParser) -> None:
+    _add_scene(parser)
+    _add_output(parser, "FILE.npz")
+    _add_emission(parser)
+    _add_sampler(parser)
+    _add_common(parser)
+
+
+def _add_relax(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("photon_map", metavar="PHOTONS.npz", type=Path)
+    _add_output(parser, "FILE.npz")
+    parser.add_argument(
+        "--scene",
+        choices=gallery.names(),
+        help="the scene of the photons, to keep them on its curved surfaces",
+    )
+    _add_iterations(parser)
+    _add_common(parser)
+
+
+def _add_info(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE", type=Path)
+
+
+_COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
+    "render": ("render a built-in scene to an EXR file, and a PNG preview beside it", _add_render),
+    "trace": ("trace the photons of a built-in scene into a photon map", _add_trace),
+    "relax": ("relax the photons of a photon map", _add_relax),
+    "list": ("list the built-in scenes", lambda parser: None),
+    "info": ("describe an EXR file or a photon map", _add_info),
+}
+
+
+def _add_scene(parser: argparse.ArgumentParser) -> None:
+    names = gallery.names()
+    parser.add_argument("scene", choices=names, metavar="SCENE", help=", ".join(names))
+
+
+def _add_output(parser: argparse.ArgumentParser, metavar: str) -> None:
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar)
+
+
+def _add_emission(parser: argparse.ArgumentParser) -> None:
+    # No defaults here: whether they were given matters beside --photon-map.
+    parser.add_argument("--photons", type=positive, metavar="N", help=f"emitted ({PHOTONS})")
+    parser.add_argument("--seed", type=whole, metavar="N", help="of the photons (0)")
+
+
+def _add_sampler(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--sampler", choices=("halton", "random"), default="halton", help="default: %(default)s"
+    )
+
+
+def _add_gathering(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--k", type=positive, default=15, metavar="N", help="photons per estimate (%(default)s)"
+    )
+    _add_iterations(parser)
+
+
+def _add_iterations(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--iterations",
+        type=whole,
+        nargs=2,
+        default=(7, 7),
+        metavar=("CONSTRAINED", "COLLAPSED"),
+        help="of relaxation (7 7)",
+    )
+
+
+def _add_picture(parser: argparse.ArgumentParser) -> None:
+    for name in ("width", "height"):
+        parser.add_argument(f"--{name}", type=positive, metavar="PIXELS", help="of the picture")
+    parser.add_argument(
+        "--supersampling",
+        type=positive,
+        default=2,
+        metavar="N",
+        help="N x N rays per pixel (%(default)s)",
+    )
+    parser.add_argument(
+        "--exposure", type=_stops, default=0.0, metavar="STOPS", help="of PNG pictures"
+    )
+
+
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--threads", type=positive, metavar="N", help="default: every core; results are the same"
+    )
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def whole(text: str) -> int:
+    """Return a whole number of at least 0; 2e6 and 2_000_000 are fine."""
+    try:
+        number = int(text)
+    except ValueError:
+        number = _integral(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"should be a whole number, but is {text!r}")
+    return number
+
+
+def _integral(text: str) -> int:
+    """Return the integer that a number like 2e6 stands for, -1 if it stands for none."""
+    try:
+        number = float(text)
+    except ValueError:
+        return -1
+    return int(number) if number.is_integer() else -1
+
+
+def positive(text: str) -> int:
+    number = whole(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"should be at least 1, but is {text!r}")
+    return number
+
+
+def _stops(text: str) -> float:
+    from .image import LARGEST_EXPOSURE
+
+    try:
+        stops = float(text)
+    except ValueError:
+        stops = float("nan")
+    if not abs(stops) <= LARGEST_EXPOSURE:
+        raise argparse.ArgumentTypeError(
+            f"should be a number between -{LARGEST_EXPOSURE:g} and {LARGEST_EXPOSURE:g}, "
+            f"but is {text!r}"
+        )
+    return stops
