@@ -13,16 +13,28 @@ import photonrelax
 PACKAGE = Path(photonrelax.__file__).parent
 TIERS = [
     {"_ext"},
-    {"_arrays", "_files", "_interrupts", "_meshes", "_progress", "sampling", "optics", "image"},
+    {
+        "_arrays",
+        "_files",
+        "_interrupts",
+        "_meshes",
+        "_progress",
+        "sampling",
+        "optics",
+        "image",
+        "measures",
+    },
     {"kdtree", "raycast", "scene"},
     {"camera", "emit", "photonmap"},
     {"_facing", "_sheets", "_surfaces", "trace", "structure", "relax", "estimate"},
     {"methods", "picture"},
     {"render", "gallery"},
+    {"compare"},
     {"cli", "_bars", "_options", "_text", "__main__"},
 ]
 TIER = {module: tier for tier, modules in enumerate(TIERS) for module in modules}
 OWNERS = {"embreex": {"raycast"}, "trimesh.ray": {"raycast"}, "OpenEXR": {"image"}}
+OWNERS |= {"skimage": {"measures"}, "flip_evaluator": {"measures"}}
 
 
 def module_of(path):

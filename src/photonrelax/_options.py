@@ -66,6 +66,39 @@ def _add_relax(parser: argparse.ArgumentParser) -> None:
     _add_common(parser)
 
 
+def _add_compare(parser: argparse.ArgumentParser) -> None:
+    from .methods import METHODS
+
+    _add_scene(parser)
+    _add_output(parser, "FOLDER")
+    parser.add_argument(
+        "--methods",
+        nargs="+",
+        choices=METHODS,
+        metavar="METHOD",
+        help=f"some of {', '.join(METHODS)}; default: the five of SJ13 Table I",
+    )
+    _add_emission(parser)
+    _add_sampler(parser)
+    _add_gathering(parser)
+    _add_picture(parser)
+    parser.add_argument(
+        "--reference",
+        type=Path,
+        metavar="FILE.exr",
+        help="a picture of the same view to measure errors against; default: one is computed, "
+        "kept in FOLDER and used again",
+    )
+    parser.add_argument(
+        "--reference-passes",
+        type=positive,
+        default=100,
+        metavar="N",
+        help="progressive passes of as many photons that the reference takes (%(default)s)",
+    )
+    _add_common(parser)
+
+
 def _add_info(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", type=Path)
 
@@ -74,6 +107,7 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "render": ("render a built-in scene to an EXR file, and a PNG preview beside it", _add_render),
     "trace": ("trace the photons of a built-in scene into a photon map", _add_trace),
     "relax": ("relax the photons of a photon map", _add_relax),
+    "compare": ("compare methods on the same photons: table, pictures, a page", _add_compare),
     "list": ("list the built-in scenes", lambda parser: None),
     "info": ("describe an EXR file or a photon map", _add_info),
 }

@@ -32,3 +32,10 @@ class Reporter:
             end = min(first + CHUNK, n)
             yield first, end
             self.advance(end - first)
+
+
+def prefixed(progress: Progress | None, prefix: str) -> Progress | None:
+    """Return what reports the stages of a part of the work by ``prefix: stage``."""
+    if progress is None:
+        return None
+    return lambda stage, done, total: progress(f"{prefix}: {stage}", done, total)

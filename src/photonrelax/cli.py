@@ -20,6 +20,7 @@ from ._options import PHOTONS, parser
 
 # Everything else is imported where it is used: an interrupt meanwhile is then caught in `main`.
 if TYPE_CHECKING:
+    from .compare import Plan
     from .scene import Scene
 
 INTERRUPTED = 130
@@ -155,6 +156,49 @@ def _relax(options: argparse.Namespace, interrupts: Interrupts) -> None:
     _report(options, stage_table(stages), f"wrote {output}")
 
 
+def _compare(options: argparse.Namespace, interrupts: Interrupts) -> None:
+    from . import measures
+    from .compare import compare, folder
+
+    measures.check_installed()
+    folder.prepare_folder(options.output)
+    plan = _plan(options)
+    with Bars(options.quiet, interrupts) as bars:
+        truth = _reference(options, plan, bars)
+        comparison = compare(plan, truth, progress=bars)
+    shown = folder.write(comparison, options.output)
+    _report(options, shown.text(), f"wrote {options.output / folder.PAGE}")
+
+
+def _plan(options: argparse.Namespace) -> Plan:
+    from .compare import Plan
+    from .methods import Settings
+
+    return Plan(
+        scene=_resized(gallery.scene(options.scene), options.width, options.height),
+        methods=tuple(options.methods or ()),
+        n_emitted=_photons(options),
+        seed=options.seed or 0,
+        sampler=options.sampler,
+        settings=Settings(
+            relax=pr.RelaxSettings(n_iterations=tuple(options.iterations)),
+            gather=pr.GatherSettings(k=options.k),
+        ),
+        supersampling=options.supersampling,
+        exposure=options.exposure,
+        n_threads=options.threads,
+    )
+
+
+def _reference(options: argparse.Namespace, plan: Plan, bars: Bars) -> pr.Image:
+    from .compare import folder, reference
+
+    if options.reference is not None:
+        return reference.given(options.reference, plan)
+    path = options.output / folder.REFERENCE
+    return reference.kept(path, plan, options.reference_passes, bars)
+
+
 def _list(options: argparse.Namespace, interrupts: Interrupts) -> None:
     width = max(map(len, gallery.names()))
     for name in gallery.names():
@@ -213,6 +257,7 @@ _COMMANDS = {
     "render": _render,
     "trace": _trace,
     "relax": _relax,
+    "compare": _compare,
     "list": _list,
     "info": _info,
 }

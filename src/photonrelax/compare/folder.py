@@ -1,0 +1,81 @@
+"""What a comparison leaves in a folder; its files take their places together or not at all."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+
+from .._files import check_writable, whole_file, write_json
+from .page import page, png
+from .pictures import Bytes, method_pictures, photon_pictures
+from .run import Comparison, Entry
+from .sheet import contact_sheet
+from .table import Table, table
+
+PAGE, SHEET, NUMBERS, REFERENCE = "index.html", "sheet.png", "comparison.json", "reference.exr"
+# What SJ13 Fig. 6 calls its panels.
+_CAPTIONS = {
+    "parameter-space": "Parameter space",
+    "path-edges": "Path edges",
+    "constraints": "Derived constraints",
+}
+
+
+def prepare_folder(folder: Path) -> None:
+    """Make a folder and see that files can be written there; better before the work than after.
+
+    Raises
+    ------
+    OSError
+        If it cannot be made or written to.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(f"cannot write into {folder}: it is not a folder")
+    if not folder.exists() and not folder.parent.is_dir():
+        raise FileNotFoundError(f"cannot write {folder}: there is no folder {folder.parent}")
+    folder.mkdir(exist_ok=True)
+    for name in (PAGE, SHEET, NUMBERS, REFERENCE):
+        check_writable(folder / name)
+
+
+def write(comparison: Comparison, folder: Path) -> Table:
+    """Write a comparison's pictures, contact sheet, numbers and page; return its table."""
+    pictures, photons = method_pictures(comparison), photon_pictures(comparison)
+    about, shown = comparison.to_dict(), table(comparison)
+    flat = {name: made["picture"] for name, made in photons.items()}
+    for method, kinds in pictures.items():
+        flat[method] = kinds["picture"]
+        flat |= {f"{method}-{kind}": kinds[kind] for kind in kinds if kind != "picture"}
+    with ExitStack() as files:
+
+        def place(name: str) -> Path:
+            return files.enter_context(whole_file(folder / name))
+
+        for entry in comparison.entries:
+            entry.image.write_exr(place(f"{entry.method}.exr"))
+        for name, picture in flat.items():
+            place(f"{name}.png").write_bytes(png(picture))
+        sheet = contact_sheet(_panels(comparison, flat), shown.title)
+        sheet.save(place(SHEET), "PNG")
+        write_json(place(NUMBERS), about)
+        html = page(about, shown.to_dict(), pictures, photons)
+        place(PAGE).write_text(html, encoding="utf-8")
+    return shown
+
+
+def _panels(comparison: Comparison, pictures: dict[str, Bytes]) -> list[tuple[Bytes, str, str]]:
+    """Return the panels of the contact sheet: methods, what photons carry, the reference."""
+    of_methods = [(pictures[e.method], e.method, _detail(e)) for e in comparison.entries]
+    of_photons = [
+        (pictures[name], caption, "") for name, caption in _CAPTIONS.items() if name in pictures
+    ]
+    reference = (pictures["reference"], "Reference", comparison.about_reference)
+    return [*of_methods, *of_photons, reference]
+
+
+def _detail(entry: Entry) -> str:
+    errors, seconds = entry.errors, sum(entry.seconds.values())
+    return (
+        f"L1 {errors.relative_l1:.1%}   SSIM {errors.ssim:.3f}   FLIP {errors.flip:.3f}"
+        f"   {seconds:.1f} s"
+    )

@@ -1,0 +1,87 @@
+"""What errors are measured against: a picture given, one kept from before, or one computed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from .. import __version__
+from .._progress import Progress, prefixed
+from ..image import Image, read_exr
+from ..render import render
+from .run import ABOUT, Plan, check_reference
+
+_KEY = "photonrelax.reference_of"
+
+
+def given(path: Path, plan: Plan) -> Image:
+    """Read a reference from an EXR file that any program may have written.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        If there is none, or it does not show what is compared.
+    """
+    image = read_exr(path)
+    check_reference(image, plan)
+    about = image.metadata.get(ABOUT)
+    told = {ABOUT: f"{path.name}: {about}" if about else path.name}
+    return Image(image.layers, {**image.metadata, **told})
+
+
+def kept(path: Path, plan: Plan, passes: int, progress: Progress | None = None) -> Image:
+    """Return the reference that is kept at a path; compute and keep it if there is none.
+
+    A picture there that is not of the same scene, view, photons and passes is replaced.
+    """
+    found = _found(path)
+    if found is None or found.metadata.get(_KEY) != _key(plan, passes):
+        _computed(plan, passes, progress).write_exr(path)
+        # As it is kept: a later run measures the same.
+        found = read_exr(path)
+    return found
+
+
+def _found(path: Path) -> Image | None:
+    try:
+        return read_exr(path) if path.exists() else None
+    except ValueError:
+        return None
+
+
+def _computed(plan: Plan, passes: int, progress: Progress | None) -> Image:
+    """Return a reference from other and many more photons than are compared."""
+    image = render(
+        plan.scene,
+        method="standard",
+        n_emitted=passes * plan.n_emitted,
+        seed=_seed(plan),
+        supersampling=plan.supersampling,
+        max_depth=plan.max_depth,
+        n_threads=plan.n_threads,
+        progress=prefixed(progress, "reference"),
+    )
+    about = f"standard estimates from {passes * plan.n_emitted:,} photons"
+    return Image(image.layers, {**image.metadata, ABOUT: about, _KEY: _key(plan, passes)})
+
+
+def _seed(plan: Plan) -> int:
+    # Photons of its own: sharing them would hide their noise.
+    return plan.seed + 1
+
+
+def _key(plan: Plan, passes: int) -> str:
+    """Return all that the reference depends on."""
+    camera = plan.scene.camera
+    assert camera is not None, "a plan has a camera"
+    depends_on = {
+        "scene": plan.scene.name,
+        "size": [camera.width, camera.height],
+        "supersampling": plan.supersampling,
+        "max_depth": plan.max_depth,
+        "photons": plan.n_emitted,
+        "passes": passes,
+        "seed": _seed(plan),
+        "version": __version__,
+    }
+    return json.dumps(depends_on)

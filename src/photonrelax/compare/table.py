@@ -1,0 +1,140 @@
+"""The table of a comparison, in the form of SJ13's Table I."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from .run import Comparison, Entry
+
+# Stages by the rows of the table; every other stage of a method's own finds features.
+_ROWS_OF = {"cast": "photon cast", "relax": "relaxation", "camera": "render", "gather": "render"}
+_FEATURES = "feature detection"
+_NOTHING = "–"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Text in rows and columns.
+
+    Attributes
+    ----------
+    title : str
+        What is compared.
+    head : list of str
+        Names of the columns.
+    rows : list of (str, list of str, int or None)
+        Name of a row, its cells, and which of them is the best, if that has a meaning.
+    notes : list of str
+        What has to be known to read it.
+    """
+
+    title: str
+    head: list[str]
+    rows: list[tuple[str, list[str], int | None]]
+    notes: list[str]
+
+    def text(self) -> str:
+        """Return the table for a terminal."""
+        lines = [["", *self.head], *([name, *cells] for name, cells, _ in self.rows)]
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        body = [
+            "  ".join([f"{name:{widths[0]}}", *(f"{c:>{w}}" for c, w in zip(cells, widths[1:]))])  # noqa: B905
+            for name, *cells in lines
+        ]
+        return "\n".join([self.title, *(line.rstrip() for line in body), *self.notes])
+
+    def markdown(self) -> str:
+        """Return the table for a Markdown file, the best cells bold."""
+        lines = [f"| | {' | '.join(self.head)} |", f"| --- |{' --- |' * len(self.head)}"]
+        for name, cells, best in self.rows:
+            shown = [f"**{c}**" if i == best else c for i, c in enumerate(cells)]
+            lines.append(f"| {name} | {' | '.join(shown)} |")
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the table by its attributes."""
+        rows = [{"name": name, "cells": cells, "best": best} for name, cells, best in self.rows]
+        return {"title": self.title, "head": self.head, "rows": rows, "notes": self.notes}
+
+
+def table(comparison: Comparison) -> Table:
+    """Return the table of a comparison."""
+    entries = comparison.entries
+    rows = [
+        ("photons emitted", [f"{entry.n_emitted:,}" for entry in entries], None),
+        ("photons absorbed", [f"{entry.n_stored:,}" for entry in entries], None),
+        ("photons per estimate", [_photons_per_estimate(entry) for entry in entries], None),
+        *_times(entries),
+        *(_measured(entries, *row) for row in _ERRORS),
+    ]
+    return Table(_title(comparison), [e.method for e in entries], rows, _notes(comparison))
+
+
+def by_row(seconds: dict[str, float]) -> dict[str, float]:
+    """Return the seconds of an entry's stages by the rows of the table."""
+    rows = {"photon cast": 0.0, _FEATURES: 0.0, "relaxation": 0.0, "render": 0.0}
+    for stage, value in seconds.items():
+        rows[_ROWS_OF.get(stage, _FEATURES)] += value
+    return rows
+
+
+def _times(entries: tuple[Entry, ...]) -> list[tuple[str, list[str], int | None]]:
+    columns = [by_row(entry.seconds) for entry in entries]
+    rows: list[tuple[str, list[str], int | None]] = [
+        (name, [_seconds(column[name]) for column in columns], None) for name in columns[0]
+    ]
+    totals = [sum(column.values()) for column in columns]
+    return [*rows, ("total", [_seconds(total) for total in totals], _best(totals, abs))]
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.2f} s" if value else _NOTHING
+
+
+_ERRORS: list[tuple[str, str, str, Callable[[float], float]]] = [
+    ("relative L1", "relative_l1", "{:.2%}", abs),
+    ("relative L2", "relative_l2", "{:.2%}", abs),
+    ("SSIM", "ssim", "{:.4f}", lambda value: -value),
+    ("FLIP", "flip", "{:.4f}", abs),
+    ("energy bias", "energy_bias", "{:+.2%}", abs),
+]
+
+
+def _measured(
+    entries: tuple[Entry, ...], name: str, attribute: str, form: str, badness: Callable
+) -> tuple[str, list[str], int | None]:
+    values = [getattr(entry.errors, attribute) for entry in entries]
+    return name, [form.format(value) for value in values], _best(values, badness)
+
+
+def _best(values: list[float], badness: Callable[[float], float]) -> int | None:
+    return min(range(len(values)), key=lambda i: badness(values[i])) if len(values) > 1 else None
+
+
+def _photons_per_estimate(entry: Entry) -> str:
+    counts = [stage["k"] for name, stage in entry.settings.items() if name in _GATHERING]
+    counts = [stage_k for stage_k in counts if stage_k]
+    return str(counts[-1]) if counts else "varies"
+
+
+_GATHERING = ("gather", "diffusion")
+
+
+def _title(comparison: Comparison) -> str:
+    plan, camera = comparison.plan, comparison.plan.scene.camera
+    assert camera is not None, "a plan has a camera"
+    samples = plan.supersampling**2
+    return (
+        f"{plan.scene.name}: {plan.n_emitted:,} photons emitted ({plan.sampler}, seed "
+        f"{plan.seed}), {camera.width} x {camera.height} pixels of {samples} samples"
+    )
+
+
+def _notes(comparison: Comparison) -> list[str]:
+    return [
+        f"reference: {comparison.about_reference}",
+        "L1, L2 and energy bias are of the caustic alone, SSIM and FLIP of the picture as shown; "
+        "photons and camera rays were traced once and count in every total.",
+    ]

@@ -1,0 +1,79 @@
+"""What a camera sees, traced once for all methods."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from .._arrays import Floats, thread_count
+from .._progress import Progress, Reporter
+from ..estimate import Field
+from ..picture import Band, PhotonLayers, bands, joined
+from ..scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """The points a camera sees, kept.
+
+    Attributes
+    ----------
+    bands : list of Band
+        From the top down.
+    fixed : dict
+        Layers that need no photons.
+    seconds : float
+        What finding them took.
+    """
+
+    bands: list[Band]
+    fixed: dict[str, Floats]
+    seconds: float
+
+    @property
+    def n_hit_points(self) -> int:
+        """Number of points seen."""
+        return sum(len(band.hits) for band in self.bands)
+
+    def caustic(self, field: Field, progress: Progress | None) -> Floats:
+        """Return the radiance (height, width, 3) of a field's irradiance."""
+        report = Reporter(progress, "render", sum(len(band.rows) for band in self.bands))
+        parts = []
+        for band in self.bands:
+            parts.append(band.radiance(field(band.hits.position, band.hits.normal)))
+            report.advance(len(band.rows))
+        return np.concatenate(parts)
+
+    def photon_layers(self, field: Field) -> dict[str, Floats]:
+        """Return what the photons of a field carry, as layers, and their caustic."""
+        layers = PhotonLayers(field)
+        return joined([layers(band) for band in self.bands])
+
+
+def look(
+    scene: Scene,
+    *,
+    supersampling: int,
+    max_depth: int,
+    n_threads: int | None,
+    progress: Progress | None,
+) -> View:
+    """Find what a scene's camera sees."""
+    if scene.camera is None:
+        raise ValueError("scene should have a camera to be seen")
+    started = perf_counter()
+    report = Reporter(progress, "camera", scene.camera.height)
+    seen = []
+    for band in bands(
+        scene,
+        scene.camera,
+        supersampling=supersampling,
+        max_depth=max_depth,
+        n_threads=thread_count(n_threads),
+    ):
+        seen.append(band)
+        report.advance(len(band.rows))
+    fixed = joined([band.fixed_layers() for band in seen])
+    return View(seen, fixed, perf_counter() - started)

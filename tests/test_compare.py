@@ -1,0 +1,318 @@
+"""Comparisons: the same photons for every method, honest errors, whole files."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image as Picture
+
+import photonrelax as pr
+from photonrelax import cli, gallery, measures
+from photonrelax.compare import METHODS_OF_SJ13, Plan, compare, folder, pictures, reference, run
+from photonrelax.compare import table as tables
+from photonrelax.image import read_exr, srgb
+from photonrelax.methods import METHODS, Settings
+
+SIZE = 32
+N = 10_000
+ARGUMENTS = ("--photons", N, "--width", SIZE, "--height", SIZE, "--supersampling", 1)
+PAIR = ("standard", "parameterised")
+
+
+def ring():
+    return gallery.scene("ring", pixels=SIZE, sections=128)
+
+
+def run_cli(*arguments):
+    return cli.main([str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """A picture of the scene from other and more photons."""
+    return pr.render(ring(), method="standard", n_emitted=20 * N, seed=1, supersampling=1)
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return Plan(scene=ring(), methods=PAIR, n_emitted=N, supersampling=1)
+
+
+@pytest.fixture(scope="module")
+def comparison(plan, truth):
+    return compare(plan, truth)
+
+
+@pytest.fixture(scope="module")
+def written(comparison, tmp_path_factory):
+    path = tmp_path_factory.mktemp("comparison")
+    folder.write(comparison, path)
+    return path
+
+
+def test_every_method_makes_the_picture_that_render_makes(comparison):
+    for entry in comparison.entries:
+        image = pr.render(ring(), method=entry.method, n_emitted=N, supersampling=1)
+        for name in ("radiance", "caustic", "direct", "N", "Z"):
+            np.testing.assert_array_equal(entry.image.layers[name], image.layers[name])
+        assert (entry.n_emitted, entry.n_stored) == (N, image.stats["stages"]["trace"]["stored"])
+
+
+def test_photons_and_camera_rays_are_traced_once(plan, truth, monkeypatch):
+    calls = []
+    for name in ("trace_photons", "look"):
+        work = getattr(run, name)
+        monkeypatch.setattr(
+            run, name, lambda *a, _name=name, _work=work, **k: calls.append(_name) or _work(*a, **k)
+        )
+    compare(plan, truth)
+    assert calls == ["trace_photons", "look"]
+
+
+def test_errors_are_those_of_the_layers(comparison, truth):
+    for entry in comparison.entries:
+        layers, errors = entry.image.layers, entry.errors
+        caustics = layers["caustic"], truth.layers["caustic"]
+        assert errors.relative_l1 == measures.relative_l1(*caustics) > 0.0
+        assert errors.relative_l2 == measures.relative_l2(*caustics)
+        assert errors.energy_bias == measures.energy_bias(*caustics)
+        shown = srgb(layers["radiance"]), srgb(truth.layers["radiance"])
+        assert errors.ssim == measures.ssim(*shown)
+        assert errors.flip == measures.flip_map(*shown).mean() == layers["flip"].mean()
+        np.testing.assert_array_equal(
+            layers["difference"], layers["radiance"] - truth.layers["radiance"]
+        )
+
+
+def test_a_picture_has_no_error_against_itself(plan):
+    itself = pr.render(ring(), method="standard", n_emitted=N, supersampling=1)
+    entry, other = compare(plan, itself).entries
+    assert entry.errors == measures.Errors(0.0, 0.0, 0.0, 1.0, 0.0)
+    assert other.errors.relative_l1 > 0.0
+
+
+def test_direct_light_is_taken_off_a_reference_that_is_one_picture(plan, truth, comparison):
+    bare = compare(plan, pr.Image({"radiance": truth.layers["radiance"]}))
+    for entry, expected in zip(bare.entries, comparison.entries, strict=True):
+        assert entry.errors.relative_l1 == pytest.approx(expected.errors.relative_l1, rel=1e-9)
+
+
+def test_exposure_changes_what_is_seen_and_nothing_else(plan, truth, comparison):
+    dark = compare(replace(plan, exposure=-3.0), truth)
+    for entry, expected in zip(dark.entries, comparison.entries, strict=True):
+        assert entry.errors.relative_l2 == expected.errors.relative_l2
+        assert entry.errors.flip != expected.errors.flip
+
+
+def test_methods_are_those_of_sj13_as_far_as_there_are(plan):
+    assert Plan(scene=ring()).methods == tuple(m for m in METHODS_OF_SJ13 if m in METHODS)
+    assert replace(plan, methods=("standard", "standard")).methods == ("standard",)
+    with pytest.raises(ValueError, match="method should be one of"):
+        replace(plan, methods=("magic",))
+
+
+def test_settings_and_sampler_reach_their_stages(plan, truth):
+    settings = Settings(gather=pr.GatherSettings(k=20), relax=pr.RelaxSettings((1, 0)))
+    made = compare(replace(plan, settings=settings, sampler="random"), truth)
+    assert made.entries[1].settings["relax"]["n_iterations"] == (1, 0)
+    assert [entry.settings["gather"]["k"] for entry in made.entries] == [20, 20]
+    photons = pr.trace_photons(ring(), N, sampler="random")
+    assert made.entries[0].n_stored == len(photons)
+
+
+@pytest.mark.parametrize(
+    "layers", [{"Z": np.ones((SIZE, SIZE))}, {"radiance": np.ones((SIZE, SIZE + 1, 3))}]
+)
+def test_a_reference_that_shows_something_else_is_refused(layers, plan):
+    with pytest.raises(ValueError, match="the reference should have"):
+        compare(plan, pr.Image(layers))
+
+
+# --- the reference --------------------------------------------------------------------------------
+
+
+def test_a_reference_is_computed_once_and_kept(plan, tmp_path, monkeypatch):
+    path = tmp_path / "reference.exr"
+    first = reference.kept(path, plan, 2)
+    assert "radiance" in first.layers
+    monkeypatch.setattr(reference, "_computed", None)
+    again = reference.kept(path, plan, 2)
+    assert again.layers["caustic"].tobytes() == first.layers["caustic"].tobytes()
+    assert again.metadata[run.ABOUT]
+
+
+@pytest.mark.parametrize("change", [{"n_emitted": N + 1}, {"seed": 5}, {"supersampling": 2}])
+def test_a_reference_of_something_else_is_replaced(change, plan, tmp_path, monkeypatch):
+    path = tmp_path / "reference.exr"
+    reference.kept(path, plan, 1)
+    calls = []
+    computed = reference._computed
+    monkeypatch.setattr(reference, "_computed", lambda *a: calls.append(a) or computed(*a))
+    reference.kept(path, replace(plan, **change), 1)
+    reference.kept(path, replace(plan, **change), 1)
+    assert len(calls) == 1
+
+
+def test_what_is_no_picture_is_replaced_too(plan, tmp_path):
+    path = tmp_path / "reference.exr"
+    path.write_text("not a picture")
+    assert "radiance" in reference.kept(path, plan, 1).layers
+
+
+def test_a_reference_has_photons_of_its_own(plan, tmp_path):
+    """Errors against it hold the noise of both."""
+    image = reference.kept(tmp_path / "reference.exr", plan, 1)
+    assert compare(plan, image).entries[0].errors.relative_l1 > 0.0
+
+
+# --- what is written ------------------------------------------------------------------------------
+
+
+def test_the_folder_holds_what_is_promised(written):
+    kinds = [f"{method}{end}" for method in PAIR
+             for end in (".exr", ".png", "-flip.png", "-difference.png")]  # fmt: skip
+    photons = ["parameter-space.png", "path-edges.png", "constraints.png"]
+    others = ["reference.png", "sheet.png", "comparison.json", "index.html"]
+    assert sorted(p.name for p in written.iterdir()) == sorted([*kinds, *photons, *others])
+    for path in written.glob("*.png"):
+        with Picture.open(path) as picture:
+            picture.load()
+            assert path.name == "sheet.png" or picture.size == (SIZE, SIZE)
+
+
+def test_pictures_are_written_as_they_are(written, comparison):
+    for entry in comparison.entries:
+        layers = read_exr(written / f"{entry.method}.exr").layers
+        np.testing.assert_array_equal(
+            layers["radiance"], np.float32(entry.image.layers["radiance"])
+        )
+        assert {"difference", "flip", "caustic"} <= layers.keys()
+        with Picture.open(written / f"{entry.method}.png") as shown:
+            expected = np.rint(255 * srgb(entry.image.layers["radiance"]))
+            np.testing.assert_array_equal(np.asarray(shown), expected)
+
+
+def test_numbers_are_all_in_one_file(written, comparison):
+    told = json.loads((written / "comparison.json").read_text())
+    assert (told["scene"], told["n_emitted"], told["sampler"]) == ("ring", N, "halton")
+    assert list(told["methods"]) == list(PAIR)
+    for entry in comparison.entries:
+        method = told["methods"][entry.method]
+        assert method["errors"] == entry.errors.to_dict()
+        assert method["total_seconds"] == pytest.approx(sum(method["seconds"].values()))
+    assert list(told["methods"]["parameterised"]["seconds"]) == [
+        *("cast", "camera", "structure", "relax", "gather")
+    ]
+
+
+def test_the_page_needs_nothing_else(written):
+    page = (written / "index.html").read_text()
+    assert "http" not in page.replace("http-equiv", "")
+    assert page.count("data:image/png;base64,") == 2 * 3 + 1 + 3
+
+
+def test_nothing_is_written_when_something_fails(comparison, tmp_path, monkeypatch):
+    monkeypatch.setattr(folder, "page", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        folder.write(comparison, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- the pictures ---------------------------------------------------------------------------------
+
+
+def test_differences_are_orange_where_too_bright_and_blue_where_too_dark():
+    colours = pictures._signed(np.array([[0.1, 0.0, -0.1]]))[0]
+    assert (colours[1] == 0.0).all()
+    assert colours[0, 0] > colours[0, 2]
+    assert colours[2, 2] > colours[2, 0]
+
+
+def test_path_edges_are_one_more_than_bounces(comparison):
+    """Light off a ring once has come along two edges, and a few photons along more."""
+    bounces = comparison.photon_layers["photons.bounces"]
+    assert np.median(bounces[bounces > 0.0]) == pytest.approx(1.0)
+    about = pictures.photon_pictures(comparison)["path-edges"]["about"]
+    assert "2 (blue) to" in about
+
+
+def test_constrained_photons_are_red(comparison):
+    red = np.array([[0.0, 1.0]])
+    colours = pictures._constraint_colours(red)[0]
+    assert np.ptp(colours[0]) == 0.0
+    assert colours[1, 0] > 10 * colours[1, 1]
+
+
+# --- the table ------------------------------------------------------------------------------------
+
+
+def test_the_table_has_the_rows_of_sj13_and_the_errors(comparison):
+    shown = tables.table(comparison)
+    assert shown.head == list(PAIR)
+    assert [name for name, *_ in shown.rows] == [
+        *("photons emitted", "photons absorbed", "photons per estimate", "photon cast"),
+        *("feature detection", "relaxation", "render", "total"),
+        *("relative L1", "relative L2", "SSIM", "FLIP", "energy bias"),
+    ]
+    cells = {name: cells for name, cells, _ in shown.rows}
+    assert cells["photons emitted"] == ["10,000", "10,000"]
+    assert cells["photons per estimate"] == ["15", "15"]
+    assert cells["relaxation"][0] == "–"
+    assert cells["photon cast"][0] == cells["photon cast"][1]
+
+
+def test_rows_of_the_table_add_up(comparison):
+    for entry in comparison.entries:
+        rows = tables.by_row(entry.seconds)
+        assert sum(rows.values()) == pytest.approx(sum(entry.seconds.values()))
+        assert rows["photon cast"] == entry.seconds["cast"]
+    assert tables.by_row(comparison.entries[1].seconds)["relaxation"] > 0.0
+
+
+def test_the_best_is_marked(comparison):
+    shown = tables.table(comparison)
+    best = {name: best for name, _, best in shown.rows}
+    ssim = [entry.errors.ssim for entry in comparison.entries]
+    assert best["SSIM"] == int(np.argmax(ssim))
+    assert best["total"] == 0
+    assert best["photons emitted"] is None
+    bold = next(line for line in shown.markdown().splitlines() if line.startswith("| SSIM"))
+    assert f"**{max(ssim):.4f}**" in bold
+
+
+def test_text_lines_up_and_says_what_the_reference_is(comparison):
+    lines = tables.table(comparison).text().splitlines()
+    assert lines[0].startswith("ring: 10,000 photons emitted (halton, seed 0), 32 x 32 pixels")
+    assert len({len(line) for line in lines[1:15]}) == 1
+    assert "reference: a picture given" in lines
+
+
+# --- the command ----------------------------------------------------------------------------------
+
+
+def test_compare_does_it_all_in_one_command(tmp_path, capsys):
+    output = tmp_path / "ring"
+    arguments = ("compare", "ring", "-o", output, "--methods", *PAIR, *ARGUMENTS)
+    assert run_cli(*arguments, "--reference-passes", 2) == 0
+    out = capsys.readouterr().out
+    assert out.endswith(f"wrote {output / 'index.html'}\n")
+    assert "SSIM" in out
+    first = json.loads((output / "comparison.json").read_text())
+    assert run_cli(*arguments, "--reference", output / "reference.exr", "--quiet") == 0
+    assert capsys.readouterr().out == ""
+    again = json.loads((output / "comparison.json").read_text())
+    for method in PAIR:
+        assert again["methods"][method]["errors"] == first["methods"][method]["errors"]
+    assert again["reference"].startswith("reference.exr: ")
+
+
+def test_a_folder_that_cannot_be_is_an_error_before_the_work(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(run, "trace_photons", None)
+    (tmp_path / "file").write_text("")
+    assert run_cli("compare", "ring", "-o", tmp_path / "file") == 1
+    assert "it is not a folder" in capsys.readouterr().err
+    assert run_cli("compare", "ring", "-o", tmp_path / "a" / "b") == 1
+    assert "there is no folder" in capsys.readouterr().err
+    assert run_cli("compare", "ring", "-o", tmp_path / "c", "--reference", tmp_path / "d.exr") == 1
+    assert "there is no file" in capsys.readouterr().err
