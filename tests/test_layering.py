@@ -27,6 +27,7 @@ TIERS = [
     {"kdtree", "raycast", "scene"},
     {"camera", "emit", "photonmap"},
     {"_facing", "_sheets", "_surfaces", "trace", "structure", "relax", "estimate"},
+    {"dealing", "progressive"},
     {"methods", "picture"},
     {"render", "gallery"},
     {"compare"},

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from .methods import irradiance_field as irradiance_field
     from .photonmap import EnergyLedger as EnergyLedger
     from .photonmap import PhotonMap as PhotonMap
+    from .progressive import ProgressiveSettings as ProgressiveSettings
+    from .progressive import ProgressiveStatistics as ProgressiveStatistics
     from .relax import RelaxSettings as RelaxSettings
     from .relax import relax as relax
     from .render import render as render
@@ -58,6 +60,8 @@ _MODULE_OF = {
     "Neighbours": "kdtree",
     "PhotonMap": "photonmap",
     "PointEmitter": "scene",
+    "ProgressiveSettings": "progressive",
+    "ProgressiveStatistics": "progressive",
     "RelaxSettings": "relax",
     "Scene": "scene",
     "SceneObject": "scene",

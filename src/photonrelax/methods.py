@@ -8,8 +8,10 @@ from time import perf_counter
 from typing import Any
 
 from ._progress import Progress
+from .dealing import ProgressiveField
 from .estimate import Field, GatherSettings, IrradianceField
 from .photonmap import PhotonMap
+from .progressive import ProgressiveSettings
 from .relax import RelaxSettings
 from .relax import relax as relax_photons
 from .scene import Scene
@@ -23,6 +25,7 @@ def irradiance_field(
     structure: StructureSettings | None = None,
     relax: RelaxSettings | None = None,
     gather: GatherSettings | None = None,
+    progressive: ProgressiveSettings | None = None,
     scene: Scene | None = None,
     n_threads: int | None = None,
     progress: Progress | None = None,
@@ -33,9 +36,9 @@ def irradiance_field(
     ----------
     photons : PhotonMap
         Photons from `trace_photons` or from any other renderer.
-    method : {"parameterised", "standard"}
-        SJ13, or the photons as they are (Jensen).
-    structure, relax, gather : settings, optional
+    method : {"parameterised", "standard", "progressive"}
+        SJ13, the photons as they are (Jensen), or dealt to passes (Hachisuka et al. 2008).
+    structure, relax, gather, progressive : settings, optional
         Of the stages; those the method has not are not looked at.
     scene : Scene, optional
         Keeps moved photons on their objects; see `photonrelax.relax`.
@@ -54,7 +57,7 @@ def irradiance_field(
     ValueError
         If the method is not known.
     """
-    settings = Settings(structure=structure, relax=relax, gather=gather)
+    settings = Settings(structure=structure, relax=relax, gather=gather, progressive=progressive)
     return prepare(method, Task(photons, settings, scene, n_threads, progress))
 
 
@@ -65,6 +68,7 @@ class Settings:
     structure: StructureSettings | None = None
     relax: RelaxSettings | None = None
     gather: GatherSettings | None = None
+    progressive: ProgressiveSettings | None = None
 
     def __post_init__(self) -> None:
         for name, kind in _KINDS.items():
@@ -77,6 +81,7 @@ _KINDS: dict[str, type] = {
     "structure": StructureSettings,
     "relax": RelaxSettings,
     "gather": GatherSettings,
+    "progressive": ProgressiveSettings,
 }
 
 
@@ -113,9 +118,14 @@ def _parameterised(task: Task) -> Field:
     )
 
 
+def _progressive(task: Task) -> Field:
+    return ProgressiveField(task.photons, task.settings.progressive, n_threads=task.n_threads)
+
+
 _METHODS: dict[str, Callable[[Task], Field]] = {
     "standard": _standard,
     "parameterised": _parameterised,
+    "progressive": _progressive,
 }
 METHODS = tuple(_METHODS)
 

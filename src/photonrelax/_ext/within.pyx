@@ -191,7 +191,8 @@ cdef void sum_one(
     reach.half_range = NULL
     reach.n_metric = photons.tree.n_metric
     reach.n_axes = photons.tree.n_axes
-    sums.values = &photons.values[0, 0, 0]
+    # Of no points there are no values.
+    sums.values = &photons.values[0, 0, 0] if photons.values.shape[0] > 0 else NULL
     sums.n_channels = photons.values.shape[1]
     sums.shape = photons.kernel
     sums.count = 0

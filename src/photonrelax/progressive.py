@@ -1,0 +1,372 @@
+r"""Progressive photon mapping: passes of photons, gathered in discs that shrink.
+
+Hachisuka, Ogaki & Jensen 2008. Photons come in passes, and what is kept of them is a row for each
+hit point: its radius R, the number N of photons counted, and their flux τ, not divided by how many
+were emitted. When a pass finds M more of them, of flux Φ, within R, a share α of these is kept and
+the disc made as much smaller as keeps the density::
+
+    N' = N + α M,   R'² = R² N' / (N + M),   τ' = (τ + Φ) R'² / R²
+    E  = τ / (π R² · photons emitted in all)
+
+Over passes i radii go as R² ~ i^(α - 1) and numbers as N ~ i^α, so that both the bias of the
+estimate, ~ R², and its variance, ~ 1/N, vanish: as i^(α - 1) and i^-α. The kernel is constant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _arrays
+from ._arrays import Floats
+from ._ext import progressive as _kernel
+from ._ext.within import Within
+from ._facing import FacingTrees
+from ._sheets import NORMAL_RANGE
+from .estimate import KERNELS, automatic_gather_radius
+from .kdtree import KDTree
+from .photonmap import PhotonMap
+
+# Radii are at least this fraction of the largest, also where k photons are at the hit point.
+_LEAST_RADIUS = 1e-6
+
+
+@dataclass(frozen=True)
+class ProgressiveSettings:
+    """How discs start and shrink.
+
+    Attributes
+    ----------
+    alpha : float
+        Share of the photons found that is kept, in (0, 1] (α = 0.7); with 1 radii stay.
+    n_passes : int
+        Passes that the photons of a map are dealt to. With fresh photons in every pass their
+        number is not looked at.
+    k : int
+        Unless `radius` is given, a disc starts just short of the k-th nearest photon of the first
+        pass, but no larger than `automatic_gather_radius` of that pass.
+    radius : float, optional
+        Of all discs at the start, m.
+    """
+
+    alpha: float = 0.7
+    n_passes: int = 16
+    k: int = 15
+    radius: float | None = None
+
+    def __post_init__(self) -> None:
+        alpha = _arrays.positive(self.alpha, "ProgressiveSettings.alpha")
+        if alpha > 1.0:
+            raise ValueError(f"ProgressiveSettings.alpha should be at most 1, but is {alpha}")
+        object.__setattr__(self, "alpha", alpha)
+        for name, low in (("n_passes", 1), ("k", 2)):
+            number = _arrays.count(getattr(self, name), f"ProgressiveSettings.{name}", low=low)
+            object.__setattr__(self, name, number)
+        if self.radius is not None:
+            radius = _arrays.positive(self.radius, "ProgressiveSettings.radius")
+            object.__setattr__(self, "radius", radius)
+
+
+class Discs:
+    """The discs that passes of photons are counted in: all that is kept of them.
+
+    Attributes
+    ----------
+    radius : (m,) float64
+        R, m.
+    n : (m,) float64
+        N.
+    tau : (m, c) float64
+        τ: sums of what photons carry, times the weight of their pass.
+    weight : float
+        Of all passes together.
+    n_passes : int
+        Passes counted.
+    """
+
+    def __init__(
+        self, radius: Floats, n_channels: int, *, alpha: float = 0.7, n_threads: int = 1
+    ) -> None:
+        self.radius = radius.copy()
+        self.n = np.zeros(len(radius))
+        self.tau = np.zeros((len(radius), n_channels))
+        self.weight = 0.0
+        self.n_passes = 0
+        self._alpha = alpha
+        self._n_threads = n_threads
+
+    def narrow(
+        self,
+        counts: NDArray[np.int64],
+        sums: Floats,
+        weight: float,
+        least_radius: Floats | None = None,
+    ) -> None:
+        """Count in numbers (m,) and sums (m, c) found by a pass, and shrink the discs."""
+        _kernel.narrow(
+            self.n,
+            self.tau,
+            self.radius,
+            counts=counts,
+            sums=sums,
+            least=least_radius,
+            alpha=self._alpha,
+            weight=weight,
+            n_threads=self._n_threads,
+        )
+        self.weight += weight
+        self.n_passes += 1
+
+    def arrays(self) -> dict[str, Any]:
+        """Return all that later passes build upon."""
+        kept = {"radius": self.radius, "n": self.n, "tau": self.tau}
+        return {**kept, "weight": self.weight, "disc_passes": self.n_passes}
+
+    def restore(self, kept: dict[str, NDArray]) -> None:
+        """Take up what `arrays` returned, of discs as many."""
+        for name in ("radius", "n", "tau"):
+            np.copyto(getattr(self, name), kept[name])
+        self.weight = float(kept["weight"])
+        self.n_passes = int(kept["disc_passes"])
+
+    def densities(self) -> Floats:
+        """Return the estimates (m, c) per m²; zero before the first pass."""
+        if self.weight == 0.0:
+            return np.zeros_like(self.tau)
+        return self.tau / (np.pi * self.weight * self.radius**2)[:, np.newaxis]
+
+
+class ProgressiveStatistics(Discs):
+    """Hit points and what passes of photons have told about each; memory does not grow.
+
+    Parameters
+    ----------
+    positions, normals : (m, 3) array_like
+        Points on surfaces, m, and directions of any length. Photons on faces turned by more than
+        60° are not counted.
+    radius : float or (m,) array_like
+        Of the discs at the start, m; see `first_radius`.
+    alpha : float
+        Share of photons kept.
+    n_channels : int
+        Numbers that photons carry.
+    n_threads : int, optional
+        Threads; all available by default. Results do not depend on it.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a shape is wrong, a value not finite, or a radius or `alpha` not positive.
+    """
+
+    def __init__(
+        self,
+        positions: ArrayLike,
+        normals: ArrayLike,
+        radius: ArrayLike,
+        *,
+        alpha: float = 0.7,
+        n_channels: int = 3,
+        n_threads: int | None = None,
+    ) -> None:
+        self.positions = _arrays.float_array(positions, "positions", (None, 3))
+        m = len(self.positions)
+        threads = _arrays.thread_count(n_threads)
+        self.normals = _arrays.unit_vectors(normals, "normals", (m, 3), threads)
+        settings = ProgressiveSettings(alpha=alpha)
+        start = _radii(radius, "radius", m)
+        super().__init__(start, n_channels, alpha=settings.alpha, n_threads=threads)
+        self._counts = np.empty(m, dtype=np.int64)
+        self._sums = np.empty((m, n_channels))
+
+    def add(
+        self,
+        photons: PhotonMap,
+        *,
+        weight: float | None = None,
+        least_radius: ArrayLike | None = None,
+    ) -> None:
+        """Count in a pass of photons and shrink the discs.
+
+        Parameters
+        ----------
+        photons : PhotonMap
+            Of flux in W, divided by the number emitted in this pass, as traced maps are.
+        weight : float, optional
+            How much this pass counts beside the others: by default its `n_emitted`, so that all
+            photons emitted count alike whatever the sizes of passes.
+        least_radius : float or (m,) array_like, optional
+            Discs do not shrink below it, m; where they stay as they are all photons are kept.
+
+        Raises
+        ------
+        ValueError
+            If the map does not say how many photons were emitted, and no weight is given.
+        """
+        least = None
+        if least_radius is not None:
+            least = _radii(least_radius, "least_radius", len(self.n))
+        weight = pass_weight(photons) if weight is None else _arrays.positive(weight, "weight")
+        self.find(Pass(photons, photons.flux, self._n_threads))
+        self.count_in(weight, least)
+
+    def find(self, photons: Pass) -> None:
+        """Look for the photons of a pass, the first half of `add`; it may be broken off."""
+        photons.sums_within(
+            (self.positions, self.normals), self.radius, out=self._sums, counts=self._counts
+        )
+
+    def count_in(self, weight: float, least_radius: Floats | None = None) -> None:
+        """Count in what was found and shrink the discs, the second half of `add`."""
+        self.narrow(self._counts, self._sums, weight, least_radius)
+
+    def irradiance(self) -> Floats:
+        """Return the irradiance (m, 3), W/m², as far as it is known by now."""
+        return self.densities()
+
+
+def pass_weight(photons: PhotonMap) -> float:
+    """Return how many photons were emitted in a pass; raise ValueError if that is not known."""
+    if not photons.n_emitted:
+        raise ValueError(
+            "photons.n_emitted should say how many photons were emitted in the pass, or weight "
+            f"how much it counts, but is {photons.n_emitted}"
+        )
+    return float(photons.n_emitted)
+
+
+class Pass:
+    """Photons of one pass, and numbers (n, c) they carry, ready to be summed within discs."""
+
+    def __init__(
+        self,
+        photons: PhotonMap,
+        values: Floats,
+        n_threads: int,
+        trees: FacingTrees | None = None,
+    ) -> None:
+        self._values = values
+        self._n_threads = n_threads
+        self._trees = FacingTrees(photons, n_threads) if trees is None else trees
+        self._sums: dict[int, Within] = {}
+
+    def sums_within(
+        self,
+        hits: tuple[Floats, Floats],
+        radius: Floats,
+        *,
+        out: Floats,
+        counts: NDArray[np.int64],
+    ) -> None:
+        """Write sums (m, c) and numbers (m,) of photons within (m,) radii of positions, normals."""
+        out[:] = 0.0
+        counts[:] = 0
+        for number, queries, rows in self._trees.parts(*hits):
+            self._within(number).sums(
+                queries, rows, radius, out=out, counts=counts, n_threads=self._n_threads
+            )
+
+    def _within(self, number: int) -> Within:
+        if number not in self._sums:
+            tree, rows = self._trees.tree(number)
+            self._sums[number] = Within(
+                tree.kernel,
+                self._values,
+                rows,
+                KERNELS["constant"],
+                normal_range=_normal_range(tree),
+                n_threads=self._n_threads,
+            )
+        return self._sums[number]
+
+
+def _normal_range(tree: KDTree) -> float:
+    return NORMAL_RANGE if tree.n_axes > tree.n_metric else -1.0
+
+
+def _radii(value: ArrayLike, name: str, m: int) -> Floats:
+    array = _arrays.float_array(value, name)
+    if array.shape not in ((), (m,)):
+        raise ValueError(f"{name} should be a number or of shape ({m},), but has {array.shape}")
+    if not (array > 0.0).all():
+        raise ValueError(f"{name} should be positive, but its least value is {array.min()}")
+    return np.ascontiguousarray(np.broadcast_to(array, (m,)))
+
+
+class FirstRadius:
+    """Radii to start with at any hit point, from the photons of the first pass.
+
+    A disc reaches just short of the k-th nearest photon, so that of photons at random its k - 1
+    tell the density without bias; where fewer than k are within the `largest` radius it is that,
+    `automatic_gather_radius` of the pass, and regions farther from light stay black.
+
+    Parameters
+    ----------
+    photons : PhotonMap
+        Of the first pass.
+    settings : ProgressiveSettings
+    n_threads : int
+    trees : FacingTrees, optional
+        Of these photons.
+    """
+
+    def __init__(
+        self,
+        photons: PhotonMap,
+        settings: ProgressiveSettings,
+        n_threads: int,
+        trees: FacingTrees | None = None,
+    ) -> None:
+        self._settings = settings
+        self._n_threads = n_threads
+        self._trees = FacingTrees(photons, n_threads) if trees is None else trees
+        self.largest = settings.radius or 1.0
+        if settings.radius is None and len(photons):
+            tree = self._trees.whole()
+            self.largest = automatic_gather_radius(tree, settings.k, n_threads=n_threads)
+
+    def __call__(self, positions: Floats, normals: Floats) -> Floats:
+        """Return radii (m,), m, at positions (m, 3) on surfaces with the given normals."""
+        radius = np.full(len(positions), self.largest)
+        if self._settings.radius is not None:
+            return radius
+        for number, queries, rows in self._trees.parts(positions, normals):
+            tree = self._trees.tree(number)[0]
+            _kernel.kth_distance(
+                tree.kernel,
+                queries,
+                rows,
+                self._settings.k,
+                radius=self.largest,
+                normal_range=_normal_range(tree),
+                out=radius,
+                n_threads=self._n_threads,
+            )
+        # A hair short of the k-th.
+        np.multiply(radius, 1.0 - 1e-9, out=radius, where=radius < self.largest)
+        return np.maximum(radius, _LEAST_RADIUS * self.largest)
+
+
+def first_radius(
+    photons: PhotonMap,
+    positions: ArrayLike,
+    normals: ArrayLike,
+    settings: ProgressiveSettings | None = None,
+    *,
+    n_threads: int | None = None,
+) -> Floats:
+    """Return radii (m,), m, to start with at hit points; see `FirstRadius`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a shape is wrong, a value is not finite, a normal is zero, or all photons are at one
+        point.
+    """
+    positions = _arrays.float_array(positions, "positions", (None, 3))
+    normals = _arrays.float_array(normals, "normals", positions.shape)
+    start = FirstRadius(photons, settings or ProgressiveSettings(), _arrays.thread_count(n_threads))
+    return start(positions, normals)
