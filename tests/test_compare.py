@@ -9,7 +9,18 @@ from PIL import Image as Picture
 
 import photonrelax as pr
 from photonrelax import cli, gallery, measures
-from photonrelax.compare import METHODS_OF_SJ13, Plan, compare, folder, pictures, reference, run
+from photonrelax.compare import (
+    METHODS_OF_SJ13,
+    DistributionSubject,
+    Plan,
+    SceneSubject,
+    compare,
+    folder,
+    pictures,
+    reference,
+    run,
+    subject,
+)
 from photonrelax.compare import table as tables
 from photonrelax.image import read_exr, srgb
 from photonrelax.methods import METHODS, Settings
@@ -36,7 +47,7 @@ def truth():
 
 @pytest.fixture(scope="module")
 def plan():
-    return Plan(scene=ring(), methods=PAIR, n_emitted=N, supersampling=1)
+    return Plan(subject=SceneSubject(ring()), methods=PAIR, n_emitted=N, supersampling=1)
 
 
 @pytest.fixture(scope="module")
@@ -62,9 +73,11 @@ def test_every_method_makes_the_picture_that_render_makes(comparison):
 def test_photons_and_camera_rays_are_traced_once(plan, truth, monkeypatch):
     calls = []
     for name in ("trace_photons", "look"):
-        work = getattr(run, name)
+        work = getattr(subject, name)
         monkeypatch.setattr(
-            run, name, lambda *a, _name=name, _work=work, **k: calls.append(_name) or _work(*a, **k)
+            subject,
+            name,
+            lambda *a, _name=name, _work=work, **k: calls.append(_name) or _work(*a, **k),
         )
     compare(plan, truth)
     assert calls == ["trace_photons", "look"]
@@ -106,7 +119,9 @@ def test_exposure_changes_what_is_seen_and_nothing_else(plan, truth, comparison)
 
 
 def test_methods_are_those_of_sj13_as_far_as_there_are(plan):
-    assert Plan(scene=ring()).methods == tuple(m for m in METHODS_OF_SJ13 if m in METHODS)
+    assert Plan(subject=SceneSubject(ring())).methods == tuple(
+        m for m in METHODS_OF_SJ13 if m in METHODS
+    )
     assert replace(plan, methods=("standard", "standard")).methods == ("standard",)
     with pytest.raises(ValueError, match="method should be one of"):
         replace(plan, methods=("magic",))
@@ -119,6 +134,20 @@ def test_settings_and_sampler_reach_their_stages(plan, truth):
     assert [entry.settings["gather"]["k"] for entry in made.entries] == [20, 20]
     photons = pr.trace_photons(ring(), N, sampler="random")
     assert made.entries[0].n_stored == len(photons)
+
+
+def test_photons_without_a_scene_are_measured_against_their_exact_irradiance(tmp_path):
+    plan = Plan(subject=DistributionSubject("shapes", (40, 30)), n_emitted=4000, methods=PAIR)
+    truth = reference.kept(tmp_path / "none.exr", plan, 1)
+    expected = gallery.distribution("shapes").pixel_means(40, 30) / np.pi
+    np.testing.assert_array_equal(truth.layers["radiance"], expected)
+    made = compare(plan, truth)
+    assert made.about_reference == "exact means over pixels"
+    photons = gallery.distribution("shapes", n=4000, sampler="halton").photons
+    seen = gallery.distribution("shapes").picture(pr.irradiance_field(photons), 40, 30, 2)
+    layers = made.entries[1].image.layers
+    np.testing.assert_allclose(layers["radiance"], seen / np.pi, rtol=1e-12)
+    assert made.entries[1].errors.relative_l1 == measures.relative_l1(seen / np.pi, expected)
 
 
 @pytest.mark.parametrize(
@@ -308,7 +337,7 @@ def test_compare_does_it_all_in_one_command(tmp_path, capsys):
 
 
 def test_a_folder_that_cannot_be_is_an_error_before_the_work(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(run, "trace_photons", None)
+    monkeypatch.setattr(subject, "trace_photons", None)
     (tmp_path / "file").write_text("")
     assert run_cli("compare", "ring", "-o", tmp_path / "file") == 1
     assert "it is not a folder" in capsys.readouterr().err

@@ -7,7 +7,7 @@ import pytest
 
 import photonrelax as pr
 from photonrelax import gallery
-from photonrelax.compare import Plan, compare, folder
+from photonrelax.compare import Plan, SceneSubject, compare, folder
 
 SIZE = 48
 CHROMIUM = shutil.which("chromium"), shutil.which("chromedriver")
@@ -26,7 +26,12 @@ pytestmark = pytest.mark.skipif(
 def comparison():
     scene = gallery.scene("ring", pixels=SIZE, sections=128)
     truth = pr.render(scene, method="standard", n_emitted=50_000, seed=1, supersampling=1)
-    plan = Plan(scene=scene, methods=("standard", "parameterised"), n_emitted=5000, supersampling=1)
+    plan = Plan(
+        subject=SceneSubject(scene),
+        methods=("standard", "parameterised"),
+        n_emitted=5000,
+        supersampling=1,
+    )
     return compare(plan, truth)
 
 

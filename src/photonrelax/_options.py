@@ -69,7 +69,7 @@ def _add_relax(parser: argparse.ArgumentParser) -> None:
 def _add_compare(parser: argparse.ArgumentParser) -> None:
     from .methods import METHODS
 
-    _add_scene(parser)
+    _add_scene(parser, *gallery.distribution_names())
     _add_output(parser, "FOLDER")
     parser.add_argument(
         "--methods",
@@ -113,8 +113,8 @@ _COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
 }
 
 
-def _add_scene(parser: argparse.ArgumentParser) -> None:
-    names = gallery.names()
+def _add_scene(parser: argparse.ArgumentParser, *others: str) -> None:
+    names = (*gallery.names(), *others)
     parser.add_argument("scene", choices=names, metavar="SCENE", help=", ".join(names))
 
 

@@ -21,6 +21,7 @@ from ._options import PHOTONS, parser
 # Everything else is imported where it is used: an interrupt meanwhile is then caught in `main`.
 if TYPE_CHECKING:
     from .compare import Plan
+    from .compare.subject import Subject
     from .scene import Scene
 
 INTERRUPTED = 130
@@ -175,7 +176,7 @@ def _plan(options: argparse.Namespace) -> Plan:
     from .methods import Settings
 
     return Plan(
-        scene=_resized(gallery.scene(options.scene), options.width, options.height),
+        subject=_subject(options),
         methods=tuple(options.methods or ()),
         n_emitted=_photons(options),
         seed=options.seed or 0,
@@ -188,6 +189,15 @@ def _plan(options: argparse.Namespace) -> Plan:
         exposure=options.exposure,
         n_threads=options.threads,
     )
+
+
+def _subject(options: argparse.Namespace) -> Subject:
+    from .compare import DistributionSubject, SceneSubject
+
+    if options.scene in gallery.distribution_names():
+        size = (options.width or 600, options.height or options.width or 600)
+        return DistributionSubject(options.scene, size)
+    return SceneSubject(_resized(gallery.scene(options.scene), options.width, options.height))
 
 
 def _reference(options: argparse.Namespace, plan: Plan, bars: Bars) -> pr.Image:

@@ -9,7 +9,7 @@ from .._files import check_writable, whole_file, write_json
 from .page import page, png
 from .pictures import Bytes, method_pictures, photon_pictures
 from .run import Comparison, Entry
-from .sheet import contact_sheet
+from .sheet import Panel, contact_sheet
 from .table import Table, table
 
 PAGE, SHEET, NUMBERS, REFERENCE = "index.html", "sheet.png", "comparison.json", "reference.exr"
@@ -63,14 +63,14 @@ def write(comparison: Comparison, folder: Path) -> Table:
     return shown
 
 
-def _panels(comparison: Comparison, pictures: dict[str, Bytes]) -> list[tuple[Bytes, str, str]]:
-    """Return the panels of the contact sheet: methods, what photons carry, the reference."""
+def _panels(comparison: Comparison, pictures: dict[str, Bytes]) -> list[list[Panel]]:
+    """Return the panels of the contact sheet: methods; what photons carry, and the reference."""
     of_methods = [(pictures[e.method], e.method, _detail(e)) for e in comparison.entries]
     of_photons = [
         (pictures[name], caption, "") for name, caption in _CAPTIONS.items() if name in pictures
     ]
     reference = (pictures["reference"], "Reference", comparison.about_reference)
-    return [*of_methods, *of_photons, reference]
+    return [of_methods, [*of_photons, reference]]
 
 
 def _detail(entry: Entry) -> str:

@@ -30,10 +30,14 @@ def given(path: Path, plan: Plan) -> Image:
 
 
 def kept(path: Path, plan: Plan, passes: int, progress: Progress | None = None) -> Image:
-    """Return the reference that is kept at a path; compute and keep it if there is none.
+    """Return the exact picture, where it is known, or the reference that is kept at a path.
 
-    A picture there that is not of the same scene, view, photons and passes is replaced.
+    It is computed and kept if there is none, or one that is not of the same scene, view, photons
+    and passes.
     """
+    exact = plan.subject.exact()
+    if exact is not None:
+        return Image({"radiance": exact, "caustic": exact}, {ABOUT: "exact means over pixels"})
     found = _found(path)
     if found is None or found.metadata.get(_KEY) != _key(plan, passes):
         _computed(plan, passes, progress).write_exr(path)
@@ -51,8 +55,10 @@ def _found(path: Path) -> Image | None:
 
 def _computed(plan: Plan, passes: int, progress: Progress | None) -> Image:
     """Return a reference from other and many more photons than are compared."""
+    scene = plan.subject.scene
+    assert scene is not None, "what is not exact has a scene"
     image = render(
-        plan.scene,
+        scene,
         method="standard",
         n_emitted=passes * plan.n_emitted,
         seed=_seed(plan),
@@ -72,11 +78,9 @@ def _seed(plan: Plan) -> int:
 
 def _key(plan: Plan, passes: int) -> str:
     """Return all that the reference depends on."""
-    camera = plan.scene.camera
-    assert camera is not None, "a plan has a camera"
     depends_on = {
-        "scene": plan.scene.name,
-        "size": [camera.width, camera.height],
+        "scene": plan.subject.name,
+        "size": list(plan.subject.size),
         "supersampling": plan.supersampling,
         "max_depth": plan.max_depth,
         "photons": plan.n_emitted,

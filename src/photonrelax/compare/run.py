@@ -17,9 +17,8 @@ from ..image import Image, srgb
 from ..measures import Errors
 from ..methods import METHODS, Settings, Task, check_method, prepare
 from ..photonmap import PhotonMap
-from ..scene import Scene
-from ..trace import trace_photons
-from .view import View, look
+from .subject import Subject
+from .view import View
 
 METHODS_OF_SJ13 = ("standard", "relaxation", "diffusion", "parameterised", "progressive")
 """What SJ13's Table I compares, in its order."""
@@ -31,8 +30,8 @@ class Plan:
 
     Attributes
     ----------
-    scene : Scene
-        With a camera.
+    subject : Subject
+        What photons are of, and seen on: `SceneSubject` or `DistributionSubject`.
     methods : tuple of str
         By default those of `METHODS_OF_SJ13` that there are.
     n_emitted, seed, sampler : int, int, str
@@ -49,10 +48,10 @@ class Plan:
     Raises
     ------
     TypeError, ValueError
-        If the scene has no camera, a method is not known or a number is out of its range.
+        If a method is not known or a number is out of its range.
     """
 
-    scene: Scene
+    subject: Subject
     methods: tuple[str, ...] = ()
     n_emitted: int = 1_000_000
     seed: int = 0
@@ -64,8 +63,6 @@ class Plan:
     n_threads: int | None = None
 
     def __post_init__(self) -> None:
-        if self.scene.camera is None:
-            raise ValueError("scene should have a camera to be compared on")
         methods = tuple(dict.fromkeys(self.methods)) or tuple(
             name for name in METHODS_OF_SJ13 if name in METHODS
         )
@@ -133,13 +130,13 @@ class Comparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Return all but the pictures."""
-        plan, camera = self.plan, self.plan.scene.camera
-        assert camera is not None, "a plan has a camera"
+        plan = self.plan
+        width, height = plan.subject.size
         return {
             "version": __version__,
-            "scene": plan.scene.name,
-            "width": camera.width,
-            "height": camera.height,
+            "scene": plan.subject.name,
+            "width": width,
+            "height": height,
             **{name: getattr(plan, name) for name in _TOLD},
             "reference": self.about_reference,
             "methods": {entry.method: _told(entry) for entry in self.entries},
@@ -187,8 +184,7 @@ def compare(plan: Plan, reference: Image, *, progress: Progress | None = None) -
     measures.check_installed()
     check_reference(reference, plan)
     started = perf_counter()
-    photons = trace_photons(
-        plan.scene,
+    photons = plan.subject.photons(
         plan.n_emitted,
         seed=plan.seed,
         sampler=plan.sampler,
@@ -207,17 +203,16 @@ ABOUT = "photonrelax.reference"
 
 def check_reference(reference: Image, plan: Plan) -> None:
     """Raise ValueError if a reference does not show what is compared."""
-    camera = plan.scene.camera
-    assert camera is not None, "a plan has a camera"
     if "radiance" not in reference.layers:
         raise ValueError(
             f"the reference should have channels R, G and B, but has {sorted(reference.layers)}"
         )
     height, width = np.shape(reference.layers["radiance"])[:2]
-    if (width, height) != (camera.width, camera.height):
+    if (width, height) != plan.subject.size:
+        wanted = " x ".join(map(str, plan.subject.size))
         raise ValueError(
-            f"the reference should have {camera.width} x {camera.height} pixels as the pictures "
-            f"have, but has {width} x {height}"
+            f"the reference should have {wanted} pixels as the pictures have, "
+            f"but has {width} x {height}"
         )
 
 
@@ -236,10 +231,9 @@ class _Bench:
         self._plan = plan
         self._photons = photons
         self._progress = progress
-        self._view = look(
-            plan.scene,
-            supersampling=plan.supersampling,
-            max_depth=plan.max_depth,
+        self._view = plan.subject.view(
+            plan.supersampling,
+            plan.max_depth,
             n_threads=plan.n_threads,
             progress=progress,
         )
@@ -250,7 +244,7 @@ class _Bench:
         """Run a method."""
         plan, progress = self._plan, prefixed(self._progress, method)
         started = perf_counter()
-        task = Task(self._photons, plan.settings, plan.scene, plan.n_threads, progress)
+        task = Task(self._photons, plan.settings, plan.subject.scene, plan.n_threads, progress)
         field = prepare(method, task)
         prepared = perf_counter()
         caustic = self._view.caustic(field, progress)

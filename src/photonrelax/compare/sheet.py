@@ -1,4 +1,4 @@
-"""The contact sheet of a comparison, laid out as SJ13 Fig. 6: captions below, four in a row."""
+"""The contact sheet of a comparison, laid out as SJ13 Fig. 6: methods, and below what they tell."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ if TYPE_CHECKING:
     from PIL.Image import Image as Picture
     from PIL.ImageDraw import ImageDraw
 
-COLUMNS = 4
+# Fewer panels are not shown any larger.
+_LEAST_COLUMNS, _MOST_COLUMNS = 4, 5
+Panel = tuple[Bytes, str, str]
 # Panels are shown this wide, whatever the size of the pictures.
 _PANEL = 480
 _GAP = 12
@@ -20,32 +22,33 @@ _BELOW = 60
 _PAPER, _INK, _FAINT = (255, 255, 255), (20, 20, 20), (95, 95, 95)
 
 
-def contact_sheet(panels: list[tuple[Bytes, str, str]], title: str) -> Picture:
-    """Return panels of pictures (height, width, 3), captions and details below each.
+def contact_sheet(groups: list[list[Panel]], title: str) -> Picture:
+    """Return panels of pictures, captions and details below each.
 
     Parameters
     ----------
-    panels : list of (picture, caption, detail)
-        From left to right and top to bottom; all pictures of one size.
+    groups : list of lists of (picture, caption, detail)
+        Panels from left to right and top to bottom, each group beginning a row; pictures are
+        (height, width, 3), all of one size.
     title : str
         Below all of them.
     """
     from PIL import Image, ImageDraw
 
-    height, width = panels[0][0].shape[:2]
+    height, width = groups[0][0][0].shape[:2]
     size = (_PANEL, max(round(_PANEL * height / width), 1))
-    columns = min(COLUMNS, len(panels))
-    rows = -(-len(panels) // columns)
     step = (size[0] + _GAP, size[1] + _BELOW)
-    sheet = Image.new("RGB", (columns * step[0] + _GAP, rows * step[1] + _GAP + 40), _PAPER)
-    draw = ImageDraw.Draw(sheet)
-    for number, (picture, caption, detail) in enumerate(panels):
-        row, column = divmod(number, columns)
-        left, top = _GAP + column * step[0], _GAP + row * step[1]
-        sheet.paste(_fitted(picture, size), (left, top))
-        middle = left + size[0] // 2
-        _write(draw, (middle, top + size[1] + 6), f"({ascii_lowercase[number]}) {caption}")
-        _write(draw, (middle, top + size[1] + 31), detail, faint=True)
+    columns = min(max(_LEAST_COLUMNS, *map(len, groups)), _MOST_COLUMNS)
+    rows = [group[i : i + columns] for group in groups for i in range(0, len(group), columns)]
+    sheet = Image.new("RGB", (columns * step[0] + _GAP, len(rows) * step[1] + _GAP + 40), _PAPER)
+    draw, letters = ImageDraw.Draw(sheet), iter(ascii_lowercase)
+    for row, panels in enumerate(rows):
+        for column, (picture, caption, detail) in enumerate(panels):
+            left, top = _GAP + column * step[0], _GAP + row * step[1]
+            sheet.paste(_fitted(picture, size), (left, top))
+            middle = left + size[0] // 2
+            _write(draw, (middle, top + size[1] + 6), f"({next(letters)}) {caption}")
+            _write(draw, (middle, top + size[1] + 31), detail, faint=True)
     _write(draw, (sheet.width // 2, sheet.height - 36), title, faint=True)
     return sheet
 

@@ -123,12 +123,11 @@ _GATHERING = ("gather", "diffusion")
 
 
 def _title(comparison: Comparison) -> str:
-    plan, camera = comparison.plan, comparison.plan.scene.camera
-    assert camera is not None, "a plan has a camera"
-    samples = plan.supersampling**2
+    plan = comparison.plan
+    width, height = plan.subject.size
     return (
-        f"{plan.scene.name}: {plan.n_emitted:,} photons emitted ({plan.sampler}, seed "
-        f"{plan.seed}), {camera.width} x {camera.height} pixels of {samples} samples"
+        f"{plan.subject.name}: {plan.n_emitted:,} photons emitted ({plan.sampler}, seed "
+        f"{plan.seed}), {width} x {height} pixels of {plan.supersampling**2} samples"
     )
 
 

@@ -1,0 +1,193 @@
+"""What is compared on: a scene, or photons of the gallery that no scene was traced for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from .. import gallery
+from .._arrays import Floats, count
+from .._progress import Progress
+from ..camera import FirstSurfaces, HitPoints
+from ..photonmap import PhotonMap
+from ..picture import Band
+from ..scene import Scene
+from ..trace import trace_photons
+from .view import View, look
+
+
+class Subject(Protocol):
+    """Where photons come from and where they are seen.
+
+    Attributes
+    ----------
+    name : str
+        What tables call it.
+    scene : Scene or None
+        That photons were traced in.
+    size : (int, int)
+        Width and height of its pictures.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def scene(self) -> Scene | None: ...
+    @property
+    def size(self) -> tuple[int, int]: ...
+
+    def photons(
+        self,
+        n_emitted: int,
+        *,
+        seed: int,
+        sampler: str,
+        n_threads: int | None,
+        progress: Progress | None,
+    ) -> PhotonMap:
+        """Return the photons that all methods share."""
+
+    def view(
+        self,
+        supersampling: int,
+        max_depth: int,
+        *,
+        n_threads: int | None,
+        progress: Progress | None,
+    ) -> View:
+        """Return the points that all methods are seen at."""
+
+    def exact(self) -> Floats | None:
+        """Return what a picture would be without error, (height, width, 3), if it is known."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneSubject:
+    """A scene with a camera."""
+
+    scene: Scene
+
+    def __post_init__(self) -> None:
+        if self.scene.camera is None:
+            raise ValueError("scene should have a camera to be compared on")
+
+    @property
+    def name(self) -> str:
+        """The scene's name."""
+        return self.scene.name
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """The camera's size."""
+        camera = self.scene.camera
+        assert camera is not None, "a subject has a camera"
+        return camera.width, camera.height
+
+    def photons(
+        self,
+        n_emitted: int,
+        *,
+        seed: int,
+        sampler: str,
+        n_threads: int | None,
+        progress: Progress | None,
+    ) -> PhotonMap:
+        """Trace photons."""
+        return trace_photons(
+            self.scene,
+            n_emitted,
+            seed=seed,
+            sampler=sampler,
+            n_threads=n_threads,
+            progress=progress,
+        )
+
+    def view(
+        self,
+        supersampling: int,
+        max_depth: int,
+        *,
+        n_threads: int | None,
+        progress: Progress | None,
+    ) -> View:
+        """Follow camera rays."""
+        return look(
+            self.scene,
+            supersampling=supersampling,
+            max_depth=max_depth,
+            n_threads=n_threads,
+            progress=progress,
+        )
+
+    def exact(self) -> None:
+        """Return nothing: pictures of scenes are not known."""
+
+
+@dataclass(frozen=True)
+class DistributionSubject:
+    """Photons of the gallery on a white plane, seen straight from above: radiance is E/π.
+
+    Parameters
+    ----------
+    name : str
+        One of `photonrelax.gallery.distribution_names`.
+    size : (int, int)
+        Width and height of pictures.
+    """
+
+    name: str
+    size: tuple[int, int] = (600, 600)
+
+    def __post_init__(self) -> None:
+        gallery.about(self.name)
+        for side in self.size:
+            count(side, "size")
+
+    @property
+    def scene(self) -> None:
+        """There is none."""
+
+    def photons(
+        self,
+        n_emitted: int,
+        *,
+        seed: int,
+        sampler: str,
+        n_threads: int | None,
+        progress: Progress | None,
+    ) -> PhotonMap:
+        """Make the distribution's photons."""
+        made = gallery.distribution(self.name, n=n_emitted, seed=seed, sampler=sampler)
+        return made.photons
+
+    def view(
+        self,
+        supersampling: int,
+        max_depth: int,
+        *,
+        n_threads: int | None,
+        progress: Progress | None,
+    ) -> View:
+        """Return s·s points a pixel of the white plane, which nothing else lights."""
+        (width, height), samples = self.size, supersampling**2
+        distribution = gallery.distribution(self.name, n=0)
+        points, normals = distribution.samples(width, height, supersampling)
+        grey = np.ones_like(points)
+        hits = HitPoints(
+            pixel=np.repeat(np.arange(width * height), samples),
+            position=points,
+            normal=normals,
+            albedo=grey,
+            weight=grey / samples,
+            object_id=np.zeros(len(points), dtype=np.int32),
+        )
+        up = np.broadcast_to(normals[0], (height, width, 3))
+        first = FirstSurfaces(normal=up, depth=np.ones((height, width)))
+        band = Band(range(height), width, hits, first, np.zeros_like(points))
+        return View([band], band.fixed_layers(), 0.0)
+
+    def exact(self) -> Floats:
+        """Return the mean radiance over the area of each pixel, (height, width, 3)."""
+        return gallery.distribution(self.name, n=0).pixel_means(*self.size) / np.pi
