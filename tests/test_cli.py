@@ -16,6 +16,7 @@ from photonrelax import _options, cli, gallery
 from photonrelax._text import describe_photons, stage_table
 from photonrelax.image import read_exr
 
+PASSES = ["render", "ring", "-o", "a.exr", "--method", "progressive"]
 HEAVY = ("scipy", "trimesh", "matplotlib", "OpenEXR", "tqdm")
 
 
@@ -73,6 +74,14 @@ def test_list_names_every_scene(capsys):
         (["render", "ring", "-o", "a.exr", "--exposure", "nan"], "between -100 and 100"),
         (["render", "ring", "-o", "a.exr", "--photon-map", "p", "--photons", "9"], "leave out"),
         (["render", "ring", "-o", "a.exr", "--photon-map", "p", "--seed", "0"], "leave out"),
+        ([*PASSES[:-2], "--passes", "3"], "need --method progressive"),
+        ([*PASSES[:-2], "--minutes", "3"], "need --method progressive"),
+        ([*PASSES, "--state", "s.npz"], "need --passes or --minutes"),
+        ([*PASSES, "--interval", "9"], "need --passes or --minutes"),
+        ([*PASSES, "--stochastic"], "need --passes or --minutes"),
+        ([*PASSES, "--passes", "3", "--photon-map", "p"], "leave out --photon-map"),
+        ([*PASSES, "--minutes", "0"], "a positive number, but is '0'"),
+        ([*PASSES, "--minutes", "inf"], "a positive number, but is 'inf'"),
     ],
 )
 def test_wrong_usage_exits_2_and_says_why(arguments, complaint, capsys):
@@ -119,7 +128,7 @@ def no_work(monkeypatch):
     def works(*_, **__):
         pytest.fail("the work was begun")
 
-    for name in ("render", "trace_photons", "relax", "detect_structure"):
+    for name in ("render", "render_progressive", "trace_photons", "relax", "detect_structure"):
         monkeypatch.setattr(pr, name, works)
 
 
@@ -282,6 +291,49 @@ def test_render_writes_the_picture_its_preview_and_its_statistics(tmp_path, caps
 
 
 STAGES = ("trace", "structure", "relax", "render")
+
+
+def test_render_goes_on_with_passes_where_it_stopped(tmp_path, capsys):
+    picture = ("render", "ring", "--method", "progressive", *SMALL, "--k", 20)
+    state = ("--state", tmp_path / "run.npz")
+    straight, stopped = tmp_path / "straight.exr", tmp_path / "stopped.exr"
+    assert run(*picture, "--passes", 3, "-o", straight) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["passes", "total", "wrote"]
+    for passes in (2, 3):
+        assert run(*picture, "--passes", passes, *state, "-o", stopped, "--quiet") == 0
+    assert stopped.read_bytes() == straight.read_bytes()
+    assert stopped.with_suffix(".png").read_bytes() == straight.with_suffix(".png").read_bytes()
+
+    scene = gallery.scene("ring")
+    scene = replace(scene, camera=replace(scene.camera, width=12, height=8))
+    expected = pr.render_progressive(
+        scene,
+        n_passes=3,
+        photons_per_pass=3000,
+        seed=5,
+        supersampling=1,
+        settings=pr.ProgressiveSettings(k=20),
+    )
+    radiance = expected.layers["radiance"].astype(np.float32)
+    np.testing.assert_array_equal(read_exr(straight).layers["radiance"], radiance)
+    assert run(*picture, "--passes", 2, *state, "-o", stopped) == 1
+    assert "n_passes should be at least the 3" in capsys.readouterr().err
+
+
+def test_passes_for_a_time_move_about_in_their_pixels(tmp_path, capsys):
+    picture = (*PASSES[:3], tmp_path / "a.exr", *PASSES[4:], *SMALL, "--stochastic")
+    stats = tmp_path / "stats.json"
+    assert run(*picture, "--minutes", "0.001", "--interval", "0.01", "--stats", stats) == 0
+    assert json.loads(stats.read_text())["stages"]["passes"]["passes"] >= 1
+    assert "stochastic" in read_exr(tmp_path / "a.exr").metadata["photonrelax.settings"]
+
+
+def test_the_state_of_a_run_is_a_file_of_its_own(no_work, tmp_path, capsys):
+    output = tmp_path / "a.exr"
+    picture = ("render", "ring", "-o", output, "--method", "progressive", "--passes", 1)
+    assert run(*picture, "--state", output) == 1
+    assert "--state and the picture should not be one file" in capsys.readouterr().err
 
 
 def test_exposure_brightens_the_preview_alone(tmp_path):

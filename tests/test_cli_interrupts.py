@@ -45,6 +45,17 @@ def test_ctrl_c_leaves_no_file_and_returns_130(stage, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_ctrl_c_leaves_the_passes_done_and_their_picture(tmp_path):
+    picture = ("render", "ring", "--method", "progressive", "--passes", 3, *SMALL)
+    state, output = ("--state", tmp_path / "run.npz"), tmp_path / "ring.exr"
+    done = run_interrupted_at("passes", *picture, *state, "-o", output)
+    assert (done.returncode, done.stderr) == (130, "photonrelax: interrupted\n")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ring.exr", "ring.png", "run.npz"]
+    assert run(*picture, *state, "-o", output, "--quiet") == 0
+    assert run(*picture, "-o", tmp_path / "straight.exr", "--quiet") == 0
+    assert output.read_bytes() == (tmp_path / "straight.exr").read_bytes()
+
+
 def test_ctrl_c_leaves_an_older_picture_as_it_was(tmp_path):
     output = tmp_path / "ring.exr"
     output.write_bytes(b"older")

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from .kdtree import KDTree as KDTree
     from .kdtree import Neighbours as Neighbours
     from .methods import irradiance_field as irradiance_field
+    from .passes import Checkpoints as Checkpoints
+    from .passes import render_progressive as render_progressive
     from .photonmap import EnergyLedger as EnergyLedger
     from .photonmap import PhotonMap as PhotonMap
     from .progressive import ProgressiveSettings as ProgressiveSettings
@@ -46,6 +48,7 @@ __version__ = "0.1.0"
 
 _MODULE_OF = {
     "Camera": "scene",
+    "Checkpoints": "passes",
     "CollimatedEmitter": "scene",
     "Dielectric": "scene",
     "Diffuse": "scene",
@@ -72,6 +75,7 @@ _MODULE_OF = {
     "irradiance_field": "methods",
     "relax": "relax",
     "render": "render",
+    "render_progressive": "passes",
     "trace_photons": "trace",
 }
 _SUBPACKAGES = ("gallery",)

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import os
 import uuid
+import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+# What numpy and zipfile raise for archives that are broken or encrypted.
+NOT_READABLE = (
+    *(ValueError, TypeError, EOFError, RuntimeError),
+    *(NotImplementedError, zipfile.BadZipFile, zlib.error),
+)
 
 
 @contextmanager
@@ -27,6 +36,13 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield partial
         partial.replace(path)
     finally:
+        partial.unlink(missing_ok=True)
+
+
+def remove_leftovers(path: Path) -> None:
+    """Remove what `whole_file` could not, where a process was killed that wrote `path`."""
+    pattern = f".{glob.escape(path.name[:40])}.{'[0-9a-f]' * 32}.part"
+    for partial in path.parent.glob(pattern):
         partial.unlink(missing_ok=True)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from . import __version__, gallery
 
 PHOTONS = 1_000_000
+PHOTONS_PER_PASS = 100_000
 
 
 def parser(commands: Mapping[str, Callable[..., None]]) -> argparse.ArgumentParser:
@@ -42,8 +43,34 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
     )
     _add_gathering(parser)
     _add_picture(parser)
+    _add_passes(parser)
     parser.add_argument("--stats", type=Path, metavar="FILE.json", help="write times and counts")
     _add_common(parser)
+
+
+def _add_passes(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "passes", f"of fresh photons, {PHOTONS_PER_PASS} each; with --method progressive"
+    )
+    group.add_argument("--passes", type=positive, metavar="N", help="in all, those resumed too")
+    group.add_argument(
+        "--minutes", type=_positive_number, metavar="T", help="of passes, more or less"
+    )
+    group.add_argument(
+        "--state",
+        type=Path,
+        metavar="FILE.npz",
+        help="keep the run here, and go on with it if it exists",
+    )
+    group.add_argument(
+        "--interval",
+        type=_positive_number,
+        metavar="SECONDS",
+        help="from one time that run and picture are written to the next (60)",
+    )
+    group.add_argument(
+        "--stochastic", action="store_true", help="look elsewhere in each pixel in every pass"
+    )
 
 
 def _add_trace(parser: argparse.ArgumentParser) -> None:
@@ -198,6 +225,16 @@ def positive(text: str) -> int:
     number = whole(text)
     if number < 1:
         raise argparse.ArgumentTypeError(f"should be at least 1, but is {text!r}")
+    return number
+
+
+def _positive_number(text: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = float("nan")
+    if not 0.0 < number < float("inf"):
+        raise argparse.ArgumentTypeError(f"should be a positive number, but is {text!r}")
     return number
 
 

@@ -95,7 +95,11 @@ class _Rays:
 
 
 def pixel_rays(
-    camera: Camera, rows: range, supersampling: int = 1
+    camera: Camera,
+    rows: range,
+    supersampling: int = 1,
+    *,
+    offset: tuple[float, float] = (0.5, 0.5),
 ) -> tuple[Floats, Floats, NDArray[np.int64]]:
     """Return the rays of some rows of the picture, row 0 at the top.
 
@@ -107,6 +111,8 @@ def pixel_rays(
         Rows of pixels.
     supersampling : int
         s·s samples per pixel, on a regular grid.
+    offset : (float, float)
+        Where in the cells of that grid samples are, to the right and down, in [0, 1).
 
     Returns
     -------
@@ -125,8 +131,8 @@ def pixel_rays(
     s = count(supersampling, "supersampling")
     row, column, i, j = np.meshgrid(rows, range(camera.width), range(s), range(s), indexing="ij")
     # In half heights of the picture from its centre.
-    x = ((2 * (column + (j + 0.5) / s) - camera.width) / camera.height).ravel()
-    y = (1 - 2 * (row + (i + 0.5) / s) / camera.height).ravel()
+    x = ((2 * (column + (j + offset[0]) / s) - camera.width) / camera.height).ravel()
+    y = (1 - 2 * (row + (i + offset[1]) / s) / camera.height).ravel()
     pixel = (row * camera.width + column).astype(np.int64).ravel()
     return *_film_rays(camera, x[:, None], y[:, None]), pixel
 
@@ -151,6 +157,7 @@ def trace_hit_points(
     rows: range,
     *,
     supersampling: int = 1,
+    offset: tuple[float, float] = (0.5, 0.5),
     max_depth: int = 8,
     min_weight: float = 1e-3,
     n_threads: int | None = None,
@@ -170,8 +177,8 @@ def trace_hit_points(
         The camera, which may be another than the scene's.
     rows : range
         Rows of pixels.
-    supersampling : int
-        s·s samples per pixel.
+    supersampling, offset : int, (float, float)
+        s·s samples per pixel; where in the cells of their grid they are.
     max_depth : int
         Smooth surfaces a ray may meet; what lies beyond is black.
     min_weight : float
@@ -192,7 +199,7 @@ def trace_hit_points(
     threads = thread_count(n_threads)
     least = positive(min_weight, "min_weight")
     count(max_depth, "max_depth", low=0, high=MAX_DEPTH)
-    rays = _camera_rays(*pixel_rays(camera, rows, supersampling))
+    rays = _camera_rays(*pixel_rays(camera, rows, supersampling, offset=offset))
     found = caster.intersect(rays.origin, rays.direction, n_threads=threads)
     table = scene.material_table()
     points = []

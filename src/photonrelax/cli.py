@@ -16,7 +16,7 @@ from . import gallery
 from ._bars import Bars
 from ._files import check_distinct, output_path, whole_file, write_json
 from ._interrupts import Interrupts
-from ._options import PHOTONS, parser
+from ._options import PHOTONS, PHOTONS_PER_PASS, parser
 
 # Everything else is imported where it is used: an interrupt meanwhile is then caught in `main`.
 if TYPE_CHECKING:
@@ -62,8 +62,7 @@ def _interrupted() -> int:
 
 
 def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
-    if options.photon_map is not None and (options.photons, options.seed) != (None, None):
-        options.wrong_usage("--photon-map brings its photons: leave out --photons and --seed")
+    _check_photons(options)
     output = output_path(options.output, ".exr")
     preview = output_path(output.with_suffix(".png"))
     stats = None if options.stats is None else output_path(options.stats)
@@ -73,19 +72,58 @@ def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
             "the preview": preview,
             "--stats": stats,
             "--photon-map": options.photon_map,
+            "--state": options.state,
         }
     )
-    image = _image(options, interrupts)
+
+    in_passes = (options.passes, options.minutes) != (None, None)
+    image = (_in_passes if in_passes else _image)(options, interrupts)
     with ExitStack() as files:
         # All files take their places together, when the last is whole.
-        image.write_exr(_partial(files, output))
-        image.write_png(_partial(files, preview), exposure=options.exposure)
+        _place(files, image, options)
         if stats is not None:
             write_json(_partial(files, stats), image.stats)
         interrupts.check()
     from ._text import stage_table
 
     _report(options, stage_table(image.stats["stages"]), f"wrote {output} and {preview}")
+
+
+def _check_photons(options: argparse.Namespace) -> None:
+    """End with wrong usage if options about photons contradict each other."""
+    if options.photon_map is not None and (options.photons, options.seed) != (None, None):
+        options.wrong_usage("--photon-map brings its photons: leave out --photons and --seed")
+    passes = (options.passes, options.minutes)
+    others = (options.state, options.interval, options.stochastic)
+    if passes == (None, None):
+        if others != (None, None, False):
+            options.wrong_usage("--state, --interval and --stochastic need --passes or --minutes")
+    elif options.method != "progressive":
+        options.wrong_usage("--passes and --minutes need --method progressive")
+    elif options.photon_map is not None:
+        options.wrong_usage("every pass brings its photons: leave out --photon-map")
+
+
+def _in_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
+    def write(image: pr.Image) -> None:
+        with ExitStack() as files:
+            _place(files, image, options)
+
+    scene = _resized(gallery.scene(options.scene), options.width, options.height)
+    with Bars(options.quiet, interrupts) as bars:
+        return pr.render_progressive(
+            scene,
+            n_passes=options.passes,
+            seconds=None if options.minutes is None else 60.0 * options.minutes,
+            photons_per_pass=options.photons or PHOTONS_PER_PASS,
+            seed=options.seed or 0,
+            settings=pr.ProgressiveSettings(k=options.k),
+            supersampling=options.supersampling,
+            stochastic=options.stochastic,
+            checkpoints=pr.Checkpoints(options.state, options.interval or 60.0, write),
+            n_threads=options.threads,
+            progress=bars,
+        )
 
 
 def _image(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
@@ -238,6 +276,12 @@ def _report(options: argparse.Namespace, *texts: str) -> None:
 
 
 # --- scenes and files --------------------------------------------------------------------------
+
+
+def _place(files: ExitStack, image: pr.Image, options: argparse.Namespace) -> None:
+    """Write the picture and its preview, to take their places when `files` ends."""
+    image.write_exr(_partial(files, options.output))
+    image.write_png(_partial(files, options.output.with_suffix(".png")), options.exposure)
 
 
 def _partial(files: ExitStack, path: Path) -> Path:

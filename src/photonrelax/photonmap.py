@@ -6,8 +6,6 @@ A map may come from any renderer: only position, normal and flux are required.
 from __future__ import annotations
 
 import os
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -17,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import Floats, are_unit, count, float_array, int_array, unit_vectors
-from ._files import whole_file
+from ._files import NOT_READABLE, whole_file
 
 Ints = NDArray[np.int64]
 
@@ -312,7 +310,7 @@ def _read_npz(path: Path) -> dict[str, NDArray]:
         version = _scalar(arrays, "photonmap_version", "iu")
         if version == FORMAT_VERSION:
             _check_names(arrays, ["position", "normal", "flux"])
-    except _NOT_READABLE as error:
+    except NOT_READABLE as error:
         raise ValueError(f"{path} is not a photon map: {error}") from None
     if version != FORMAT_VERSION:
         raise ValueError(
@@ -320,13 +318,6 @@ def _read_npz(path: Path) -> dict[str, NDArray]:
             f"but is of version {version}"
         )
     return arrays
-
-
-# What numpy and zipfile raise for archives that are broken or encrypted.
-_NOT_READABLE = (
-    *(ValueError, TypeError, EOFError, RuntimeError),
-    *(NotImplementedError, zipfile.BadZipFile, zlib.error),
-)
 
 
 def _check_names(arrays: Mapping[str, NDArray], names: Sequence[str]) -> None:

@@ -64,9 +64,18 @@ class Band:
 
 
 def bands(
-    scene: Scene, camera: Camera, *, supersampling: int, max_depth: int, n_threads: int
+    scene: Scene,
+    camera: Camera,
+    *,
+    supersampling: int,
+    max_depth: int,
+    n_threads: int,
+    offset: tuple[float, float] = (0.5, 0.5),
 ) -> Iterator[Band]:
-    """Yield what a camera sees, from the top down, so many rows at a time as memory allows."""
+    """Yield what a camera sees, from the top down, so many rows at a time as memory allows.
+
+    Where samples are in the cells of their pixel's grid is `offset`; see `camera.pixel_rays`.
+    """
     caster = RayCaster(scene.objects)
     rows_per_band = max(_RAYS_PER_BAND // (camera.width * supersampling**2), 1)
     for top in range(0, camera.height, rows_per_band):
@@ -77,6 +86,7 @@ def bands(
             camera,
             rows,
             supersampling=supersampling,
+            offset=offset,
             max_depth=max_depth,
             n_threads=n_threads,
         )

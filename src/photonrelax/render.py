@@ -163,14 +163,18 @@ def _ledger(photons: PhotonMap) -> dict[str, Any] | None:
 
 def _metadata(photons: PhotonMap, **others: Any) -> dict[str, str]:
     """Return what an EXR header says; as text, since its integers wrap at 32 bits."""
-    values = {
-        "version": __version__,
-        "photons_emitted": photons.n_emitted,
-        "photons_stored": len(photons),
-        "ledger": _ledger(photons),
+    return header(
+        photons_emitted=photons.n_emitted,
+        photons_stored=len(photons),
+        ledger=_ledger(photons),
         **{name: getattr(photons, name) for name in ("seed", "sampler", "paths")},
         **others,
-    }
+    )
+
+
+def header(**values: Any) -> dict[str, str]:
+    """Return what is told of a picture as its metadata."""
+    values = {"version": __version__, **values}
     return {f"photonrelax.{name}": _text(value) for name, value in values.items()}
 
 

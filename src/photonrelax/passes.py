@@ -1,0 +1,292 @@
+"""Pictures by progressive photon mapping: pass after pass of fresh photons, stopped at any time.
+
+Hachisuka, Ogaki & Jensen 2008 with hit points kept, or with a new place in the pixel for each
+pass, whose hit points then share what is kept of the pixel (Hachisuka & Jensen 2009). A pass is
+known by its number: its photons and its place in the pixel follow from it and the seed, so a run
+that is stopped and resumed is the run that was never stopped.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import __version__, _arrays
+from ._checkpoint import Checkpoint, scene_digest
+from ._files import check_writable
+from ._hits import FixedPoints, MovingPoints, Points, Recipe, View
+from ._progress import Progress
+from .camera import MAX_DEPTH
+from .image import Image
+from .progressive import ProgressiveSettings
+from .render import header
+from .sampling import check_seed
+from .scene import Scene
+from .trace import trace_photons
+
+
+@dataclass(frozen=True)
+class Checkpoints:
+    """What a run leaves behind while it goes on.
+
+    Attributes
+    ----------
+    state : path, optional
+        File the run is kept in, and resumed from if it exists. It is replaced by a whole one or
+        stays as it was, whatever ends the run.
+    interval : float
+        Seconds from one time to the next; after the last pass, and on Ctrl-C, it is done as well.
+    on_image : callable, optional
+        Called as ``on_image(image)`` with the picture so far.
+    """
+
+    state: str | os.PathLike[str] | None = None
+    interval: float = 60.0
+    on_image: Callable[[Image], None] | None = None
+
+    def __post_init__(self) -> None:
+        interval = _arrays.positive(self.interval, "Checkpoints.interval", allow_inf=True)
+        object.__setattr__(self, "interval", interval)
+
+
+def render_progressive(
+    scene: Scene,
+    *,
+    n_passes: int | None = None,
+    seconds: float | None = None,
+    photons_per_pass: int = 100_000,
+    seed: int = 0,
+    settings: ProgressiveSettings | None = None,
+    supersampling: int = 2,
+    stochastic: bool = False,
+    max_depth: int = 8,
+    checkpoints: Checkpoints | None = None,
+    n_threads: int | None = None,
+    progress: Progress | None = None,
+) -> Image:
+    """Render what a scene's camera sees by passes of fresh photons, nearer to the truth with each.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a camera.
+    n_passes, seconds : int, float, optional
+        When to stop: after so many passes in all, those resumed from included, or after the pass
+        in which so many seconds of this call are over. At least one is needed.
+    photons_per_pass, seed : int
+        Photons emitted in each pass; from the seed and the number of a pass follows its own, see
+        `pass_seed`.
+    settings : ProgressiveSettings, optional
+        How discs start and shrink.
+    supersampling, max_depth : int
+        s·s samples a pixel; smooth surfaces a camera ray may meet.
+    stochastic : bool
+        Move the samples to another place in their pixel in every pass: memory then goes with the
+        pixels, edges become smooth as passes go on, and one sample a pixel will do.
+    checkpoints : Checkpoints, optional
+        File to keep the run in and to resume from; what is done with the picture so far.
+    n_threads : int, optional
+        Threads; all available by default. The picture does not depend on it.
+    progress : callable, optional
+        Called as ``progress("passes", done, n_passes)``, or with whole seconds for passes.
+
+    Returns
+    -------
+    Image
+        Layers ``radiance``, ``caustic``, ``direct``, ``albedo``, ``N`` and ``Z``, as of `render`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is invalid, no photon is stored, or the file is of another run.
+    KeyboardInterrupt
+        On Ctrl-C, after the run was saved.
+    """
+    if n_passes is None and seconds is None:
+        raise ValueError("n_passes or seconds should be given: passes have no end of their own")
+    end = _End(
+        np.inf if n_passes is None else _arrays.count(n_passes, "n_passes"),
+        np.inf if seconds is None else _arrays.positive(seconds, "seconds"),
+    )
+    recipe = Recipe(
+        settings=_settings(settings),
+        photons_per_pass=_arrays.count(photons_per_pass, "photons_per_pass"),
+        seed=check_seed(seed),
+        supersampling=_arrays.count(supersampling, "supersampling"),
+        stochastic=bool(stochastic),
+        max_depth=_arrays.count(max_depth, "max_depth", low=0, high=MAX_DEPTH),
+    )
+    run = _Run(scene, recipe, _arrays.thread_count(n_threads))
+    _follow(run, end, checkpoints or Checkpoints(), progress)
+    return run.image()
+
+
+def _settings(settings: ProgressiveSettings | None) -> ProgressiveSettings:
+    if settings is not None and not isinstance(settings, ProgressiveSettings):
+        raise TypeError(f"settings should be ProgressiveSettings, but is {settings!r}")
+    return settings or ProgressiveSettings()
+
+
+def pass_seed(seed: int, number: int) -> int:
+    """Return the seed of a pass: the first 64 bits of NumPy's ``SeedSequence((seed, number))``."""
+    state = np.random.SeedSequence((check_seed(seed), _arrays.count(number, "number", low=0)))
+    return int(state.generate_state(1, np.uint64)[0])
+
+
+@dataclass(frozen=True)
+class _End:
+    """When a run is over."""
+
+    n_passes: float
+    seconds: float
+
+    def reached(self, n_passes: int, seconds: float) -> bool:
+        return n_passes >= self.n_passes or seconds >= self.seconds
+
+    def tell(self, progress: Progress | None, n_passes: int, seconds: float) -> None:
+        if progress is None:
+            return
+        if self.n_passes < np.inf:
+            progress("passes", n_passes, int(self.n_passes))
+        else:
+            total = int(np.ceil(self.seconds))
+            progress("seconds", min(int(seconds), total), total)
+
+
+def _follow(run: _Run, end: _End, checkpoints: Checkpoints, progress: Progress | None) -> None:
+    """Do passes until the end, and leave behind what is asked for."""
+    keeper = _Keeper(run, checkpoints)
+    keeper.resume(end)
+    started = saved = perf_counter()
+    try:
+        while not end.reached(run.n_passes, perf_counter() - started):
+            run.advance()
+            end.tell(progress, run.n_passes, perf_counter() - started)
+            if perf_counter() - saved >= checkpoints.interval:
+                keeper.save()
+                saved = perf_counter()
+    except KeyboardInterrupt:
+        keeper.save()
+        raise
+    run.seconds = perf_counter() - started
+    keeper.save()
+
+
+class _Keeper:
+    """Saves a run and resumes it."""
+
+    def __init__(self, run: _Run, checkpoints: Checkpoints) -> None:
+        self._run = run
+        self._on_image = checkpoints.on_image
+        self._file: Checkpoint | None = None
+        self._n_saved = 0
+        if checkpoints.state is not None:
+            check_writable(checkpoints.state)
+            self._file = Checkpoint(checkpoints.state, run.identity())
+
+    def resume(self, end: _End) -> None:
+        """Take up the run from its file, if there is one."""
+        kept = None if self._file is None else self._file.load()
+        if kept is None or self._file is None:
+            return
+        n_passes = int(kept["n_passes"])
+        if n_passes > end.n_passes:
+            raise ValueError(
+                f"n_passes should be at least the {n_passes} that {self._file.path} holds "
+                f"already, but is {end.n_passes}"
+            )
+        self._run.restore(kept)
+        self._n_saved = n_passes
+
+    def save(self) -> None:
+        """Save the run and show the picture, unless a pass was cut in two or none is new."""
+        run = self._run
+        if not run.whole or run.n_passes == 0:
+            return
+        if self._file is not None and run.n_passes > self._n_saved:
+            self._file.save(run.arrays())
+            self._n_saved = run.n_passes
+        if self._on_image is not None:
+            self._on_image(run.image())
+
+
+class _Run:
+    """A picture in the making, pass by pass."""
+
+    def __init__(self, scene: Scene, recipe: Recipe, n_threads: int) -> None:
+        self.n_passes = 0
+        self.whole = True
+        self.seconds = 0.0
+        self._n_stored = 0
+        self._scene = scene
+        self._recipe = recipe
+        self._n_threads = n_threads
+        kind = MovingPoints if recipe.stochastic else FixedPoints
+        self._points: Points = kind(View(scene, recipe, n_threads))
+
+    def identity(self) -> dict[str, Any]:
+        """Return what must be the same for a run to be resumed."""
+        return {
+            "version": __version__,
+            "scene": scene_digest(self._scene),
+            **self._recipe.named(),
+        }
+
+    def advance(self) -> None:
+        """Do the next pass."""
+        photons = trace_photons(
+            self._scene,
+            self._recipe.photons_per_pass,
+            seed=pass_seed(self._recipe.seed, self.n_passes),
+            n_threads=self._n_threads,
+        )
+        change = self._points.passed(photons, self.n_passes)
+        with self._changing():
+            change()
+            self.n_passes += 1
+            self._n_stored += len(photons)
+
+    @contextmanager
+    def _changing(self) -> Iterator[None]:
+        """Mark the run as torn while it changes: what is cut off there cannot be resumed from."""
+        self.whole = False
+        yield
+        self.whole = True
+
+    def arrays(self) -> dict[str, Any]:
+        """Return all that later passes build upon."""
+        counts = {"n_passes": self.n_passes, "n_stored": self._n_stored}
+        return {**counts, **self._points.arrays()}
+
+    def restore(self, kept: dict[str, NDArray]) -> None:
+        """Take up what `arrays` returned."""
+        with self._changing():
+            self._points.restore(kept)
+            self.n_passes = int(kept["n_passes"])
+            self._n_stored = int(kept["n_stored"])
+
+    def image(self) -> Image:
+        """Return the picture so far; it tells nothing of how often the run was resumed."""
+        layers = self._points.layers(self.n_passes)
+        metadata = header(
+            photons_emitted=self.n_passes * self._recipe.photons_per_pass,
+            photons_stored=self._n_stored,
+            seed=self._recipe.seed,
+            scene=self._scene.name,
+            method="progressive",
+            settings={**self._recipe.named(), "n_passes": self.n_passes},
+        )
+        radiance = {"radiance": layers["caustic"] + layers["direct"]}
+        stage = {"seconds": self.seconds, "passes": self.n_passes, "stored": self._n_stored}
+        return Image(
+            radiance | layers,
+            metadata,
+            {"stages": {"passes": stage}, "seconds": self.seconds},
+        )
