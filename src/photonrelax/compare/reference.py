@@ -8,7 +8,7 @@ from pathlib import Path
 from .. import __version__
 from .._progress import Progress, prefixed
 from ..image import Image, read_exr
-from ..render import render
+from ..passes import render_progressive
 from .run import ABOUT, Plan, check_reference
 
 _KEY = "photonrelax.reference_of"
@@ -57,17 +57,17 @@ def _computed(plan: Plan, passes: int, progress: Progress | None) -> Image:
     """Return a reference from other and many more photons than are compared."""
     scene = plan.subject.scene
     assert scene is not None, "what is not exact has a scene"
-    image = render(
+    image = render_progressive(
         scene,
-        method="standard",
-        n_emitted=passes * plan.n_emitted,
+        n_passes=passes,
+        photons_per_pass=plan.n_emitted,
         seed=_seed(plan),
         supersampling=plan.supersampling,
         max_depth=plan.max_depth,
         n_threads=plan.n_threads,
         progress=prefixed(progress, "reference"),
     )
-    about = f"standard estimates from {passes * plan.n_emitted:,} photons"
+    about = f"{passes} progressive passes of {plan.n_emitted:,} photons"
     return Image(image.layers, {**image.metadata, ABOUT: about, _KEY: _key(plan, passes)})
 
 
