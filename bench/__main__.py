@@ -3,6 +3,7 @@
 python -m bench                   compare with peers; the tables of the README, JSON and a plot
 python -m bench table1            SJ13's Table I beside the paper's own figures
 python -m bench memory            bytes a photon takes in each stage
+python -m bench methods           errors and times of every method on the same photons
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import json
 import sys
 from pathlib import Path
 
-from . import compare, machine, memory, peers, plot, simd, table1
+from . import compare, machine, memory, methods, peers, plot, simd, table1
 from .report import Report
 from .timing import keep_memory
 
@@ -28,7 +29,8 @@ def parsed(arguments: list[str]) -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(dest="command", required=True)
-    for name, add in {"compare": _compare, "table1": _table1, "memory": _memory}.items():
+    added = {"compare": _compare, "table1": _table1, "memory": _memory, "methods": _methods}
+    for name, add in added.items():
         add(commands.add_parser(name))
     # Run by `compare` in a process of its own.
     internal = commands.add_parser("simd")
@@ -63,6 +65,14 @@ def _table1(parser: argparse.ArgumentParser) -> None:
 def _memory(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--photons", type=numbers, default=[1_000_000, 4_000_000])
     parser.add_argument("--whole", type=float, help="so many photons through all stages, say 20e6")
+
+
+def _methods(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--photons", type=numbers, default=[100_000, 1_000_000])
+    parser.add_argument("--scenes", nargs="+", default=methods.SCENES, metavar="SCENE")
+    parser.add_argument("--pixels", type=int, default=256, help="default 256")
+    parser.add_argument("--passes", type=int, default=50, help="of the references, default 50")
+    parser.add_argument("--out", type=Path, default=Path("build/bench/methods"))
 
 
 def run_compare(options: argparse.Namespace) -> None:
@@ -103,6 +113,16 @@ def main(arguments: list[str]) -> None:
         print(memory.markdown(options.photons))
         if options.whole:
             print(memory.whole(int(options.whole)))
+    elif options.command == "methods":
+        print(
+            methods.markdown(
+                options.photons,
+                pixels=options.pixels,
+                passes=options.passes,
+                folder=options.out,
+                scenes=tuple(options.scenes),
+            )
+        )
     elif options.command == "simd":
         simd.main(options.n, options.n_threads, options.rounds)
     else:

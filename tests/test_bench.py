@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bench import inputs, peers, plot, report, stages, table1
+from bench import inputs, methods, peers, plot, report, stages, table1
 from bench.checks import assert_nearest, assert_nearest_in_range
 from bench.timing import Case, Timing, interleave
 
@@ -162,6 +162,20 @@ def test_table_1_is_told_stage_by_stage(capsys):
     assert "| photons emitted | 20,000,000 | 20,000 | 9,677 |" in text
     told = [line.split(":")[0] for line in capsys.readouterr().err.splitlines()]
     assert told == 2 * ["... trace", "... structure", "... relax", "... render"]
+
+
+def test_methods_stand_side_by_side_on_every_scene(tmp_path):
+    scenes = ("ring", "shapes")
+    text = methods.markdown([3_000], pixels=16, passes=1, folder=tmp_path, scenes=scenes)
+    head, _, *rows = text.splitlines()[:6]
+    assert [row.split(" | ")[0][2:] for row in rows] == [
+        f"{scene}, 3,000 {sampler}" for scene in scenes for sampler in methods.SAMPLERS
+    ]
+    for name in ("standard", "parameterised", *methods.VARIANTS):
+        assert f"| {name} |" in head
+    for row in rows:
+        assert row.count("**") == 4
+        assert row.count(" · ") == 2 * (head.count("|") - 2)
 
 
 def test_a_report_of_nothing_has_no_tables():

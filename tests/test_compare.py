@@ -235,6 +235,13 @@ def test_numbers_are_all_in_one_file(written, comparison):
     ]
 
 
+def test_settings_without_limit_are_told_as_null(plan, truth, tmp_path):
+    settings = Settings(gather=pr.GatherSettings(gather_radius=np.inf))
+    folder.write(compare(replace(plan, settings=settings, methods=("standard",)), truth), tmp_path)
+    told = json.loads((tmp_path / "comparison.json").read_text())
+    assert told["methods"]["standard"]["settings"]["gather"]["gather_radius"] is None
+
+
 def test_the_page_needs_nothing_else(written):
     page = (written / "index.html").read_text()
     assert "http" not in page.replace("http-equiv", "")
@@ -345,3 +352,6 @@ def test_a_folder_that_cannot_be_is_an_error_before_the_work(tmp_path, capsys, m
     assert "there is no folder" in capsys.readouterr().err
     assert run_cli("compare", "ring", "-o", tmp_path / "c", "--reference", tmp_path / "d.exr") == 1
     assert "there is no file" in capsys.readouterr().err
+    (tmp_path / "e" / "standard-flip.png").mkdir(parents=True)
+    assert run_cli("compare", "ring", "-o", tmp_path / "e") == 1
+    assert "it is a folder" in capsys.readouterr().err

@@ -1,7 +1,12 @@
 """The README's Python runs as printed."""
 
 import re
+import shlex
 from pathlib import Path
+
+import pytest
+
+from photonrelax import _options
 
 README = Path(__file__).parents[1] / "README.md"
 
@@ -12,6 +17,15 @@ def test_the_example_runs():
     exec(example, names)
     assert names["irradiance"].shape == (1, 3)
     assert names["irradiance"].min() > 0.0
+
+
+COMMANDS = re.findall(r"^photonrelax (.*?)(?:\s+#.*)?$", README.read_text(), re.MULTILINE)
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_commands_are_understood(line):
+    parser = _options.parser(dict.fromkeys(_options.COMMANDS))
+    assert parser.parse_args(shlex.split(line))
 
 
 def test_files_it_names_exist():

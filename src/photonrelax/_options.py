@@ -19,7 +19,7 @@ def parser(commands: Mapping[str, Callable[..., None]]) -> argparse.ArgumentPars
     )
     parser.add_argument("--version", action="version", version=f"photonrelax {__version__}")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
-    for name, (about, add) in _COMMANDS.items():
+    for name, (about, add) in COMMANDS.items():
         subparser = subparsers.add_parser(name, help=about, description=about)
         subparser.set_defaults(command=commands[name], wrong_usage=subparser.error)
         add(subparser)
@@ -130,7 +130,7 @@ def _add_info(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", type=Path)
 
 
-_COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
+COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "render": ("render a built-in scene to an EXR file, and a PNG preview beside it", _add_render),
     "trace": ("trace the photons of a built-in scene into a photon map", _add_trace),
     "relax": ("relax the photons of a photon map", _add_relax),

@@ -200,8 +200,8 @@ def _compare(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from .compare import compare, folder
 
     measures.check_installed()
-    folder.prepare_folder(options.output)
     plan = _plan(options)
+    folder.prepare_folder(options.output, plan.methods)
     with Bars(options.quiet, interrupts) as bars:
         truth = _reference(options, plan, bars)
         comparison = compare(plan, truth, progress=bars)

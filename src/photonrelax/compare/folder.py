@@ -19,9 +19,10 @@ _CAPTIONS = {
     "path-edges": "Path edges",
     "constraints": "Derived constraints",
 }
+_KINDS = ("flip", "difference")
 
 
-def prepare_folder(folder: Path) -> None:
+def prepare_folder(folder: Path, methods: tuple[str, ...]) -> None:
     """Make a folder and see that files can be written there; better before the work than after.
 
     Raises
@@ -34,8 +35,11 @@ def prepare_folder(folder: Path) -> None:
     if not folder.exists() and not folder.parent.is_dir():
         raise FileNotFoundError(f"cannot write {folder}: there is no folder {folder.parent}")
     folder.mkdir(exist_ok=True)
-    for name in (PAGE, SHEET, NUMBERS, REFERENCE):
+    pictures = [*methods, *(f"{method}-{kind}" for method in methods for kind in _KINDS)]
+    for name in (PAGE, SHEET, NUMBERS, REFERENCE, *(f"{method}.exr" for method in methods)):
         check_writable(folder / name)
+    for name in (*pictures, *_CAPTIONS, "reference"):
+        check_writable(folder / f"{name}.png")
 
 
 def write(comparison: Comparison, folder: Path) -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
@@ -147,7 +148,7 @@ _TOLD = ("n_emitted", "seed", "sampler", "supersampling", "max_depth", "exposure
 
 
 def _told(entry: Entry) -> dict[str, Any]:
-    return {
+    told = {
         "n_emitted": entry.n_emitted,
         "n_stored": entry.n_stored,
         "seconds": entry.seconds,
@@ -155,6 +156,9 @@ def _told(entry: Entry) -> dict[str, Any]:
         "errors": entry.errors.to_dict(),
         "settings": entry.settings,
     }
+    # JSON has no word for infinity but null.
+    finite: dict[str, Any] = json.loads(json.dumps(told), parse_constant=lambda name: None)
+    return finite
 
 
 def compare(plan: Plan, reference: Image, *, progress: Progress | None = None) -> Comparison:
