@@ -6,9 +6,11 @@ import json
 from pathlib import Path
 
 from .. import __version__
+from .._checkpoint import scene_digest
 from .._progress import Progress, prefixed
 from ..image import Image, read_exr
 from ..passes import render_progressive
+from ..scene import Scene
 from .run import ABOUT, Plan, check_reference
 
 _KEY = "photonrelax.reference_of"
@@ -54,38 +56,38 @@ def _found(path: Path) -> Image | None:
 
 
 def _computed(plan: Plan, passes: int, progress: Progress | None) -> Image:
-    """Return a reference from other and many more photons than are compared."""
-    scene = plan.subject.scene
-    assert scene is not None, "what is not exact has a scene"
+    """Return a reference by progressive photon mapping, at the hit points that are compared at."""
     image = render_progressive(
-        scene,
+        _scene(plan),
         n_passes=passes,
         photons_per_pass=plan.n_emitted,
-        seed=_seed(plan),
         supersampling=plan.supersampling,
         max_depth=plan.max_depth,
         n_threads=plan.n_threads,
         progress=prefixed(progress, "reference"),
     )
-    about = f"{passes} progressive passes of {plan.n_emitted:,} photons"
+    (stage,) = image.stats["stages"].values()
+    about = (
+        f"progressive photon mapping, {passes:,} passes of {plan.n_emitted:,} photons "
+        f"({stage['stored']:,} absorbed), {stage['seconds']:.0f} s"
+    )
     return Image(image.layers, {**image.metadata, ABOUT: about, _KEY: _key(plan, passes)})
 
 
-def _seed(plan: Plan) -> int:
-    # Photons of its own: sharing them would hide their noise.
-    return plan.seed + 1
-
-
 def _key(plan: Plan, passes: int) -> str:
-    """Return all that the reference depends on."""
+    """Return all that the reference depends on: not the seed, its photons are its own."""
     depends_on = {
-        "scene": plan.subject.name,
-        "size": list(plan.subject.size),
+        "scene": scene_digest(_scene(plan)),
         "supersampling": plan.supersampling,
         "max_depth": plan.max_depth,
         "photons": plan.n_emitted,
         "passes": passes,
-        "seed": _seed(plan),
         "version": __version__,
     }
     return json.dumps(depends_on)
+
+
+def _scene(plan: Plan) -> Scene:
+    scene = plan.subject.scene
+    assert scene is not None, "what is not exact has a scene"
+    return scene
