@@ -80,6 +80,6 @@ def _panels(comparison: Comparison, pictures: dict[str, Bytes]) -> list[list[Pan
 def _detail(entry: Entry) -> str:
     errors, seconds = entry.errors, sum(entry.seconds.values())
     return (
-        f"L1 {errors.relative_l1:.1%}   SSIM {errors.ssim:.3f}   FLIP {errors.flip:.3f}"
-        f"   {seconds:.1f} s"
+        f"L1 {errors.relative_l1:.1%}, SSIM {errors.ssim:.3f}, FLIP {errors.flip:.3f}, "
+        f"{seconds:.1f} s"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from string import ascii_lowercase
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from .pictures import Bytes
@@ -18,7 +19,9 @@ Panel = tuple[Bytes, str, str]
 _PANEL = 480
 _GAP = 12
 _CAPTION, _DETAIL = 20, 15
-_BELOW = 60
+_BELOW = 80
+# Characters of a detail that fit below a panel.
+_LINE = 60
 _PAPER, _INK, _FAINT = (255, 255, 255), (20, 20, 20), (95, 95, 95)
 
 
@@ -48,7 +51,8 @@ def contact_sheet(groups: list[list[Panel]], title: str) -> Picture:
             sheet.paste(_fitted(picture, size), (left, top))
             middle = left + size[0] // 2
             _write(draw, (middle, top + size[1] + 6), f"({next(letters)}) {caption}")
-            _write(draw, (middle, top + size[1] + 31), detail, faint=True)
+            lines = "\n".join(wrap(detail, _LINE))
+            _write(draw, (middle, top + size[1] + 31), lines, faint=True)
     _write(draw, (sheet.width // 2, sheet.height - 36), title, faint=True)
     return sheet
 
@@ -65,4 +69,4 @@ def _write(draw: ImageDraw, place: tuple[int, int], text: str, *, faint: bool = 
     from PIL import ImageFont
 
     font = ImageFont.load_default(_DETAIL if faint else _CAPTION)
-    draw.text(place, text, fill=_FAINT if faint else _INK, font=font, anchor="ma")
+    draw.text(place, text, fill=_FAINT if faint else _INK, font=font, anchor="ma", align="center")
