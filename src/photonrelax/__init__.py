@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from .estimate import GatherSettings as GatherSettings
     from .estimate import IrradianceField as IrradianceField
     from .estimate import estimate_irradiance as estimate_irradiance
+    from .gradient import GradientSettings as GradientSettings
+    from .gradient import detect_gradient as detect_gradient
     from .image import Image as Image
     from .kdtree import KDTree as KDTree
     from .kdtree import Neighbours as Neighbours
@@ -54,6 +56,7 @@ _MODULE_OF = {
     "Diffuse": "scene",
     "EnergyLedger": "photonmap",
     "GatherSettings": "estimate",
+    "GradientSettings": "gradient",
     "HitPoints": "camera",
     "Image": "image",
     "IrradianceField": "estimate",
@@ -70,6 +73,7 @@ _MODULE_OF = {
     "SceneObject": "scene",
     "Structure": "structure",
     "StructureSettings": "structure",
+    "detect_gradient": "gradient",
     "detect_structure": "structure",
     "estimate_irradiance": "estimate",
     "irradiance_field": "methods",

@@ -11,10 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _arrays
 from ._arrays import Floats
+from ._ext import adaptive as _adaptive
 from ._ext import estimate as _estimate
 from ._facing import FacingTrees
 from ._progress import Progress, Reporter
 from ._sheets import NORMAL_RANGE
+from .adaptive import REFINEMENTS
 from .kdtree import KDTree
 from .photonmap import PhotonMap
 from .structure import Structure
@@ -38,7 +40,8 @@ class GatherSettings:
     Attributes
     ----------
     k : int
-        Photons gathered (K = 15, SJ13 §5); the bandwidth is the distance to the k-th.
+        Photons gathered (K = 15, SJ13 §5); the bandwidth is the distance to the k-th. With a
+        refinement these are the most.
     kernel : {"epanechnikov", "cone", "constant"}
         Each normalised so that a uniform field returns its own value; from well-spaced photons
         within 0.3 % for k of 15 and more.
@@ -46,25 +49,45 @@ class GatherSettings:
         Largest distance, m, from which photons are gathered; where it holds fewer than k it is the
         bandwidth, so that black regions stay black. By default `automatic_gather_radius` takes
         it from the map: the radius within which 95 % of the photons, and 5 % of the area they
-        light, have their k-th nearest. Infinite for no limit.
+        light, have their k-th nearest. Infinite for no limit. With a refinement it is that of
+        k_min photons, and k are gathered from √(k / k_min) times as far.
+    refinement : {"none", "differential-checking", "bias-compensation"}
+        How the number of photons adapts to the light around a point; see `photonrelax.adaptive`.
+    k_min : int
+        The fewest photons gathered with a refinement; not looked at without.
     """
 
     k: int = 15
     kernel: str = "epanechnikov"
     gather_radius: float | None = None
+    refinement: str = "none"
+    k_min: int = 15
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "k", _arrays.count(self.k, "GatherSettings.k", low=2))
-        if not isinstance(self.kernel, str) or self.kernel not in KERNELS:
+        for name, names in (("kernel", tuple(KERNELS)), ("refinement", tuple(REFINEMENTS))):
+            if getattr(self, name) not in names:
+                raise ValueError(
+                    f"GatherSettings.{name} should be one of {', '.join(names)}, "
+                    f"but is {getattr(self, name)!r}"
+                )
+        for name in ("k", "k_min"):
+            number = _arrays.count(getattr(self, name), f"GatherSettings.{name}", low=2)
+            object.__setattr__(self, name, number)
+        if self.k < self.fewest:
             raise ValueError(
-                f"GatherSettings.kernel should be one of {', '.join(KERNELS)}, "
-                f"but is {self.kernel!r}"
+                f"GatherSettings.k should be at least k_min, {self.k_min}, with a refinement, "
+                f"but is {self.k}"
             )
         if self.gather_radius is not None:
             radius = _arrays.positive(
                 self.gather_radius, "GatherSettings.gather_radius", allow_inf=True
             )
             object.__setattr__(self, "gather_radius", radius)
+
+    @property
+    def fewest(self) -> int:
+        """Photons that the gather radius is to reach."""
+        return self.k if self.refinement == "none" else self.k_min
 
 
 class Field(Protocol):
@@ -149,7 +172,7 @@ class IrradianceField:
         self._trees = FacingTrees(photons, self._n_threads)
         if settings.gather_radius is None and len(photons):
             tree = self._trees.whole()
-            radius = automatic_gather_radius(tree, settings.k, n_threads=self._n_threads)
+            radius = automatic_gather_radius(tree, settings.fewest, n_threads=self._n_threads)
             settings = replace(settings, gather_radius=radius)
             del tree
         self._trees.build()
@@ -212,7 +235,7 @@ class Densities:
     def __init__(self, field: IrradianceField, values: Floats) -> None:
         self._field = field
         self._values = values
-        self._gathers: dict[int, _estimate.Gather] = {}
+        self._gathers: dict[int, _estimate.Gather | _adaptive.Gather] = {}
 
     def __call__(
         self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
@@ -232,26 +255,49 @@ class Densities:
             report.advance(left)
         return out
 
-    def _gather(self, number: int) -> _estimate.Gather:
+    def _gather(self, number: int) -> _estimate.Gather | _adaptive.Gather:
         """Return what gathers from a tree of the field."""
         if number not in self._gathers:
-            self._gathers[number] = self._made(*self._field._trees.tree(number))
+            plain = self._field.settings.refinement == "none"
+            made = self._plain if plain else self._refined
+            self._gathers[number] = made(*self._field._trees.tree(number))
         return self._gathers[number]
 
-    def _made(self, tree: KDTree, rows: NDArray[np.intp]) -> _estimate.Gather:
-        field, settings = self._field, self._field.settings
-        radius, bias = settings.gather_radius, well_spaced_bias(settings.k, settings.kernel)
+    def _plain(self, tree: KDTree, rows: NDArray[np.intp]) -> _estimate.Gather:
+        settings, well_spaced = self._field.settings, self._field.photons.well_spaced
+        bias = well_spaced_bias(settings.k, settings.kernel) if well_spaced else 1.0
         return _estimate.Gather(
             tree.kernel,
             self._values,
             rows,
             settings.k,
             KERNELS[settings.kernel],
-            radius=np.inf if radius is None else radius,
-            normal_range=NORMAL_RANGE if tree.n_axes > tree.n_metric else -1.0,
-            nearest_scale=1.0 / bias if field.photons.well_spaced else 1.0,
-            n_threads=field._n_threads,
+            nearest_scale=1.0 / bias,
+            **self._limits(tree),
         )
+
+    def _refined(self, tree: KDTree, rows: NDArray[np.intp]) -> _adaptive.Gather:
+        photons, settings = self._field.photons, self._field.settings
+        return _adaptive.Gather(
+            tree.kernel,
+            self._values,
+            photons.flux.mean(axis=1),
+            rows,
+            k_min=settings.k_min,
+            k=settings.k,
+            rule=REFINEMENTS[settings.refinement],
+            kernel=KERNELS[settings.kernel],
+            bias=_WELL_SPACED_BIAS[settings.kernel] if photons.well_spaced else (0.0, 0.0),
+            **self._limits(tree),
+        )
+
+    def _limits(self, tree: KDTree) -> dict[str, Any]:
+        radius = self._field.settings.gather_radius
+        return {
+            "radius": np.inf if radius is None else radius,
+            "normal_range": NORMAL_RANGE if tree.n_axes > tree.n_metric else -1.0,
+            "n_threads": self._field._n_threads,
+        }
 
 
 def well_spaced_bias(k: int, kernel: str) -> float:

@@ -3,32 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from time import perf_counter
 from typing import Any
 
 from ._progress import Progress
 from .dealing import ProgressiveField
 from .estimate import Field, GatherSettings, IrradianceField
+from .gradient import GradientSettings, detect_gradient
 from .photonmap import PhotonMap
 from .progressive import ProgressiveSettings
 from .relax import RelaxSettings
 from .relax import relax as relax_photons
 from .scene import Scene
-from .structure import StructureSettings, detect_structure
+from .structure import Structure, StructureSettings, detect_structure
 
 
 def irradiance_field(
     photons: PhotonMap,
     *,
     method: str = "parameterised",
-    structure: StructureSettings | None = None,
-    relax: RelaxSettings | None = None,
-    gather: GatherSettings | None = None,
-    progressive: ProgressiveSettings | None = None,
     scene: Scene | None = None,
     n_threads: int | None = None,
     progress: Progress | None = None,
+    **settings: Any,
 ) -> Field:
     """Do a method's preparation once; the result gives irradiance anywhere.
 
@@ -36,16 +34,23 @@ def irradiance_field(
     ----------
     photons : PhotonMap
         Photons from `trace_photons` or from any other renderer.
-    method : {"parameterised", "standard", "progressive"}
-        SJ13, the photons as they are (Jensen), or dealt to passes (Hachisuka et al. 2008).
-    structure, relax, gather, progressive : settings, optional
-        Of the stages; those the method has not are not looked at.
+    method : str
+        One of:
+
+        - ``parameterised``: SJ13, the default;
+        - ``relaxation``: the original relaxation (Spencer & Jones 2009, see
+          `photonrelax.gradient`), all of whose iterations are in space;
+        - ``standard``: the photons as they are (Jensen);
+        - ``progressive``: the same, dealt to passes (Hachisuka et al. 2008).
     scene : Scene, optional
         Keeps moved photons on their objects; see `photonrelax.relax`.
     n_threads : int, optional
         Threads; all available by default. Results do not depend on it.
     progress : callable, optional
         Called as ``progress(stage, done, total)``.
+    **settings
+        Of stages: `Settings`' fields by name, as in ``relax=RelaxSettings((3, 3))``. Those of
+        stages that the method has not are not looked at.
 
     Returns
     -------
@@ -54,11 +59,10 @@ def irradiance_field(
 
     Raises
     ------
-    ValueError
-        If the method is not known.
+    TypeError, ValueError
+        If the method is not known, or a setting.
     """
-    settings = Settings(structure=structure, relax=relax, gather=gather, progressive=progressive)
-    return prepare(method, Task(photons, settings, scene, n_threads, progress))
+    return prepare(method, Task(photons, Settings(**settings), scene, n_threads, progress))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +70,7 @@ class Settings:
     """The settings of every stage of every method; None for the paper's."""
 
     structure: StructureSettings | None = None
+    gradient: GradientSettings | None = None
     relax: RelaxSettings | None = None
     gather: GatherSettings | None = None
     progressive: ProgressiveSettings | None = None
@@ -79,6 +84,7 @@ class Settings:
 
 _KINDS: dict[str, type] = {
     "structure": StructureSettings,
+    "gradient": GradientSettings,
     "relax": RelaxSettings,
     "gather": GatherSettings,
     "progressive": ProgressiveSettings,
@@ -103,9 +109,27 @@ def _standard(task: Task) -> Field:
 def _parameterised(task: Task) -> Field:
     structure = task.settings.structure or StructureSettings()
     relax = task.settings.relax or RelaxSettings()
+    used = {"structure": asdict(structure), "relax": asdict(relax)}
+    return _relaxed(
+        task, lambda **how: detect_structure(task.photons, structure, **how), relax, used
+    )
+
+
+def _relaxation(task: Task) -> Field:
+    gradient = task.settings.gradient or GradientSettings()
+    relax = task.settings.relax or RelaxSettings()
+    relax = replace(relax, n_iterations=(0, sum(relax.n_iterations)))
+    used = {"gradient": asdict(gradient), "relax": asdict(relax)}
+    return _relaxed(task, lambda **how: detect_gradient(task.photons, gradient, **how), relax, used)
+
+
+def _relaxed(
+    task: Task, detect: Callable[..., Structure], relax: RelaxSettings, used: dict[str, Any]
+) -> Field:
+    """Gather from photons relaxed as far as the structure detected allows."""
     how: dict[str, Any] = {"n_threads": task.n_threads, "progress": task.progress}
     started = perf_counter()
-    found = detect_structure(task.photons, structure, **how)
+    found = detect(**how)
     detected = perf_counter()
     relaxed = relax_photons(task.photons, found, relax, scene=task.scene, **how)
     return IrradianceField(
@@ -113,7 +137,7 @@ def _parameterised(task: Task) -> Field:
         task.settings.gather,
         structure=found,
         seconds={"structure": detected - started, "relax": perf_counter() - detected},
-        used={"structure": asdict(structure), "relax": asdict(relax)},
+        used=used,
         n_threads=task.n_threads,
     )
 
@@ -124,6 +148,7 @@ def _progressive(task: Task) -> Field:
 
 _METHODS: dict[str, Callable[[Task], Field]] = {
     "standard": _standard,
+    "relaxation": _relaxation,
     "parameterised": _parameterised,
     "progressive": _progressive,
 }

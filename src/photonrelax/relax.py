@@ -81,7 +81,7 @@ def relax(
     photons : PhotonMap
         Photons, n of them, of about equal flux.
     structure : Structure
-        What `detect_structure` found for this map.
+        What `detect_structure` found for this map, or `detect_gradient` for iterations in space.
     settings : RelaxSettings, optional
         Defaults are the paper's.
     scene : Scene, optional
@@ -101,7 +101,8 @@ def relax(
     Raises
     ------
     ValueError
-        If `structure` is not of this map, or the map's `object_id` is not of the scene.
+        If `structure` is not of this map, has no emitter range to constrain iterations with, or
+        the map's `object_id` is not of the scene.
 
     Notes
     -----
@@ -109,7 +110,7 @@ def relax(
     others but not one another.
     """
     settings = settings or RelaxSettings()
-    _check_structure(structure, photons)
+    _check_structure(structure, photons, settings)
     if not any(settings.n_iterations) or len(photons) == 0:
         return photons
     threads = _arrays.thread_count(n_threads)
@@ -126,14 +127,16 @@ def relax(
     return photons.replace(position=position, normal=normal, well_spaced=True)
 
 
-def _check_structure(structure: Structure, photons: PhotonMap) -> None:
+def _check_structure(structure: Structure, photons: PhotonMap, settings: RelaxSettings) -> None:
     if len(structure) != len(photons):
         raise ValueError(
             f"structure should be of these {len(photons)} photons, but is of {len(structure)}"
         )
-    if (structure.emitter_range is None) != (photons.emitter_coords is None):
+    ranged, located = structure.emitter_range is not None, photons.emitter_coords is not None
+    if settings.n_iterations[0] and ranged != located:
         raise ValueError(
-            "structure should be of this map, but only one of them has emitter coordinates"
+            "structure should be of this map, but only one of them has emitter coordinates: "
+            "iterations in emitter space need both or neither"
         )
 
 

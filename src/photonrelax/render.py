@@ -10,14 +10,12 @@ from . import __version__, _arrays
 from ._arrays import Floats
 from ._progress import Progress, Reporter
 from .camera import MAX_DEPTH
-from .estimate import Field, GatherSettings
+from .estimate import Field
 from .image import Image
 from .methods import Settings, Task, check_method, prepare
 from .photonmap import PhotonMap
 from .picture import Band, PhotonLayers, bands, joined
-from .relax import RelaxSettings
 from .scene import Camera, Scene
-from .structure import StructureSettings
 from .trace import trace_photons
 
 
@@ -27,14 +25,12 @@ def render(
     method: str = "parameterised",
     n_emitted: int = 1_000_000,
     seed: int = 0,
-    structure: StructureSettings | None = None,
-    relax: RelaxSettings | None = None,
-    gather: GatherSettings | None = None,
     supersampling: int = 2,
     max_depth: int = 8,
     photons: PhotonMap | None = None,
     n_threads: int | None = None,
     progress: Progress | None = None,
+    **settings: Any,
 ) -> Image:
     """Render what a scene's camera sees: caustics from photons, direct light by shadow rays.
 
@@ -46,8 +42,6 @@ def render(
         How irradiance is estimated from photons; see `photonrelax.irradiance_field`.
     n_emitted, seed : int
         Photons to emit; what shifts their sequence and chooses their paths.
-    structure, relax, gather : settings, optional
-        Of the stages the method has; defaults are the paper's.
     supersampling, max_depth : int
         s·s samples a pixel; smooth surfaces a camera ray may meet.
     photons : PhotonMap, optional
@@ -56,6 +50,8 @@ def render(
         Threads; all available by default. The picture does not depend on it.
     progress : callable, optional
         Called as ``progress(stage, done, total)``.
+    **settings
+        Of the stages the method has, as in `photonrelax.irradiance_field`; defaults are the papers'.
 
     Returns
     -------
@@ -73,10 +69,10 @@ def render(
     supersampling = _arrays.count(supersampling, "supersampling")
     max_depth = _arrays.count(max_depth, "max_depth", low=0, high=MAX_DEPTH)
     check_method(method)
-    settings = Settings(structure=structure, relax=relax, gather=gather)
+    chosen = Settings(**settings)
     pipeline = _Pipeline(scene, n_threads, progress)
     photons = pipeline.trace(n_emitted, seed) if photons is None else photons
-    field = pipeline.prepare(photons, method, settings)
+    field = pipeline.prepare(photons, method, chosen)
     layers = pipeline.picture(field, scene.camera, supersampling, max_depth)
     used = field.used | {"supersampling": supersampling, "max_depth": max_depth}
     metadata = _metadata(photons, scene=scene.name, method=method, settings=used)

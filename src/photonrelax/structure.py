@@ -31,6 +31,7 @@ __all__ = [
     "constraint",
     "detect_structure",
     "emitter_range",
+    "empty_columns",
     "isotropic_mean",
     "isotropic_sd",
     "noise_attenuation",
@@ -231,26 +232,30 @@ def chosen(array: NDArray | None, rows: _arrays.Rows) -> NDArray | None:
     return None if array is None else array[rows]
 
 
+def empty_columns(n: int) -> dict[str, Any]:
+    """Return the columns of a `Structure` that kernels fill, n rows of anything."""
+    return {
+        "eigenvalues": np.empty((n, 2)),
+        "constraint": np.empty(n),
+        "basis": np.empty((n, 2, 3)),
+        "radius": np.empty(n),
+        "n_found": np.empty(n, dtype=np.int32),
+    }
+
+
 class _Detection:
     """What is found of all photons, one group of neighbours after the other."""
 
     def __init__(
         self, photons: PhotonMap, settings: StructureSettings, n_threads: int, report: Reporter
     ) -> None:
-        n = len(photons)
         self._photons = photons
         self._settings = settings
         self._n_threads = n_threads
         self._report = report
         self.ranges = emitter_range(photons, settings)
-        self.reach = None if self.ranges is None else np.empty(n)
-        self.found: dict[str, Any] = {
-            "eigenvalues": np.empty((n, 2)),
-            "constraint": np.empty(n),
-            "basis": np.empty((n, 2, 3)),
-            "radius": np.empty(n),
-            "n_found": np.empty(n, dtype=np.int32),
-        }
+        self.reach = None if self.ranges is None else np.empty(len(photons))
+        self.found = empty_columns(len(photons))
 
     def fill(self, rows: _arrays.Rows) -> None:
         """Detect the structure of a group."""

@@ -122,8 +122,9 @@ typedef struct {
      * asked to: then count is a multiple of LANES and rows start where lines of the cache do. */
     void (*write)(double *squared, int64_t *id, int64_t count, int past_cache, double *distance,
                   int64_t *to_id);
-    /* Second moments uu, uv, vv about the mean, divided by their number, of the offsets of what was
-     * found from a point, along the two directions of `frame`, multiplied by `scale` first. */
+    /* Second moments uu, uv, vv about the mean, divided by their number, and the mean (u, v) of the
+     * offsets of what was found from a point, along the two directions of `frame`, multiplied by
+     * `scale` first. */
     void (*moments)(const double *coords, int64_t n_axes, const Found *found, const double *at,
                     const double *frame, double scale, double *out);
     /* The repulsion of SJ13 Eq. 8 on a point by what was listed with its coordinates: the mean of

@@ -180,6 +180,8 @@ static TARGET void NAME(moments)(const double *coords, int64_t n_axes, const Fou
     out[0] = NAME(total)(uu) / n - mean_u * mean_u;
     out[1] = NAME(total)(uv) / n - mean_u * mean_v;
     out[2] = NAME(total)(vv) / n - mean_v * mean_v;
+    out[3] = mean_u;
+    out[4] = mean_v;
 }
 
 static TARGET void NAME(repulsion)(double *points, int64_t count, double squared_radius,

@@ -1,4 +1,4 @@
-"""Principal components of photon neighbourhoods and the constraints they imply (SJ13 §4.3)."""
+"""Constraints from photon neighbourhoods: from principal components (SJ13 §4.3) or gradients."""
 
 from cython.parallel cimport prange, threadid
 from libc.math cimport INFINITY, M_PI, erf, fabs, sqrt
@@ -56,6 +56,11 @@ cpdef double constraint(double eigenvalue, double k) noexcept nogil:
     """Return 3π/4 · M(λ₂) · Φ(λ₂) in [0, 1]: one minus the length of v_b in SJ13 Eq. 7."""
     cdef double full = 0.75 * M_PI * anisotropy_to_gradient(eigenvalue)
     return min(full * noise_attenuation(eigenvalue, k), 1.0)
+
+
+cpdef double gradient_constraint(double shift, double gain) noexcept nogil:
+    """Return min(1, gain · 3π/4 · shift), for the length of a mean offset over the radius."""
+    return min(gain * 0.75 * M_PI * shift, 1.0)
 
 
 cdef struct Components:
@@ -186,9 +191,13 @@ cdef void write_components(
 
 def detect(
     Tree tree, Py_ssize_t first, Py_ssize_t end, Sheet sheet, targets_by_name, *, Py_ssize_t k,
-    int n_threads
+    double gain=-1.0, int n_threads
 ):
-    """Fill the rows of the photons at places first … end, whole blocks, of the tree."""
+    """Fill the rows of the photons at places first … end, whole blocks, of the tree.
+
+    Photons are constrained along the gradient, times `gain`; if that is negative, as their
+    principal components tell.
+    """
     cdef Targets targets = Targets(**targets_by_name)
     cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
     cdef Py_ssize_t block
@@ -196,11 +205,11 @@ def detect(
         first // BLOCK, (end + BLOCK - 1) // BLOCK, nogil=True, schedule="dynamic", chunksize=16,
         num_threads=n_threads
     ):
-        detect_block(tree, <Batch*> &room[threadid(), 0], block, sheet, targets)
+        detect_block(tree, <Batch*> &room[threadid(), 0], block, sheet, gain, targets)
 
 
 cdef void detect_block(
-    Tree tree, Batch* batch, Py_ssize_t block, Sheet sheet, Targets out
+    Tree tree, Batch* batch, Py_ssize_t block, Sheet sheet, double gain, Targets out
 ) noexcept nogil:
     """Detect the structure around the photons of a block; write their rows only.
 
@@ -227,7 +236,7 @@ cdef void detect_block(
     find(tree, batch)
     for lane in range(batch.n_queries):
         row = sheet.rows[BLOCK * block + lane]
-        detect_one(tree, &batch.queries[lane], row, &sheet.normal[row, 0], out)
+        detect_one(tree, &batch.queries[lane], row, &sheet.normal[row, 0], gain, out)
         if sheet.reach is not None and sheet.reach[row] > 0.0:
             squared_reach = sheet.reach[row] * sheet.reach[row]
             share += batch.queries[lane].found.squared_radius / squared_reach
@@ -254,13 +263,13 @@ cdef inline void prefetch(Targets out, Py_ssize_t row) noexcept nogil:
 
 
 cdef void detect_one(
-    Tree tree, const Query* query, Py_ssize_t row, const double* normal, Targets out
+    Tree tree, const Query* query, Py_ssize_t row, const double* normal, double gain, Targets out
 ) noexcept nogil:
     """Detect the structure around one photon from its neighbours; write its row only."""
     cdef Py_ssize_t axis
     cdef Components pca
     cdef double[6] frame
-    cdef double[3] moments
+    cdef double[5] moments
     orthonormal_frame(frame, frame + 3, normal)
     pca.cosine = 1.0
     pca.sine = 0.0
@@ -278,7 +287,19 @@ cdef void detect_one(
         pca = decompose(moments[0], moments[1], moments[2])
         out.eigenvalues[row, 0] = pca.first
         out.eigenvalues[row, 1] = pca.second
-        out.constraint[row] = constraint(pca.second, query.found.count)
+        if gain < 0.0:
+            out.constraint[row] = constraint(pca.second, query.found.count)
+        else:
+            out.constraint[row] = gradient_constraint(turn(&pca, moments[3], moments[4]), gain)
     for axis in range(3):
         out.basis[row, 0, axis] = pca.cosine * frame[axis] + pca.sine * frame[3 + axis]
         out.basis[row, 1, axis] = pca.cosine * frame[3 + axis] - pca.sine * frame[axis]
+
+
+cdef double turn(Components* pca, double u, double v) noexcept nogil:
+    """Turn the first direction to the right of (u, v), if it has a length; return that."""
+    cdef double length = sqrt(u * u + v * v)
+    if length > 0.0:
+        pca.cosine = v / length
+        pca.sine = -u / length
+    return length

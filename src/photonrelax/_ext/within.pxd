@@ -4,8 +4,10 @@
 lanes they are in as bits.
 """
 
+from libc.math cimport sqrt
+
 from .kdtree cimport Tree
-from .lanes cimport Reach
+from .lanes cimport CONE_WEIGHTS, EPANECHNIKOV_WEIGHTS, Reach
 
 ctypedef void (*Visitor)(
     void* state, Tree tree, Py_ssize_t block, unsigned int lanes
@@ -14,3 +16,12 @@ ctypedef void (*Visitor)(
 cdef void visit_within(
     Tree tree, const Reach* reach, Visitor visit, void* state
 ) noexcept nogil
+
+
+cdef inline double weight_of(int shape, double ratio) noexcept nogil:
+    """Return a kernel's weight at a squared distance over that of its edge; its mean is one."""
+    if shape == EPANECHNIKOV_WEIGHTS:
+        return 2.0 * (1.0 - ratio)
+    if shape == CONE_WEIGHTS:
+        return 3.0 * (1.0 - sqrt(ratio))
+    return 1.0

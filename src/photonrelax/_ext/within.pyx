@@ -2,12 +2,9 @@
 
 from cython.parallel cimport prange
 from libc.stdint cimport int64_t
-from libc.math cimport sqrt
 
 from .kdtree cimport Tree, fan_out, first_block, last_kept
-from .lanes cimport (
-    BLOCK, CONE_WEIGHTS, EPANECHNIKOV_WEIGHTS, Reach, highest_bit, lowest_bit,
-)
+from .lanes cimport BLOCK, Reach, highest_bit, lowest_bit
 
 from .columns import in_blocks
 
@@ -115,15 +112,6 @@ cdef void add(void* state, Tree tree, Py_ssize_t block, unsigned int lanes) noex
         sums.count += 1
         for channel in range(sums.n_channels):
             sums.out[channel] += weight * values[BLOCK * channel + lane]
-
-
-cdef inline double weight_of(int shape, double ratio) noexcept nogil:
-    """Return a kernel's weight at a squared distance over that of its edge; its mean is one."""
-    if shape == EPANECHNIKOV_WEIGHTS:
-        return 2.0 * (1.0 - ratio)
-    if shape == CONE_WEIGHTS:
-        return 3.0 * (1.0 - sqrt(ratio))
-    return 1.0
 
 
 cdef class Within:
