@@ -25,10 +25,10 @@ probable under the noise expected,
     (E_K - μ)² <= z² μ² u_K (1/(L - 1) - 1/(K - 1)),
     u_K = (K - 1) Σ_{i < K} Φ_i² / (Σ_{i < K} Φ_i)²,
 
-and bias else. Beside z² stands the variance by which estimates of L photons differ from those of the
-K that they are among, for independent photons; u_K is 1 if all carry the same flux. Noise lets the search go
-on among more photons, bias among fewer. z is 2.576, beyond which one deviation in a hundred lies;
-Schregle instead draws a random number against the probability.
+and bias else. Beside z² stands the variance by which estimates of L photons differ from those of
+the K that they are among, for independent photons; u_K is 1 if all carry the same flux. Noise lets
+the search go on among more photons, bias among fewer. z is 2.576, beyond which one deviation in a
+hundred lies; Schregle instead draws a random number against the probability.
 """
 
 from __future__ import annotations

@@ -49,8 +49,9 @@ class GatherSettings:
         Largest distance, m, from which photons are gathered; where it holds fewer than k it is the
         bandwidth, so that black regions stay black. By default `automatic_gather_radius` takes
         it from the map: the radius within which 95 % of the photons, and 5 % of the area they
-        light, have their k-th nearest. Infinite for no limit. With a refinement it is that of
-        k_min photons, and k are gathered from √(k / k_min) times as far.
+        light, have their k-th nearest. Infinite for no limit. With a refinement it limits the
+        first k_min photons, and reaches twice as many; k are gathered from √(k / k_min) times as
+        far.
     refinement : {"none", "differential-checking", "bias-compensation"}
         How the number of photons adapts to the light around a point; see `photonrelax.adaptive`.
     k_min : int
@@ -73,7 +74,7 @@ class GatherSettings:
         for name in ("k", "k_min"):
             number = _arrays.count(getattr(self, name), f"GatherSettings.{name}", low=2)
             object.__setattr__(self, name, number)
-        if self.k < self.fewest:
+        if self.refinement != "none" and self.k < self.k_min:
             raise ValueError(
                 f"GatherSettings.k should be at least k_min, {self.k_min}, with a refinement, "
                 f"but is {self.k}"
@@ -85,9 +86,9 @@ class GatherSettings:
             object.__setattr__(self, "gather_radius", radius)
 
     @property
-    def fewest(self) -> int:
-        """Photons that the gather radius is to reach."""
-        return self.k if self.refinement == "none" else self.k_min
+    def k_reached(self) -> int:
+        """Photons that the automatic gather radius reaches: where there is light, k_min surely."""
+        return self.k if self.refinement == "none" else 2 * self.k_min
 
 
 class Field(Protocol):
@@ -172,7 +173,7 @@ class IrradianceField:
         self._trees = FacingTrees(photons, self._n_threads)
         if settings.gather_radius is None and len(photons):
             tree = self._trees.whole()
-            radius = automatic_gather_radius(tree, settings.fewest, n_threads=self._n_threads)
+            radius = automatic_gather_radius(tree, settings.k_reached, n_threads=self._n_threads)
             settings = replace(settings, gather_radius=radius)
             del tree
         self._trees.build()
