@@ -51,7 +51,7 @@ def render(
     progress : callable, optional
         Called as ``progress(stage, done, total)``.
     **settings
-        Of the stages the method has, as in `photonrelax.irradiance_field`; defaults are the papers'.
+        As in `photonrelax.irradiance_field`; defaults are the papers'.
 
     Returns
     -------
