@@ -170,3 +170,13 @@ def test_what_is_left_out_of_many_candidates_stays_out(path, k):
         assert_same(pr.Neighbours(found.ids[rows], found.distance[rows]), expected)
         with simd_paths.forced(path):
             assert_nearest(points, k, rows=rows)
+
+
+def test_queries_whose_squared_distances_overflow_find_nothing():
+    points = np.random.default_rng(3).random((400, 3))
+    queries = np.array([[1e308, 0.0, 0.0], [-1e308, 0.0, 0.0], [0.5, 0.5, 0.5]])
+    found = pr.KDTree(points).query(queries, 3)
+    nearest = np.argsort(np.linalg.norm(points - queries[2], axis=1))[:3]
+    np.testing.assert_array_equal(found.ids[2], nearest)
+    assert (found.ids[:2] == len(points)).all()
+    assert np.isinf(found.distance[:2]).all()

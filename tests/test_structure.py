@@ -204,7 +204,11 @@ def test_coordinates_and_density_come_together():
 
 @pytest.mark.parametrize(
     ("fields", "message"),
-    [({"k": 3}, "k should be at least 4"), ({"range_scale": 0.0}, "range_scale should be a pos")],
+    [
+        ({"k": 3}, "k should be at least 4"),
+        ({"range_scale": 0.0}, "range_scale should be a pos"),
+        ({"range_scale": np.inf}, "range_scale should be a pos"),
+    ],
 )
 def test_bad_settings_are_refused(fields, message):
     with pytest.raises(ValueError, match=message):

@@ -52,7 +52,9 @@ def _facing_label(normal: Floats) -> tuple[NDArray, NDArray]:
 
 def facing(faces: Floats) -> NDArray[np.bool_]:
     """Tell which of few normals (f, 3) are within NORMAL_RANGE of which, (f, f)."""
-    return np.linalg.norm(faces[:, np.newaxis] - faces, axis=2) <= NORMAL_RANGE
+    chord = faces[:, np.newaxis] - faces
+    # Squared, as searches compare them.
+    return np.square(chord).sum(axis=2) <= NORMAL_RANGE**2
 
 
 def photon_tree(

@@ -120,7 +120,8 @@ class KDTree:
         Returns
         -------
         Neighbours
-            Ids and distances, each (m, k).
+            Ids and distances, each (m, k). Nothing is found at distances whose squares are beyond
+            the largest float.
 
         Raises
         ------
@@ -253,7 +254,8 @@ def _axis_scale(points: Floats, n_metric: int, n_threads: int) -> Floats:
     of axes keeps leaves compact in both, and so prunes best.
     """
     low, high = bounds(points, points.shape[1], n_threads)
-    extent = high - low if len(points) else np.zeros_like(low)
+    with np.errstate(over="ignore"):
+        extent = high - low if len(points) else np.zeros_like(low)
     if (extent > _LARGEST_EXTENT).any():
         raise ValueError(
             f"points should span at most {_LARGEST_EXTENT:g}, but span {extent.max():g}"

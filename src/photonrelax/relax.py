@@ -190,11 +190,13 @@ class _Stage:
         radius = structure.radius[self._rows]
         radius *= np.sqrt(sheets.settings.k / structure.n_found[self._rows])
         guess = np.square(radius) if constrained else np.full_like(radius, -1.0)
+        few = constrained & (structure.n_found[self._rows] < sheets.settings.k)
         self._sheet = _relax.Sheet(
             rows=self._rows,
             normal=self._normal,
             largest_step=sheets.settings.largest_step * radius,
             squared_radius=guess,
+            too_few=few,
             basis=structure.basis,
             constraint=structure.constraint,
             range_radius=range_radius,
@@ -225,8 +227,11 @@ class _Stage:
         settings, n_threads = self._sheets.settings, self._sheets.n_threads
         for first, end in self._sheets.report.chunks(len(self._position)):
             _relax.move(
-                *(self._tree, first, end, self._sheet, settings.k),
-                *(settings.step, self._position, n_threads),
+                *(self._tree, first, end, self._sheet),
+                k=settings.k,
+                step=settings.step,
+                moved=self._position,
+                n_threads=n_threads,
             )
 
     def _put_back(self, surfaces: Surfaces) -> None:

@@ -62,10 +62,10 @@ class StructureSettings:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "k", _arrays.count(self.k, "StructureSettings.k", low=4))
-        for name in ("range_scale", "reach_scale"):
-            value = getattr(self, name)
-            value = _arrays.positive(value, f"StructureSettings.{name}", allow_inf=True)
-            object.__setattr__(self, name, value)
+        scale = _arrays.positive(self.range_scale, "StructureSettings.range_scale")
+        object.__setattr__(self, "range_scale", scale)
+        reach = _arrays.positive(self.reach_scale, "StructureSettings.reach_scale", allow_inf=True)
+        object.__setattr__(self, "reach_scale", reach)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ from libc.stdint cimport int32_t, int64_t, uint8_t
 
 import numpy as np
 
+from .kdtree cimport points_of_block
 from .lanes cimport FEW_CHUNKS, KEYS, LANES
 
 from .kdtree import aligned
@@ -64,7 +65,7 @@ cdef Py_ssize_t lay_out(Tree tree, unsigned char* room, Py_ssize_t k):
         found.squared = <double*> take(&free, 8 * points)
         found.spare = spare
         found.keys = <uint8_t*> take(&free, points + FEW_CHUNKS * KEYS)
-        found.heights = <float*> take(&free, 4 * points)
+        found.heights = <float*> take(&free, 4 * (points + FEW_CHUNKS * KEYS))
         found.blocks = <int32_t*> take(&free, 4 * points // BLOCK)
         found.few = <int32_t*> take(&free, 4 * points)
         set_axes(tree, &batch.queries[i].reach, NULL, NULL)
@@ -87,7 +88,7 @@ cdef void set_axes(Tree tree, Reach* reach, const double* low, const double* hig
 cdef void open_block(Tree tree, Batch* batch, Py_ssize_t block) noexcept nogil:
     """Start a batch of queries from the points of a block, without limits."""
     cdef Py_ssize_t lane, axis
-    cdef Py_ssize_t n_queries = min(tree.n_points - BLOCK * block, <Py_ssize_t> BLOCK)
+    cdef Py_ssize_t n_queries = points_of_block(tree, block)
     for axis in range(tree.n_axes):
         for lane in range(n_queries):
             batch.at[lane * tree.n_axes + axis] = tree.coords[block, axis, lane]

@@ -7,6 +7,7 @@ the ones before.
 """
 
 from cython.parallel cimport prange
+from libc.float cimport DBL_MAX
 from libc.stdint cimport UINT32_MAX, int64_t, uint32_t, uint64_t
 from libc.string cimport memset
 
@@ -104,7 +105,8 @@ cdef Py_ssize_t share_start(const Job* job, int thread) noexcept nogil:
 
 cdef object share_bits(Job* job, low, high):
     """Write the axes that get bits."""
-    extent = high - low
+    with np.errstate(over="ignore"):
+        extent = np.minimum(high - low, DBL_MAX)
     side = np.where(extent > LEAST_EXTENT, extent, 0.0)
     axis_of_bit = np.zeros(KEY_BITS, np.intp)
     if not side.any():
@@ -148,12 +150,14 @@ cdef void write_words(const Job* job, int thread, uint64_t* words) noexcept nogi
 cdef inline uint32_t key_of(const Job* job, const double* point) noexcept nogil:
     cdef uint32_t key = 0
     cdef const Axis* axis
+    cdef double position
     cdef int64_t cell
     cdef int number, byte
     for number in range(job.n_axes):
         axis = &job.axes[number]
-        cell = <int64_t> ((point[axis.column] - axis.low) * axis.scale)
-        cell = min(cell, axis.last_cell)
+        # The greatest is one cell too far, or infinitely far.
+        position = (point[axis.column] - axis.low) * axis.scale
+        cell = <int64_t> min(position, <double> axis.last_cell)
         for byte in range(axis.n_bytes):
             key |= axis.spread[byte * BYTE + (cell >> 8 * byte & BYTE - 1)]
     return key

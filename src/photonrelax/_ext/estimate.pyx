@@ -37,6 +37,8 @@ cdef class Gather:
         Radius of the ball over the tree's range axes; negative for none.
     nearest_scale : float
         What estimates are multiplied by whose bandwidth is the distance to the k-th photon.
+    n_threads : int
+        Threads that lay out the values.
     """
 
     cdef Tree tree

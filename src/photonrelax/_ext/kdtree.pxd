@@ -50,3 +50,7 @@ cdef inline Py_ssize_t fan_out(Tree tree, Py_ssize_t level) noexcept nogil:
     if level > 0:
         return BLOCK
     return 1 << (tree.n_levels - 4 * last_kept(tree))
+
+
+cdef inline Py_ssize_t points_of_block(Tree tree, Py_ssize_t block) noexcept nogil:
+    return min(tree.n_points - BLOCK * block, <Py_ssize_t> BLOCK)

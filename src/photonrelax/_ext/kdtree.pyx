@@ -100,10 +100,6 @@ cdef void move_block(
             tree.coords[block, first_axis + axis, lane] = scale * moved[BLOCK * block + lane, axis]
 
 
-cdef inline Py_ssize_t points_of_block(Tree tree, Py_ssize_t block) noexcept nogil:
-    return min(tree.n_points - BLOCK * block, <Py_ssize_t> BLOCK)
-
-
 cdef void fill_lanes(Tree tree, Py_ssize_t block) noexcept nogil:
     """Put lanes without a point at infinity."""
     cdef Py_ssize_t lane, axis

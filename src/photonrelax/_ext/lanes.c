@@ -1,7 +1,6 @@
 /* One set of loops for each instruction set, and the choice among them. */
 #include "lanes.h"
 
-#include <float.h>
 #include <math.h>
 #include <string.h>
 

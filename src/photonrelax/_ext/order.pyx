@@ -16,6 +16,7 @@ from libc.math cimport INFINITY
 from libc.stdint cimport INT32_MAX, INT32_MIN, int32_t, uint32_t
 from libc.string cimport memcpy, memset
 
+from .lanes cimport BLOCK
 from .nodes cimport (
     COARSE, MAX_AXES, MAX_WORDS, Job, Node, bound_keys, bound_points, divide,
     divide_tied, keys_of, keys_per_extent, renew_keys, widest, widest_extent, write_keys,
@@ -27,8 +28,6 @@ from .rows cimport (
 import numpy as np
 
 cdef enum:
-    # Points of a leaf.
-    BLOCK = 16
     # Threads go on by subtrees when there are so many a thread, for an even load,
     SUBTREES = 4
     # or when nodes have fewer points.

@@ -1,7 +1,10 @@
 """One simultaneous move of every photon by the repulsion of its neighbours (SJ13 §4.4)."""
 
+from cython cimport view
 from cython.parallel cimport prange, threadid
-from libc.math cimport sqrt
+from libc.math cimport INFINITY, sqrt
+
+import numpy as np
 
 from .core cimport cross, dot
 from .batch cimport Batch, Query, limit_radius, limit_range, list_points, open_block, scratch
@@ -28,6 +31,9 @@ cdef class Sheet:
     squared_radius : (n,) float64 array
         Squared distance to the farthest neighbour, or a guess of it, -1 for none; by place and
         set by moves.
+    too_few : (n,) bool array, optional
+        Whether fewer than k photons are in range, as a guess: such photons look as far as they may
+        at once; by place and set by moves.
     basis : (m, 2, 3) float64 array
         Directions along the structure, in which the photon is free, and across, by row.
     constraint : (m,) float64 array
@@ -37,16 +43,18 @@ cdef class Sheet:
     """
 
     cdef const Py_ssize_t[::1] rows
-    cdef const double[:, :] normal
+    cdef const double[:, ::view.contiguous] normal
     cdef const double[:, :, ::1] basis
     cdef const double[::1] constraint
     cdef const double[:] range_radius
     cdef const double[::1] reach
     cdef const double[::1] largest_step
     cdef double[::1] squared_radius
+    cdef unsigned char[::1] too_few
 
     def __init__(
-        self, *, rows, normal, largest_step, squared_radius, basis, constraint, range_radius, reach
+        self, *, rows, normal, largest_step, squared_radius, basis, constraint, range_radius,
+        reach, too_few=None
     ):
         self.rows = rows
         self.normal = normal
@@ -56,6 +64,9 @@ cdef class Sheet:
         self.reach = reach
         self.largest_step = largest_step
         self.squared_radius = squared_radius
+        if too_few is None:
+            too_few = np.zeros(len(rows), dtype=bool)
+        self.too_few = too_few.view(np.uint8)
 
 
 def move(
@@ -89,7 +100,7 @@ cdef void move_block(
         row = sheet.rows[place]
         prefetch_row(&sheet.basis[row, 0, 0], 3 * sizeof(double))
         prefetch_row(&sheet.constraint[row], sizeof(double))
-        query.squared_guess = sheet.squared_radius[place]
+        query.squared_guess = INFINITY if sheet.too_few[place] else sheet.squared_radius[place]
         if sheet.range_radius is not None:
             limit_range(query, sheet.range_radius[row])
         if sheet.reach is not None:
@@ -128,6 +139,7 @@ cdef void move_one(
         project(f, &sheet.normal[place, 0], &sheet.basis[row, 0, 0], sheet.constraint[row])
         shorten(f, step, sheet.largest_step[place])
     sheet.squared_radius[place] = query.found.squared_radius
+    sheet.too_few[place] = query.found.count < batch.k
     for axis in range(3):
         moved[place, axis] = query.reach.low[axis] + f[axis]
 

@@ -12,7 +12,7 @@ from .lanes cimport (
 )
 
 cdef enum:
-    # A depth-first search leaves at most 15 open groups a kept level, of which there are 8.
+    # A depth-first search leaves at most 15 open groups a kept level, of which there are 7.
     STACK_SIZE = 128
 
 # Queries look as far, squared, as the last batch found on the mean, and so much farther (divided
@@ -22,9 +22,10 @@ cdef double FIRST = 5.0
 cdef double THEN = 1.3
 cdef double FIRST_GUESSED = 1.3
 cdef double THEN_GUESSED = 1.6
-# Copies are floats: on up to MOST_COPIED_AXES axes, squared distances up to r² among them are off
-# by at most ROUNDING * (r + r²), which is MOST_DOUBT keys where r is COARSEST. What is in reach is
-# within 1, but for rounding.
+# Copies are floats, of numbers up to 1: on up to MOST_COPIED_AXES axes two squared distances up to
+# r² among them are off by at most ROUNDING * (r + r²) in all while r is small, which is MOST_DOUBT
+# keys where r is COARSEST. Where r is near 1 the query is near the origin, which rounds nothing:
+# ROUNDING * 2 * FARTHEST_COPIED is enough for all.
 cdef double ROUNDING = 1e-6
 cdef double COARSEST = 1e-3
 cdef double MOST_DOUBT = 0.25

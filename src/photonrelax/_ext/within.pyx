@@ -9,7 +9,7 @@ from .lanes cimport BLOCK, Reach, highest_bit, lowest_bit
 from .columns import in_blocks
 
 cdef enum:
-    # A depth-first search leaves at most 15 open groups a kept level, of which there are 8.
+    # A depth-first search leaves at most 15 open groups a kept level, of which there are 7.
     STACK_SIZE = 128
 
 
