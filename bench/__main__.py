@@ -3,6 +3,7 @@
 python -m bench                   compare with peers; the tables of the README, JSON and a plot
 python -m bench table1            SJ13's Table I beside the paper's own figures
 python -m bench memory            bytes a photon takes in each stage
+python -m bench figure7           SJ13's Fig. 7: λ₂ of uniform photons, and the constraint
 python -m bench methods           errors and times of every method on the same photons
 """
 
@@ -13,7 +14,7 @@ import json
 import sys
 from pathlib import Path
 
-from . import compare, machine, memory, methods, peers, plot, simd, table1
+from . import compare, figure7, machine, memory, methods, peers, plot, simd, table1
 from .report import Report
 from .timing import keep_memory
 
@@ -29,7 +30,13 @@ def parsed(arguments: list[str]) -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     commands = parser.add_subparsers(dest="command", required=True)
-    added = {"compare": _compare, "table1": _table1, "memory": _memory, "methods": _methods}
+    added = {
+        "compare": _compare,
+        "table1": _table1,
+        "figure7": _figure7,
+        "memory": _memory,
+        "methods": _methods,
+    }
     for name, add in added.items():
         add(commands.add_parser(name))
     # Run by `compare` in a process of its own.
@@ -75,6 +82,20 @@ def _methods(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, default=Path("build/bench/methods"))
 
 
+def _figure7(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--sets", type=float, default=figure7.SETS, help="default 100000")
+    parser.add_argument("--out", type=Path, default=Path("build/bench/figure7.svg"))
+
+
+def run_figure7(options: argparse.Namespace) -> None:
+    """Print the table and save the plot."""
+    found = figure7.second_eigenvalues(int(options.sets))
+    print(figure7.markdown(found))
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    figure7.save(found, options.out)
+    print(f"saved in {options.out}", file=sys.stderr)
+
+
 def run_compare(options: argparse.Namespace) -> None:
     """Measure, print the tables, save them with the plot and all times."""
     n = int(options.photons or (2e4 if options.quick else 863e3))
@@ -113,6 +134,8 @@ def main(arguments: list[str]) -> None:
         print(memory.markdown(options.photons))
         if options.whole:
             print(memory.whole(int(options.whole)))
+    elif options.command == "figure7":
+        run_figure7(options)
     elif options.command == "methods":
         print(
             methods.markdown(

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bench import inputs, methods, peers, plot, report, stages, table1
+from bench import figure7, inputs, methods, peers, plot, report, stages, table1
 from bench.checks import assert_nearest, assert_nearest_in_range
 from bench.timing import Case, Timing, interleave
 
@@ -162,6 +162,15 @@ def test_table_1_is_told_stage_by_stage(capsys):
     assert "| photons emitted | 20,000,000 | 20,000 | 9,677 |" in text
     told = [line.split(":")[0] for line in capsys.readouterr().err.splitlines()]
     assert told == 2 * ["... trace", "... structure", "... relax", "... render"]
+
+
+def test_figure_7_tells_how_far_the_eigenvalues_are_from_a_gaussian(tmp_path):
+    found = figure7.second_eigenvalues(20_000)
+    assert found.mean() == pytest.approx(figure7.PAPER["mean"], abs=5e-4)
+    gaussian = np.random.default_rng(1).normal(0.2, 0.01, 20_000)
+    assert figure7.farthest_from_gaussian(gaussian) < 0.01
+    assert figure7.farthest_from_gaussian(np.abs(gaussian - 0.2)) > 0.05
+    assert "| mean | 0.2219 | 0.22" in figure7.markdown(found)
 
 
 def test_methods_stand_side_by_side_on_every_scene(tmp_path):

@@ -371,3 +371,17 @@ def test_a_folder_that_cannot_be_is_an_error_before_the_work(tmp_path, capsys, m
     (tmp_path / "e" / "standard-flip.png").mkdir(parents=True)
     assert run_cli("compare", "ring", "-o", tmp_path / "e") == 1
     assert "it is a folder" in capsys.readouterr().err
+
+
+def test_ctrl_c_leaves_the_reference_alone(tmp_path, monkeypatch, capsys):
+    """It took longest, and the next run goes on from it."""
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(folder, "table", interrupted)
+    output = tmp_path / "ring"
+    arguments = ("compare", "ring", "-o", output, "--methods", *PAIR, *ARGUMENTS)
+    assert run_cli(*arguments, "--reference-passes", 1, "--quiet") == 130
+    assert [path.name for path in output.iterdir()] == ["reference.exr"]
+    assert capsys.readouterr().err == "photonrelax: interrupted\n"
