@@ -213,8 +213,8 @@ cdef void detect_block(
 ) noexcept nogil:
     """Detect the structure around the photons of a block; write their rows only.
 
-    How far a photon's neighbours are, compared with its reach, is much the same next to it, if
-    not where a sheet ends; hence the margin.
+    How much of its reach a photon has to look at, all of it where too few are in range, is much
+    the same next to it, if not where a sheet ends; hence the margin.
     """
     cdef Py_ssize_t lane, row
     cdef Query* query
@@ -239,7 +239,10 @@ cdef void detect_block(
         detect_one(tree, &batch.queries[lane], row, &sheet.normal[row, 0], gain, out)
         if sheet.reach is not None and sheet.reach[row] > 0.0:
             squared_reach = sheet.reach[row] * sheet.reach[row]
-            share += batch.queries[lane].found.squared_radius / squared_reach
+            if batch.queries[lane].found.count < batch.k:
+                share += 1.0
+            else:
+                share += batch.queries[lane].found.squared_radius / squared_reach
     batch.share = share / batch.n_queries
 
 
