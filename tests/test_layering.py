@@ -27,6 +27,7 @@ TIERS = [
     {"kdtree", "raycast", "scene"},
     {"camera", "emit", "photonmap", "_checkpoint"},
     {
+        "_bandwidths",
         "_facing",
         "_sheets",
         "_surfaces",
@@ -36,6 +37,7 @@ TIERS = [
         "relax",
         "adaptive",
         "estimate",
+        "diffusion",
     },
     {"dealing", "progressive"},
     {"methods", "picture"},

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from . import gallery as gallery
     from .camera import HitPoints as HitPoints
+    from .diffusion import DiffusionSettings as DiffusionSettings
     from .estimate import GatherSettings as GatherSettings
     from .estimate import IrradianceField as IrradianceField
     from .estimate import estimate_irradiance as estimate_irradiance
@@ -54,6 +55,7 @@ _MODULE_OF = {
     "CollimatedEmitter": "scene",
     "Dielectric": "scene",
     "Diffuse": "scene",
+    "DiffusionSettings": "diffusion",
     "EnergyLedger": "photonmap",
     "GatherSettings": "estimate",
     "GradientSettings": "gradient",

@@ -9,6 +9,7 @@ from typing import Any
 
 from ._progress import Progress
 from .dealing import ProgressiveField
+from .diffusion import DiffusionField, DiffusionSettings
 from .estimate import Field, GatherSettings, IrradianceField
 from .gradient import GradientSettings, detect_gradient
 from .photonmap import PhotonMap
@@ -41,7 +42,9 @@ def irradiance_field(
         - ``relaxation``: the original relaxation (Spencer & Jones 2009, see
           `photonrelax.gradient`), all of whose iterations are in space;
         - ``standard``: the photons as they are (Jensen);
-        - ``progressive``: the same, dealt to passes (Hachisuka et al. 2008).
+        - ``diffusion``, ``isotropic-diffusion``: with kernels that adapt their shape, or their size
+          alone, to the structure around a point (SSO08);
+        - ``progressive``: photons as they are, dealt to passes (Hachisuka et al. 2008).
     scene : Scene, optional
         Keeps moved photons on their objects; see `photonrelax.relax`.
     n_threads : int, optional
@@ -73,6 +76,7 @@ class Settings:
     gradient: GradientSettings | None = None
     relax: RelaxSettings | None = None
     gather: GatherSettings | None = None
+    diffusion: DiffusionSettings | None = None
     progressive: ProgressiveSettings | None = None
 
     def __post_init__(self) -> None:
@@ -87,6 +91,7 @@ _KINDS: dict[str, type] = {
     "gradient": GradientSettings,
     "relax": RelaxSettings,
     "gather": GatherSettings,
+    "diffusion": DiffusionSettings,
     "progressive": ProgressiveSettings,
 }
 
@@ -142,6 +147,20 @@ def _relaxed(
     )
 
 
+def _diffusion(task: Task, *, isotropic: bool = False) -> Field:
+    return DiffusionField(
+        task.photons,
+        task.settings.diffusion,
+        isotropic=isotropic,
+        n_threads=task.n_threads,
+        progress=task.progress,
+    )
+
+
+def _isotropic_diffusion(task: Task) -> Field:
+    return _diffusion(task, isotropic=True)
+
+
 def _progressive(task: Task) -> Field:
     return ProgressiveField(task.photons, task.settings.progressive, n_threads=task.n_threads)
 
@@ -150,6 +169,8 @@ _METHODS: dict[str, Callable[[Task], Field]] = {
     "standard": _standard,
     "relaxation": _relaxation,
     "parameterised": _parameterised,
+    "diffusion": _diffusion,
+    "isotropic-diffusion": _isotropic_diffusion,
     "progressive": _progressive,
 }
 METHODS = tuple(_METHODS)

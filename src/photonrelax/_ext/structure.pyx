@@ -63,14 +63,6 @@ cpdef double gradient_constraint(double shift, double gain) noexcept nogil:
     return min(gain * 0.75 * M_PI * shift, 1.0)
 
 
-cdef struct Components:
-    # Eigenvalues, larger first, and the first eigenvector.
-    double first
-    double second
-    double cosine
-    double sine
-
-
 cdef class Sheet:
     """What is read of photons.
 
