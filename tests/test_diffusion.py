@@ -11,7 +11,7 @@ from photonrelax.diffusion import DiffusionField
 
 METHODS = ("diffusion", "isotropic-diffusion")
 FIXED = pr.DiffusionSettings(
-    k=None, bandwidth=0.1, normalisation="maximum", edge_threshold=0.05, least_eigenvalue=0.01
+    k=None, bandwidth=0.1, normalisation="maximum", edge_threshold=0.2, least_eigenvalue=0.01
 )
 LOCAL = replace(FIXED, normalisation="local", edge_threshold=0.5)
 
@@ -179,7 +179,10 @@ def test_without_edges_it_is_the_standard_estimate_of_fixed_bandwidth(method):
 
 
 @pytest.mark.parametrize("isotropic", [False, True])
-@pytest.mark.parametrize("settings", [FIXED, LOCAL, replace(LOCAL, k=400, bandwidth=0.2)])
+@pytest.mark.parametrize(
+    "settings",
+    [replace(FIXED, edge_threshold=0.05), LOCAL, replace(LOCAL, k=400, bandwidth=0.2)],
+)
 def test_every_kernel_integrates_to_one(settings, isotropic):
     """On a fine lattice of photons whose flux makes shapes; what is summed is the lattice's own."""
     side = 200
@@ -195,7 +198,7 @@ def test_every_kernel_integrates_to_one(settings, isotropic):
         np.testing.assert_allclose(axes[:, 0], axes[:, 1])
     else:
         assert (axes[:, 1] / axes[:, 0]).min() < 0.3
-        assert (axes[:, 1] / axes[:, 0]).max() > 0.8
+        assert (axes[:, 1] / axes[:, 0]).max() > 0.6
     # A lattice's sum is off by a share of the cells on the rim, which weigh little.
     wide = axes[:, 1] > 0.03
     assert wide.sum() > 200
@@ -212,7 +215,8 @@ def test_kernels_are_long_along_an_edge_and_short_across(settings):
     assert np.linalg.norm(across, axis=1).max() < 0.04
     np.testing.assert_allclose((along * across).sum(axis=1), 0.0, atol=1e-12)
     far = plane(np.column_stack([np.full(50, 0.2), np.linspace(0.2, 0.8, 50)]))
-    assert np.linalg.norm(field.half_axes(*far)[:, 1], axis=1).min() > 0.08
+    wide = np.linalg.norm(field.half_axes(*far)[:, 1], axis=1)
+    assert wide.min() > 2 * np.linalg.norm(across, axis=1).max()
 
 
 def test_the_isotropic_kernel_is_round():
@@ -359,17 +363,24 @@ def test_other_faces_do_not_matter():
 
 def test_fields_tell_what_they_did():
     said = []
+
+    def progress(*told):
+        said.append(told)
+
     photons = uniform_map(3000, "random")
     for normalisation, stages in (("local", ["gradient"]), ("maximum", ["gradient", "normalise"])):
         settings = pr.DiffusionSettings(k=100, normalisation=normalisation)
         field = pr.irradiance_field(
-            photons, method="diffusion", diffusion=settings, progress=lambda *told: said.append(told)
+            photons,
+            method="diffusion",
+            diffusion=settings,
+            progress=progress,
         )
         assert list(field.seconds) == stages
         assert field.used["diffusion"]["k"] == 100
         assert field.used["diffusion"]["bandwidth"] > 0.1
         assert said[-1] == (stages[-1], 3000, 3000)
-        field(*plane(np.full((5, 2), 0.5)), progress=lambda *told: said.append(told))
+        field(*plane(np.full((5, 2), 0.5)), progress=progress)
         assert said[-1] == ("estimate", 5, 5)
     values = np.hstack([photons.flux, 2 * photons.flux[:, :1]])
     found = field.densities(values)(*plane(np.full((1, 2), 0.5)))
