@@ -137,15 +137,14 @@ def main(arguments: list[str]) -> None:
     elif options.command == "figure7":
         run_figure7(options)
     elif options.command == "methods":
-        print(
-            methods.markdown(
-                options.photons,
-                pixels=options.pixels,
-                passes=options.passes,
-                folder=options.out,
-                scenes=tuple(options.scenes),
-            )
+        matrix = methods.Matrix(
+            photons=tuple(options.photons),
+            scenes=tuple(options.scenes),
+            pixels=options.pixels,
+            passes=options.passes,
+            folder=options.out,
         )
+        print(methods.markdown(matrix))
     elif options.command == "simd":
         simd.main(options.n, options.n_threads, options.rounds)
     else:

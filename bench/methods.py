@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 import photonrelax as pr
 from photonrelax import gallery
@@ -17,6 +20,7 @@ from photonrelax.compare import (
     reference,
 )
 from photonrelax.compare.subject import Subject
+from photonrelax.measures import relative_l1
 from photonrelax.methods import Settings
 
 from . import machine
@@ -31,52 +35,92 @@ VARIANTS = {
         Settings(relax=pr.RelaxSettings(n_iterations=(3, 3))),
     ),
 }
-# Photons a pass of the reference; many passes of few and few of many are about as good.
+# Photons a pass of references takes.
 _REFERENCE_PHOTONS = 1_000_000
+_SAMPLES = 2
 
-Row = tuple[str, int, str, dict[str, Entry]]
 
+@dataclass(frozen=True, eq=False)
+class Row:
+    """What methods did with one lot of photons.
 
-def measured(
-    photons: list[int], *, pixels: int, passes: int, folder: Path, scenes: tuple[str, ...] = SCENES
-) -> Iterator[Row]:
-    """Yield scene, photons emitted, sampler and an entry for each method and variant.
-
-    Parameters
+    Attributes
     ----------
-    photons : list of int
+    label : str
+        Scene, photons emitted and sampler.
+    entries : dict
+        By method or variant.
+    noise : float
+        Relative L1 error that the reference has from its own noise.
+    """
+
+    label: str
+    entries: dict[str, Entry]
+    noise: float
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """What is measured.
+
+    Attributes
+    ----------
+    photons : tuple of int
         Emitted.
+    scenes, samplers : tuple of str
+        Of the gallery, and of the photons.
     pixels : int
         Width and height of pictures, of 2 x 2 samples.
     passes : int
-        Of a million photons each, that references take.
+        Of photons that each of the two halves of a reference takes.
     folder : Path
         Where references are kept.
-    scenes : tuple of str
-        Of the gallery.
     """
-    most = min(_REFERENCE_PHOTONS, 10 * max(photons))
-    for name in scenes:
-        on = subject(name, pixels)
-        whole = Plan(subject=on, n_emitted=most)
-        truth = reference.kept(folder / f"{name}.exr", whole, passes)
-        for n in photons:
-            for sampler in SAMPLERS:
-                plans = {"": Plan(subject=on, n_emitted=n, sampler=sampler)}
-                for variant, (method, settings) in VARIANTS.items():
-                    plans[variant] = Plan(
-                        subject=on,
-                        n_emitted=n,
-                        sampler=sampler,
-                        methods=(method,),
-                        settings=settings,
-                    )
-                entries = {
-                    variant or entry.method: entry
-                    for variant, plan in plans.items()
-                    for entry in compare(plan, truth).entries
-                }
-                yield name, n, sampler, entries
+
+    photons: tuple[int, ...]
+    scenes: tuple[str, ...] = SCENES
+    samplers: tuple[str, ...] = SAMPLERS
+    pixels: int = 256
+    passes: int = 50
+    folder: Path = Path("build/bench/methods")
+
+    def rows(self) -> Iterator[Row]:
+        """Measure."""
+        for name in self.scenes:
+            on = subject(name, self.pixels)
+            truth, noise = self._reference(on)
+            for n in self.photons:
+                for sampler in self.samplers:
+                    plan = Plan(subject=on, n_emitted=n, sampler=sampler, supersampling=_SAMPLES)
+                    yield Row(f"{name}, {n:,} {sampler}", entries(plan, truth), noise)
+
+    def _reference(self, on: Subject) -> tuple[pr.Image, float]:
+        """Return the mean of two references, and the relative L1 of its noise.
+
+        What is left of noise in a mean of two is half of how they differ.
+        """
+        n = min(_REFERENCE_PHOTONS, 10 * max(self.photons))
+        plan = Plan(subject=on, n_emitted=n, supersampling=_SAMPLES)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        paths = [self.folder / f"{on.name}-{seed}.exr" for seed in range(2)]
+        halves = [
+            reference.kept(path, plan, self.passes, seed=seed) for seed, path in enumerate(paths)
+        ]
+        layers = {
+            layer: sum(np.asarray(half.layers[layer]) for half in halves) / 2
+            for layer in ("radiance", "caustic")
+        }
+        caustics = (half.layers["caustic"] for half in halves)
+        return pr.Image(layers, halves[0].metadata), 0.5 * relative_l1(*caustics)
+
+
+def entries(plan: Plan, truth: pr.Image) -> dict[str, Entry]:
+    """Return an entry for each method and variant."""
+    found = {entry.method: entry for entry in compare(plan, truth).entries}
+    for name, (method, settings) in VARIANTS.items():
+        varied = replace(plan, methods=(method,), settings=settings)
+        (found[name],) = compare(varied, truth).entries
+    return found
 
 
 def subject(name: str, pixels: int) -> Subject:
@@ -86,34 +130,32 @@ def subject(name: str, pixels: int) -> Subject:
     return SceneSubject(gallery.scene(name, pixels=pixels))
 
 
-def markdown(
-    photons: list[int], *, pixels: int, passes: int, folder: Path, scenes: tuple[str, ...] = SCENES
-) -> str:
+def markdown(matrix: Matrix) -> str:
     """Return the table: relative L1, SSIM and seconds, the least L1 and the largest SSIM bold."""
-    folder.mkdir(parents=True, exist_ok=True)
     rows = []
-    for row in measured(photons, pixels=pixels, passes=passes, folder=folder, scenes=scenes):
-        print(f"... {row[0]}, {row[1]:,} photons, {row[2]}", file=sys.stderr, flush=True)
+    for row in matrix.rows():
+        print(f"... {row.label}", file=sys.stderr, flush=True)
         rows.append(row)
-    names = list(rows[0][3])
+    names = list(rows[0].entries)
     lines = [
-        f"| | {' | '.join(names)} |",
-        f"| --- |{' --- |' * len(names)}",
-        *(_line(*row) for row in rows),
+        f"| | {' | '.join(names)} | noise of reference |",
+        f"| --- |{' --- |' * (len(names) + 1)}",
+        *map(_line, rows),
     ]
     note = (
-        f"Relative L1 of the caustic · SSIM · seconds in all. {pixels} x {pixels} pixels of 2 x 2 "
-        f"samples; references: progressive photon mapping with {passes} passes, and the exact "
-        f"irradiance of shapes. {machine.description()}."
+        f"Relative L1 of the caustic · SSIM · seconds in all, {matrix.pixels} x {matrix.pixels} "
+        f"pixels of {_SAMPLES} x {_SAMPLES} samples. References: the exact irradiance of shapes; "
+        f"otherwise the mean of two runs of progressive photon mapping, {matrix.passes} passes "
+        f"each. {machine.description()}."
     )
     return "\n".join([*lines, "", note, ""])
 
 
-def _line(scene: str, n: int, sampler: str, entries: dict[str, Entry]) -> str:
-    least = min(entry.errors.relative_l1 for entry in entries.values())
-    most = max(entry.errors.ssim for entry in entries.values())
-    cells = [_cell(entry, least, most) for entry in entries.values()]
-    return f"| {scene}, {n:,} {sampler} | {' | '.join(cells)} |"
+def _line(row: Row) -> str:
+    least = min(entry.errors.relative_l1 for entry in row.entries.values())
+    most = max(entry.errors.ssim for entry in row.entries.values())
+    cells = [_cell(entry, least, most) for entry in row.entries.values()]
+    return f"| {row.label} | {' | '.join(cells)} | {row.noise:.1%} |"
 
 
 def _cell(entry: Entry, least: float, most: float) -> str:

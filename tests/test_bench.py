@@ -175,8 +175,8 @@ def test_figure_7_tells_how_far_the_eigenvalues_are_from_a_gaussian(tmp_path):
 
 def test_methods_stand_side_by_side_on_every_scene(tmp_path):
     scenes = ("ring", "shapes")
-    text = methods.markdown([3_000], pixels=16, passes=1, folder=tmp_path, scenes=scenes)
-    head, _, *rows = text.splitlines()[:6]
+    matrix = methods.Matrix((3_000,), scenes=scenes, pixels=16, passes=1, folder=tmp_path)
+    head, _, *rows = methods.markdown(matrix).splitlines()[:6]
     assert [row.split(" | ")[0][2:] for row in rows] == [
         f"{scene}, 3,000 {sampler}" for scene in scenes for sampler in methods.SAMPLERS
     ]
@@ -184,7 +184,8 @@ def test_methods_stand_side_by_side_on_every_scene(tmp_path):
         assert f"| {name} |" in head
     for row in rows:
         assert row.count("**") == 4
-        assert row.count(" · ") == 2 * (head.count("|") - 2)
+        assert row.endswith("| 0.0% |") == row.startswith("| shapes")
+        assert row.count(" · ") == 2 * (head.count("|") - 3)
 
 
 def test_a_report_of_nothing_has_no_tables():

@@ -31,18 +31,20 @@ def given(path: Path, plan: Plan) -> Image:
     return Image(image.layers, {**image.metadata, **told})
 
 
-def kept(path: Path, plan: Plan, passes: int, progress: Progress | None = None) -> Image:
+def kept(
+    path: Path, plan: Plan, passes: int, progress: Progress | None = None, *, seed: int = 0
+) -> Image:
     """Return the exact picture, where it is known, or the reference that is kept at a path.
 
-    It is computed and kept if there is none, or one that is not of the same scene, view, photons
-    and passes.
+    It is computed and kept if there is none, or one that is not of the same scene, view, photons,
+    passes and seed; its photons are others than those compared, whatever their seed.
     """
     exact = plan.subject.exact()
     if exact is not None:
         return Image({"radiance": exact, "caustic": exact}, {ABOUT: "exact means over pixels"})
     found = _found(path)
-    if found is None or found.metadata.get(_KEY) != _key(plan, passes):
-        _computed(plan, passes, progress).write_exr(path)
+    if found is None or found.metadata.get(_KEY) != _key(plan, passes, seed):
+        _computed(plan, passes, seed, progress).write_exr(path)
         # As it is kept: a later run measures the same.
         found = read_exr(path)
     return found
@@ -55,12 +57,13 @@ def _found(path: Path) -> Image | None:
         return None
 
 
-def _computed(plan: Plan, passes: int, progress: Progress | None) -> Image:
+def _computed(plan: Plan, passes: int, seed: int, progress: Progress | None) -> Image:
     """Return a reference by progressive photon mapping, at the hit points that are compared at."""
     image = render_progressive(
         _scene(plan),
         n_passes=passes,
         photons_per_pass=plan.n_emitted,
+        seed=seed,
         supersampling=plan.supersampling,
         max_depth=plan.max_depth,
         n_threads=plan.n_threads,
@@ -71,17 +74,18 @@ def _computed(plan: Plan, passes: int, progress: Progress | None) -> Image:
         f"progressive photon mapping, {passes:,} passes of {plan.n_emitted:,} photons "
         f"({stage['stored']:,} absorbed), {stage['seconds']:.0f} s"
     )
-    return Image(image.layers, {**image.metadata, ABOUT: about, _KEY: _key(plan, passes)})
+    return Image(image.layers, {**image.metadata, ABOUT: about, _KEY: _key(plan, passes, seed)})
 
 
-def _key(plan: Plan, passes: int) -> str:
-    """Return all that the reference depends on: not the seed, its photons are its own."""
+def _key(plan: Plan, passes: int, seed: int) -> str:
+    """Return all that the reference depends on."""
     depends_on = {
         "scene": scene_digest(_scene(plan)),
         "supersampling": plan.supersampling,
         "max_depth": plan.max_depth,
         "photons": plan.n_emitted,
         "passes": passes,
+        "seed": seed,
         "version": __version__,
     }
     return json.dumps(depends_on)
