@@ -29,6 +29,17 @@ and bias else. Beside z² stands the variance by which estimates of L photons di
 the K that they are among, for independent photons; u_K is 1 if all carry the same flux. Noise lets
 the search go on among more photons, bias among fewer. z is 2.576, beyond which one deviation in a
 hundred lies; Schregle instead draws a random number against the probability.
+
+Measured with random photons and numbers from 15 to 200, in this order of the two:
+
+- in uniform light estimates use 180 and 190 photons; their noise is 10.3 % and 9.9 % (8.4 % with
+  200 photons, 32 % with 15), and their mean 0.9 % and 0.2 % low with the Epanechnikov kernel, not
+  with the constant one. The numbers are chosen by chance there, which is how it comes; it differs
+  from light to light, so nothing makes up for it;
+- beyond an edge to darkness, as far as 200 photons of the lit side reach, they use 80 and 66
+  photons, and are wrong by 0.17 of the light both (by 0.26 with 200 photons, by 0.14 with 15);
+- as far before the edge they use 177 and 174 photons: half of the neighbourhood dark is a drop in
+  the estimate too slow for either rule, and errors are those of 200 photons within 2 %.
 """
 
 from __future__ import annotations
