@@ -4,6 +4,7 @@ python -m bench                   compare with peers; the tables of the README, 
 python -m bench table1            SJ13's Table I beside the paper's own figures
 python -m bench memory            bytes a photon takes in each stage
 python -m bench figure7           SJ13's Fig. 7: λ₂ of uniform photons, and the constraint
+python -m bench progressive       how progressive photon mapping converges, against known maps
 python -m bench methods           errors and times of every method on the same photons
 """
 
@@ -14,7 +15,7 @@ import json
 import sys
 from pathlib import Path
 
-from . import compare, figure7, machine, memory, methods, peers, plot, simd, table1
+from . import compare, figure7, machine, memory, methods, peers, plot, progressive, simd, table1
 from .report import Report
 from .timing import keep_memory
 
@@ -36,6 +37,7 @@ def parsed(arguments: list[str]) -> argparse.Namespace:
         "figure7": _figure7,
         "memory": _memory,
         "methods": _methods,
+        "progressive": _progressive,
     }
     for name, add in added.items():
         add(commands.add_parser(name))
@@ -72,6 +74,11 @@ def _table1(parser: argparse.ArgumentParser) -> None:
 def _memory(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--photons", type=numbers, default=[1_000_000, 4_000_000])
     parser.add_argument("--whole", type=float, help="so many photons through all stages, say 20e6")
+
+
+def _progressive(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--passes", type=int, default=512, help="default 512")
+    parser.add_argument("--photons", type=float, default=10e3, help="in each pass, default 10e3")
 
 
 def _methods(parser: argparse.ArgumentParser) -> None:
@@ -136,6 +143,8 @@ def main(arguments: list[str]) -> None:
             print(memory.whole(int(options.whole)))
     elif options.command == "figure7":
         run_figure7(options)
+    elif options.command == "progressive":
+        print(progressive.markdown(options.passes, int(options.photons)))
     elif options.command == "methods":
         matrix = methods.Matrix(
             photons=tuple(options.photons),

@@ -116,6 +116,16 @@ def test_ring_on_its_axis_equals_the_mirror_equation(run):
     assert flux[near].sum() / 0.02**2 == pytest.approx(2.0 * 0.5 * expected, rel=0.02)
 
 
+def test_ring_at_points_agrees_with_pixel_means_away_from_folds():
+    ring = MetalRing(height=0.4, elevation=np.radians(28), irradiance=1.6, reflectance=0.95)
+    landed, flux = ring.deposits(4_000_000)
+    points = np.array([[0.85, 0.0], [0.85, 0.3], [0.75, 0.3], [0.7, -0.1], [0.2, 0.0], [0.6, 0.2]])
+    near = np.abs(landed - points[:, np.newaxis]).max(axis=2) < 0.01
+    means = near @ flux / 0.02**2
+    assert (means == 0.0).sum() == 2
+    np.testing.assert_allclose(ring.irradiance_at(points), means, rtol=0.015)
+
+
 def test_dark_ring_reflects_by_its_reflectance():
     bright, dim = (MetalRing(height=0.3, reflectance=r).deposits()[1].sum() for r in (1.0, 0.25))
     assert dim == pytest.approx(0.25 * bright, rel=1e-2)

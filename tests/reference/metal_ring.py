@@ -65,6 +65,36 @@ class MetalRing:
         binned = np.histogram2d(landed[:, 0], landed[:, 1], bins=(edges, edges), weights=flux)[0]
         return binned / np.outer(np.diff(edges), np.diff(edges))
 
+    def irradiance_at(self, points: Floats, n_azimuths: int = 40_001) -> Floats:
+        """Return the irradiance at points (m, 2) of the floor, W/m².
+
+        Light from azimuth a leaves the wall along -(cos 2a, sin 2a) and has E₀ sin e / |1 - 2s /
+        (R cos a)| after s metres over the floor; the azimuths whose light meets a point are where
+        the side changes on which it passes. Points should be so far inside that they see no light
+        that met the wall twice: that stays beyond R √(1 - (height / 2R tan e)²) of the middle.
+        """
+        azimuth = np.linspace(-np.pi / 2, np.pi / 2, n_azimuths)[1:-1]
+        wall = self.radius * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+        heading = -np.column_stack([np.cos(2 * azimuth), np.sin(2 * azimuth)])
+        return np.array([self._arriving(point - wall, heading, azimuth) for point in points])
+
+    def _arriving(self, offset: Floats, heading: Floats, azimuth: Floats) -> float:
+        """Return the irradiance at one point, given its (n, 2) offsets from all of the wall."""
+        side = offset[:, 0] * heading[:, 1] - offset[:, 1] * heading[:, 0]
+        before = np.flatnonzero((side[:-1] > 0) != (side[1:] > 0))
+        share = side[before] / (side[before] - side[before + 1])
+        run = (offset * heading).sum(axis=1)
+        run = run[before] + share * (run[before + 1] - run[before])
+        cosine = np.cos(azimuth[before] + share * (azimuth[1] - azimuth[0]))
+        left = run * np.tan(self.elevation)
+        top = self.gap + self.height
+        lit = (left >= self.gap) & (left <= top)
+        lit &= left + 2 * self.radius * cosine * np.tan(self.elevation) > top
+        spread = np.abs(1 - 2 * run[lit] / (self.radius * cosine[lit]))
+        falling = self.irradiance * np.sin(self.elevation)
+        with np.errstate(divide="ignore"):
+            return float((self.reflectance * falling / spread).sum())
+
     def lit_flux(self) -> float:
         """Return the flux that the inner wall intercepts directly, W, by quadrature.
 
