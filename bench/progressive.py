@@ -18,6 +18,7 @@ import photonrelax as pr
 from photonrelax import gallery
 from photonrelax.passes import pass_seed
 from photonrelax.progressive import first_radius
+from photonrelax.raycast import RayCaster
 
 ALPHA = 0.7
 # Slopes are of the passes from here on: discs do not know the light at first.
@@ -98,12 +99,17 @@ def converge(
 ) -> Errors:
     """Return the errors after 1, 2, 4, … passes."""
     settings = settings or pr.ProgressiveSettings(alpha=ALPHA, radius=case.radius)
+    caster = RayCaster(case.scene.objects)
     runs: list[pr.ProgressiveStatistics] = []
     wanted, found = [2**i for i in range(n_passes.bit_length())], []
     for number in range(1, wanted[-1] + 1):
         for seed in (1, 2):
             photons = pr.trace_photons(
-                case.scene, photons_per_pass, seed=pass_seed(seed, number), sampler=sampler
+                case.scene,
+                photons_per_pass,
+                seed=pass_seed(seed, number),
+                sampler=sampler,
+                caster=caster,
             )
             if len(runs) < seed:
                 runs.append(_started(case, photons, settings))

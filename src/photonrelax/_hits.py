@@ -21,6 +21,7 @@ from .progressive import (
     ProgressiveStatistics,
     pass_weight,
 )
+from .raycast import RayCaster
 from .sampling import halton, seed_shift
 from .scene import Scene
 
@@ -55,6 +56,7 @@ class View:
         self.shape = (scene.camera.height, scene.camera.width)
         self._scene = scene
         self._camera = scene.camera
+        self.caster = RayCaster(scene.objects)
         self._shift = seed_shift(recipe.seed)
 
     def bands(self, offset: tuple[float, float] = (0.5, 0.5)) -> Iterator[Band]:
@@ -66,6 +68,7 @@ class View:
             max_depth=self.recipe.max_depth,
             n_threads=self.n_threads,
             offset=offset,
+            caster=self.caster,
         )
 
     def offset(self, number: int) -> tuple[float, float]:

@@ -229,7 +229,9 @@ class _Run:
         self._recipe = recipe
         self._n_threads = n_threads
         kind = MovingPoints if recipe.stochastic else FixedPoints
-        self._points: Points = kind(View(scene, recipe, n_threads))
+        view = View(scene, recipe, n_threads)
+        self._caster = view.caster
+        self._points: Points = kind(view)
 
     def identity(self) -> dict[str, Any]:
         """Return what must be the same for a run to be resumed."""
@@ -246,6 +248,7 @@ class _Run:
             self._recipe.photons_per_pass,
             seed=pass_seed(self._recipe.seed, self.n_passes),
             n_threads=self._n_threads,
+            caster=self._caster,
         )
         change = self._points.passed(photons, self.n_passes)
         with self._changing():

@@ -71,12 +71,14 @@ def bands(
     max_depth: int,
     n_threads: int,
     offset: tuple[float, float] = (0.5, 0.5),
+    caster: RayCaster | None = None,
 ) -> Iterator[Band]:
     """Yield what a camera sees, from the top down, so many rows at a time as memory allows.
 
     Where samples are in the cells of their pixel's grid is `offset`; see `camera.pixel_rays`.
+    Making the caster of the scene's objects takes time, unless it is given.
     """
-    caster = RayCaster(scene.objects)
+    caster = caster or RayCaster(scene.objects)
     rows_per_band = max(_RAYS_PER_BAND // (camera.width * supersampling**2), 1)
     for top in range(0, camera.height, rows_per_band):
         rows = range(top, min(top + rows_per_band, camera.height))

@@ -60,6 +60,7 @@ def trace_photons(
     n_threads: int | None = None,
     progress: Progress | None = None,
     batch_size: int = 16384,
+    caster: RayCaster | None = None,
 ) -> PhotonMap:
     """Emit photons, follow their paths and store them where they land.
 
@@ -91,6 +92,8 @@ def trace_photons(
         Called as ``progress("trace", done, n_emitted)`` now and then.
     batch_size : int
         Paths traced together, rounded up to a multiple of 1024.
+    caster : RayCaster, optional
+        Of the scene's objects, if it is made already: making it takes time.
 
     Returns
     -------
@@ -110,7 +113,8 @@ def trace_photons(
     how = _checked(seed, paths, sampler, max_bounces)
     plan = plan_emission(scene, n_emitted, paths)
     most = min(count(batch_size, "batch_size"), int(plan.counts.max()))
-    tracer = _Tracer(scene, plan, how, -(-most // _kernel.BLOCK) * _kernel.BLOCK)
+    size = -(-most // _kernel.BLOCK) * _kernel.BLOCK
+    tracer = _Tracer(scene, caster or RayCaster(scene.objects), plan, how, size=size)
     report = Reporter(progress, "trace", int(plan.counts.sum()))
     columns, accounts = _Columns(plan), []
     for batch in _in_order(tracer.trace, _jobs(plan, tracer.size), thread_count(n_threads)):
@@ -163,7 +167,9 @@ class _Batch:
 class _Tracer:
     """A scene made ready to trace batches of up to `size` paths, from several threads at once."""
 
-    def __init__(self, scene: Scene, plan: EmissionPlan, how: _How, size: int) -> None:
+    def __init__(
+        self, scene: Scene, caster: RayCaster, plan: EmissionPlan, how: _How, *, size: int
+    ) -> None:
         table = scene.material_table()
         if not (table.kind == DIFFUSE).any():
             raise ValueError(
@@ -174,7 +180,7 @@ class _Tracer:
         self._surfaces = _kernel.Surfaces(
             table.kind, table.reflectance, table.ior, table.exterior_ior, table.absorption
         )
-        self._caster = RayCaster(scene.objects)
+        self._caster = caster
         self._how = how
         self._flux = plan.flux_per_photon
         self._emissions = [
