@@ -147,9 +147,6 @@ class _End:
     n_passes: float
     seconds: float
 
-    def reached(self, n_passes: int, seconds: float) -> bool:
-        return n_passes >= self.n_passes or seconds >= self.seconds
-
     def tell(self, progress: Progress | None, n_passes: int, seconds: float) -> None:
         if progress is None:
             return
@@ -166,16 +163,17 @@ def _follow(run: _Run, end: _End, checkpoints: Checkpoints, progress: Progress |
     keeper.resume(end)
     started = saved = perf_counter()
     try:
-        while not end.reached(run.n_passes, perf_counter() - started):
+        # However short the time, one pass is done in it.
+        while run.n_passes < end.n_passes and run.seconds < end.seconds:
             run.advance()
-            end.tell(progress, run.n_passes, perf_counter() - started)
+            run.seconds = perf_counter() - started
+            end.tell(progress, run.n_passes, run.seconds)
             if perf_counter() - saved >= checkpoints.interval:
                 keeper.save()
                 saved = perf_counter()
     except KeyboardInterrupt:
         keeper.save()
         raise
-    run.seconds = perf_counter() - started
     keeper.save()
 
 
