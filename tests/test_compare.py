@@ -276,6 +276,18 @@ def test_path_edges_are_one_more_than_bounces(comparison):
     assert "2 (blue) to" in about
 
 
+def test_constraints_are_those_of_sj13_where_they_are_known(plan, truth, comparison):
+    def seen(*methods):
+        return compare(replace(plan, methods=methods), truth).photon_layers
+
+    assert "photons.constraint" not in seen("standard")
+    original = seen("standard", "relaxation")["photons.constraint"]
+    expected = comparison.photon_layers["photons.constraint"]
+    assert not np.array_equal(original, expected)
+    found = seen("parameterised", "relaxation")["photons.constraint"]
+    np.testing.assert_array_equal(found, expected)
+
+
 def test_constrained_photons_are_red(comparison):
     red = np.array([[0.0, 1.0]])
     colours = pictures._constraint_colours(red)[0]

@@ -119,7 +119,7 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--reference-passes",
         type=positive,
-        default=100,
+        default=50,
         metavar="N",
         help="progressive passes of as many photons that the reference takes (%(default)s)",
     )

@@ -268,8 +268,10 @@ class _Bench:
         )
 
     def _keep_photon_layers(self, field: Field, method: str) -> None:
-        """Keep what the photons carry: of the first method, or of one that knows constraints."""
-        if not self.photon_layers or method == "parameterised":
+        """Keep what the photons carry: SJ13's if they are there, else with constraints if known."""
+        kept = self.photon_layers
+        more = field.structure is not None and "photons.constraint" not in kept
+        if not kept or more or method == "parameterised":
             self.photon_layers = self._view.photon_layers(field)
 
 
