@@ -131,38 +131,42 @@ def subject(name: str, pixels: int) -> Subject:
 
 
 def markdown(matrix: Matrix) -> str:
-    """Return the table: relative L1, SSIM and seconds, the least L1 and the largest SSIM bold."""
+    """Return a table of errors, the least L1 and the largest SSIM bold, and one of times."""
     rows = []
     for row in matrix.rows():
         print(f"... {row.label}", file=sys.stderr, flush=True)
         rows.append(row)
     names = list(rows[0].entries)
-    lines = [
-        f"| | {' | '.join(names)} | noise of reference |",
-        f"| --- |{' --- |' * (len(names) + 1)}",
-        *map(_line, rows),
-    ]
+    errors = [["", *names, "noise of reference"], *map(_errors, rows)]
+    timed = [row for row in rows if row.label.endswith(f"{max(matrix.photons):,} halton")]
+    times = [["seconds", *names], *map(_times, timed)]
     note = (
-        f"Relative L1 of the caustic · SSIM · seconds in all, {matrix.pixels} x {matrix.pixels} "
-        f"pixels of {_SAMPLES} x {_SAMPLES} samples. References: the exact irradiance of shapes; "
-        f"otherwise the mean of two runs of progressive photon mapping, {matrix.passes} passes "
-        f"each. {machine.description()}."
+        f"Relative L1 of the caustic · SSIM, {matrix.pixels} x {matrix.pixels} pixels of "
+        f"{_SAMPLES} x {_SAMPLES} samples. References: the exact irradiance of shapes; otherwise "
+        f"the mean of two runs of progressive photon mapping, {matrix.passes} passes each."
     )
-    return "\n".join([*lines, "", note, ""])
+    return "\n".join([_table(errors), "", note, "", _table(times), "", machine.description(), ""])
 
 
-def _line(row: Row) -> str:
+def _table(lines: list[list[str]]) -> str:
+    head, *body = [f"| {' | '.join(line)} |" for line in lines]
+    return "\n".join([head, f"|{' --- |' * len(lines[0])}", *body])
+
+
+def _errors(row: Row) -> list[str]:
     least = min(entry.errors.relative_l1 for entry in row.entries.values())
     most = max(entry.errors.ssim for entry in row.entries.values())
-    cells = [_cell(entry, least, most) for entry in row.entries.values()]
-    return f"| {row.label} | {' | '.join(cells)} | {row.noise:.1%} |"
-
-
-def _cell(entry: Entry, least: float, most: float) -> str:
-    l1, ssim = entry.errors.relative_l1, entry.errors.ssim
-    shown = [f"{l1:.1%}", f"{ssim:.3f}"]
-    marked = [
-        f"**{text}**" if best else text
-        for text, best in zip(shown, (l1 == least, ssim == most), strict=True)
+    cells = [
+        f"{_marked(f'{e.relative_l1:.1%}', e.relative_l1 == least)} · "
+        f"{_marked(f'{e.ssim:.3f}', e.ssim == most)}"
+        for e in (entry.errors for entry in row.entries.values())
     ]
-    return " · ".join([*marked, f"{sum(entry.seconds.values()):.1f} s"])
+    return [row.label, *cells, f"{row.noise:.1%}"]
+
+
+def _marked(text: str, best: bool) -> str:
+    return f"**{text}**" if best else text
+
+
+def _times(row: Row) -> list[str]:
+    return [row.label, *(f"{sum(e.seconds.values()):.1f}" for e in row.entries.values())]
