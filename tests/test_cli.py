@@ -336,6 +336,15 @@ def test_the_state_of_a_run_is_a_file_of_its_own(no_work, tmp_path, capsys):
     assert "--state and the picture should not be one file" in capsys.readouterr().err
 
 
+def test_refinement_reaches_the_estimates(tmp_path, capsys):
+    picture = ("render", "ring", "-o", tmp_path / "a.exr", "--refinement", "bias-compensation")
+    assert run(*picture, "--k", 30, "--method", "standard", "--quiet", *SMALL) == 0
+    settings = json.loads(read_exr(tmp_path / "a.exr").metadata["photonrelax.settings"])
+    assert settings["gather"]["refinement"] == "bias-compensation"
+    assert run(*picture, "--k", 10, "--quiet", *SMALL) == 1
+    assert "k should be at least k_min, 15, with a refinement" in capsys.readouterr().err
+
+
 def test_exposure_brightens_the_preview_alone(tmp_path):
     for name, stops in (("dark", -2), ("bright", 0)):
         arguments = ("render", "ring", "-o", tmp_path / f"{name}.exr", "--exposure", stops)

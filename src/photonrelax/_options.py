@@ -27,6 +27,7 @@ def parser(commands: Mapping[str, Callable[..., None]]) -> argparse.ArgumentPars
 
 
 def _add_render(parser: argparse.ArgumentParser) -> None:
+    from .adaptive import REFINEMENTS
     from .methods import METHODS
 
     _add_scene(parser)
@@ -42,6 +43,12 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
         help="photons traced before, in place of new ones; with relaxed ones: --method standard",
     )
     _add_gathering(parser)
+    parser.add_argument(
+        "--refinement",
+        choices=tuple(REFINEMENTS),
+        default="none",
+        help="how estimates choose a number of photons of their own, up to --k (%(default)s)",
+    )
     _add_picture(parser)
     _add_passes(parser)
     parser.add_argument("--stats", type=Path, metavar="FILE.json", help="write times and counts")

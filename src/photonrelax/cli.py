@@ -136,7 +136,7 @@ def _image(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
             n_emitted=_photons(options),
             seed=options.seed or 0,
             relax=pr.RelaxSettings(n_iterations=tuple(options.iterations)),
-            gather=pr.GatherSettings(k=options.k),
+            gather=pr.GatherSettings(k=options.k, refinement=options.refinement),
             supersampling=options.supersampling,
             photons=photons,
             n_threads=options.threads,
