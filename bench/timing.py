@@ -25,7 +25,8 @@ def keep_memory() -> None:
     if sys.platform == "linux":
         mallopt = getattr(ctypes.CDLL(None), "mallopt", lambda option, value: 0)
         mallopt(_M_MMAP_MAX, 0)
-        mallopt(_M_TRIM_THRESHOLD, 2**31 - 1)
+        # Never, not even of gigabytes.
+        mallopt(_M_TRIM_THRESHOLD, -1)
 
 
 @dataclass
