@@ -103,6 +103,9 @@ class PhotonMap:
         Specular events before the deposit.
     path_length : (n,) array_like, optional
         Length of the path from the emitter, m.
+    spectrum : (n, 3) array_like, optional
+        (a, b, c) of the local spectrum of light, in cycles²/m², cycles²/rad², cycles²/(m rad), as
+        in `photonrelax.spectrum`; rows of NaN for photons that carry none.
     n_emitted : int, optional
         Paths started to make this map.
     well_spaced : bool
@@ -130,6 +133,7 @@ class PhotonMap:
     n_bounces: NDArray[np.int32] | None = None
     path_length: Floats | None = None
     object_id: NDArray[np.int32] | None = None
+    spectrum: Floats | None = None
     n_emitted: int | None = None
     well_spaced: bool = False
     ledger: EnergyLedger | None = None
@@ -150,6 +154,8 @@ class PhotonMap:
         for name in ("emitter_density", "path_length"):
             if getattr(self, name) is not None:
                 _set(self, name, _not_negative(getattr(self, name), name, (n,)))
+        if self.spectrum is not None:
+            _set(self, "spectrum", _spectrum(self.spectrum, n))
         for name, dtype in _INTEGER_FIELDS.items():
             if getattr(self, name) is not None:
                 _set(self, name, _frozen(int_array(getattr(self, name), name, (n,), dtype)))
@@ -279,6 +285,16 @@ def _emitter_coords(value: ArrayLike, n: int) -> Floats:
     array = float_array(value, "emitter_coords", (n, None))
     if array.shape[1] not in (2, 3):
         raise ValueError(f"emitter_coords should have 2 or 3 columns, but has {array.shape[1]}")
+    return _frozen(array)
+
+
+def _spectrum(value: ArrayLike, n: int) -> Floats:
+    array = float_array(value, "spectrum", (n, 3), finite=False)
+    known = ~np.isnan(array)
+    if not (known.all(axis=1) | ~known.any(axis=1)).all():
+        raise ValueError("spectrum should have rows of numbers or of NaN, but has one of both")
+    if np.isinf(array).any() or (array[:, :2] < 0.0).any():
+        raise ValueError("spectrum should be finite and a and b not negative, but are not")
     return _frozen(array)
 
 

@@ -151,7 +151,7 @@ class RayCaster:
             If shapes differ, an origin is not finite or a direction is not finite or zero.
         """
         origins, directions, leaving = _check_rays(origins, directions, leaving)
-        out = _empty_intersections(len(origins))
+        out = empty_intersections(len(origins))
 
         def work(rows: slice) -> None:
             o, d = origins[rows], directions[rows]
@@ -232,7 +232,7 @@ def _hittable_part(item: SceneObject) -> _Part:
     corners = np.zeros((np.count_nonzero(used), 6))
     corners[:, :3] = np.asarray(item.mesh.vertices)[used]
     if item.smooth:
-        corners[:, 3:] = _vertex_normals(item.mesh)[used]
+        corners[:, 3:] = vertex_normals(item.mesh)[used]
     numbered = np.zeros((len(faces), 4), dtype=np.int32)
     numbered[:, :3] = (np.cumsum(used, dtype=np.int32) - 1)[faces]
     return _Part(corners, numbered, face_id.astype(np.int32))
@@ -248,8 +248,8 @@ def _joined(parts: list[_Part]) -> _Part:
     return _Part(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Part)))
 
 
-def _vertex_normals(mesh: trimesh.Trimesh) -> Floats:
-    """Return the normals that came with a mesh, or trimesh's from a copy of unit size.
+def vertex_normals(mesh: trimesh.Trimesh) -> Floats:
+    """Return the normals (v, 3) that came with a mesh, or trimesh's from a copy of unit size.
 
     trimesh takes the faces of tiny meshes for degenerate.
     """
@@ -314,7 +314,8 @@ def _check_limits(max_distance: ArrayLike, n: int) -> Floats:
     return np.ascontiguousarray(np.broadcast_to(limits, (n,)))
 
 
-def _empty_intersections(n: int) -> Intersections:
+def empty_intersections(n: int) -> Intersections:
+    """Return intersections of n rays, to be written."""
     return Intersections(
         object_id=np.empty(n, dtype=np.int32),
         face_id=np.empty(n, dtype=np.int32),

@@ -17,10 +17,11 @@ from math import fsum
 import numpy as np
 from numpy.typing import NDArray
 
-from ._arrays import Floats, count, thread_count
+from ._arrays import Floats, count, float_array, thread_count
 from ._ext import trace as _kernel
 from ._ext.deposits import Columns, Deposits
 from ._progress import Progress, Reporter
+from ._spectra import Retraced, SpectrumTracer, joined, surfaces
 from .emit import LUMINANCE, PATHS, SAMPLERS, EmissionPlan, check_choice, emission, plan_emission
 from .photonmap import FATES, EnergyLedger, PhotonMap
 from .raycast import RayCaster
@@ -57,6 +58,7 @@ def trace_photons(
     paths: str = "caustic",
     sampler: str = "halton",
     max_bounces: int = 32,
+    frequency_share: float = 0.0,
     n_threads: int | None = None,
     progress: Progress | None = None,
     batch_size: int = 16384,
@@ -86,6 +88,9 @@ def trace_photons(
         Evenly spaced photons (SJ13) or independent ones.
     max_bounces : int
         Events (specular or diffuse) after which a path is cut; at most 10,000.
+    frequency_share : float
+        Share of the photons, in [0, 1], that get a spectrum: those, chosen by their indices, that
+        no diffuse surface has scattered yet. Each takes as long as some thirty others.
     n_threads : int, optional
         Threads to use; None for all cores.
     progress : callable, optional
@@ -110,19 +115,25 @@ def trace_photons(
     Takes 148 bytes per stored photon where all emitters are collimated, else 156, and a few
     hundred bytes per path of the batches under way.
     """
-    how = _checked(seed, paths, sampler, max_bounces)
+    how = _checked(seed, paths, sampler, max_bounces, frequency_share)
     plan = plan_emission(scene, n_emitted, paths)
     most = min(count(batch_size, "batch_size"), int(plan.counts.max()))
     size = -(-most // _kernel.BLOCK) * _kernel.BLOCK
     tracer = _Tracer(scene, caster or RayCaster(scene.objects), plan, how, size=size)
     report = Reporter(progress, "trace", int(plan.counts.sum()))
-    columns, accounts = _Columns(plan), []
+    columns, accounts, chosen = _Columns(plan), [], []
     for batch in _in_order(tracer.trace, _jobs(plan, tracer.size), thread_count(n_threads)):
+        first = len(columns)
         columns.append(batch.paths.deposits, batch.account)
+        if how.frequency_share:
+            chosen.append(tracer.chosen(batch, first))
         tracer.put_away(batch.paths)
         accounts.append(batch.account)
         report.advance(batch.account.n_paths)
-    return _photon_map(plan, how, columns, accounts)
+    photons = _photon_map(plan, how, columns, accounts)
+    if not how.frequency_share:
+        return photons
+    return photons.replace(spectrum=tracer.spectra(chosen, len(photons), n_threads, progress))
 
 
 @dataclass(frozen=True)
@@ -133,13 +144,22 @@ class _How:
     paths: str
     sampler: str
     max_bounces: int
+    frequency_share: float
 
 
-def _checked(seed: int, paths: str, sampler: str, max_bounces: int) -> _How:
+def _checked(seed: int, paths: str, sampler: str, max_bounces: int, share: float) -> _How:
     check_choice(paths, "paths", PATHS)
     check_choice(sampler, "sampler", SAMPLERS)
     max_bounces = count(max_bounces, "max_bounces", high=MAX_BOUNCES)
-    return _How(check_seed(seed), paths, sampler, max_bounces)
+    share = float(float_array(share, "frequency_share", ()))
+    if not 0.0 <= share <= 1.0:
+        raise ValueError(f"frequency_share should lie in [0, 1], but is {share}")
+    if share and paths == "global":
+        raise ValueError(
+            'frequency_share should be 0 for paths="global": '
+            "photons that a diffuse surface scattered have no spectra"
+        )
+    return _How(check_seed(seed), paths, sampler, max_bounces, share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +182,7 @@ class _Batch:
 
     paths: _kernel.Paths
     account: _Account
+    first: int
 
 
 class _Tracer:
@@ -177,9 +198,8 @@ class _Tracer:
                 f"but none of its {len(scene.objects)} objects is"
             )
         self.size = size
-        self._surfaces = _kernel.Surfaces(
-            table.kind, table.reflectance, table.ior, table.exterior_ior, table.absorption
-        )
+        self._scene, self._plan = scene, plan
+        self._surfaces = surfaces(table)
         self._caster = caster
         self._how = how
         self._flux = plan.flux_per_photon
@@ -196,8 +216,7 @@ class _Tracer:
         paths = self._paths()
         paths.start(
             self._emissions[emitter_id],
-            photons.start,
-            len(photons),
+            np.arange(photons.start, photons.stop, dtype=np.int64),
             luminance=LUMINANCE * self._flux[emitter_id],
             ledger=energy,
             ends=ends,
@@ -205,7 +224,42 @@ class _Tracer:
         while paths.n_live:
             paths.advance(self._caster.find(*paths.rays))
         account = _Account(emitter_id, len(photons), energy, ends, paths.n_met_specular)
-        return _Batch(paths, account)
+        return _Batch(paths, account, photons.start)
+
+    def chosen(self, batch: _Batch, first_row: int) -> Retraced:
+        """Return which photons of a batch, written from a row on, are to get spectra."""
+        emitter_id, n = batch.account.emitter_id, batch.account.n_paths
+        drawn = np.empty(n, dtype=np.uint8)
+        self._emissions[emitter_id].chosen(batch.first, drawn, self._how.frequency_share)
+        ends = batch.paths.deposits.ends()
+        starts = np.concatenate([[0], ends[:-1]])
+        path = np.flatnonzero((drawn > 0) & (ends > starts))
+        return Retraced(emitter_id, batch.first + path, first_row + starts[path])
+
+    def spectra(
+        self,
+        chosen: list[Retraced],
+        n_stored: int,
+        n_threads: int | None,
+        progress: Progress | None,
+    ) -> Floats:
+        """Return the column of spectra, NaN for photons not among the chosen."""
+        how = self._how
+        tracer = SpectrumTracer(
+            self._scene,
+            self._plan,
+            self._caster,
+            seed=how.seed,
+            sampler=how.sampler,
+            max_bounces=how.max_bounces,
+            n_threads=n_threads,
+        )
+        out = np.full((n_stored, 3), np.nan)
+        report = Reporter(progress, "spectra", sum(len(some.rows) for some in chosen))
+        for some in joined(chosen):
+            out[some.rows] = tracer.spectra(some)
+            report.advance(len(some.rows))
+        return out
 
     def put_away(self, paths: _kernel.Paths) -> None:
         """Take paths back for another batch: memory just used is in the cache."""

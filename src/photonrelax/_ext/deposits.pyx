@@ -88,6 +88,10 @@ cdef class Deposits:
             self.place[i] = before
             before += here
 
+    def ends(self):
+        """Return, for each path, the number of photons up to its last; after `write`."""
+        return np.array(self.place[: self.n_paths])
+
     def write(self, Columns columns, Py_ssize_t first, const double[::1] flux, int emitter_id):
         """Fill the rows from `first` with photons of `flux`; deposits of a path keep their order.
 

@@ -3,7 +3,7 @@
 cimport cython
 from cython.parallel cimport prange
 from libc.math cimport sqrt
-from libc.stdint cimport uint64_t
+from libc.stdint cimport uint8_t, uint64_t
 
 from .core cimport hash_key, normalise, uniform
 from .sampling cimport (
@@ -16,6 +16,10 @@ cdef enum:
     CAP = 1
     SPHERE = 2
     ELLIPSE = 3
+
+# Random numbers of a photon: two for its place, this one, then those of events.
+cdef enum:
+    OF_CHOICE = 2
 
 
 cdef double ellipse_direction(double* out, const double* p, const double* shape) noexcept nogil:
@@ -124,6 +128,12 @@ cdef class Emission:
     cdef uint64_t key(self, uint64_t index) noexcept nogil:
         """Return what the random numbers of a photon depend on."""
         return hash_key(self.seed, self.emitter_id, index)
+
+    def chosen(self, uint64_t first, uint8_t[::1] out, double share):
+        """Choose a share of the photons, `first` and on, each by its index alone."""
+        cdef Py_ssize_t i
+        for i in range(out.shape[0]):
+            out[i] = uniform(self.key(first + i), OF_CHOICE) < share
 
     cdef double ray(
         self, uint64_t index, double* origin, double* direction, double* coords

@@ -168,14 +168,13 @@ cdef class Paths:
         return self.origin_array[: self.n_live], self.direction_array[: self.n_live]
 
     def start(
-        self, Emission emission, uint64_t first, Py_ssize_t n, *, const double[::1] luminance,
+        self, Emission emission, const int64_t[::1] photons, *, const double[::1] luminance,
         double[:, :, ::1] ledger, int64_t[::1] ends,
     ):
-        """Emit photons `first` and on, n of them, into live rays that have met nothing yet."""
-        cdef Py_ssize_t i
-        cdef int c
+        """Emit photons by their indices into live rays that have met nothing yet."""
+        cdef Py_ssize_t i, c, n = photons.shape[0]
         if n > self.size:
-            raise ValueError(f"n should be at most {self.size}, but is {n}")
+            raise ValueError(f"photons should be at most {self.size}, but are {n}")
         self.ledger, self.ends = ledger, ends
         self.n_met_specular = 0
         self.deposits.clear(n)
@@ -184,9 +183,20 @@ cdef class Paths:
         self.sound = True
         with nogil:
             for i in range(n):
-                self.emit(emission, i, first + i)
+                self.emit(emission, i, photons[i])
         self.n_live = n
         self.check_sound()
+
+    def live(self):
+        """Return path, origin and direction of the live rays, (n_live, 7)."""
+        cdef Py_ssize_t i, c
+        cdef double[:, ::1] rows = np.empty((self.n_live, 7))
+        for i in range(self.n_live):
+            rows[i, 0] = self.ray[i].path
+            for c in range(3):
+                rows[i, 1 + c] = self.ray[i].origin[c]
+                rows[i, 4 + c] = self.ray[i].direction[c]
+        return np.asarray(rows)
 
     cdef void emit(self, Emission emission, Py_ssize_t path, uint64_t index) noexcept nogil:
         cdef Ray* ray = &self.ray[path]

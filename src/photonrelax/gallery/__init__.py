@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 _ABOUT = {
     "prism": "glass prism before a strong point light: overlapping shards and filaments",
+    "reflector": "bent strip of metal: a caustic beside light that is smooth",
     "ring": "metal ring in slanting sunlight: the cardioid",
     "ripples": "sunlight through a wavy slab of glass: the net of light below water",
     "sphere": "glass sphere over a plane in collimated light: bright spot and folds",
