@@ -90,8 +90,13 @@ def _strip(
 def _wall(
     curve: Floats, normal: Floats, thickness: float, heights: tuple[float, float]
 ) -> trimesh.Trimesh:
-    """Return the closed wall over a curve, of bands that share no vertices."""
-    front, back = curve, curve - thickness * normal
+    """Return the closed wall over a curve, of bands that share no vertices.
+
+    Its ends are chamfered, so that only the front meets the light.
+    """
+    tangent = np.column_stack([normal[:, 1], -normal[:, 0]])
+    chamfer = np.linspace(-1.0, 1.0, len(curve))[:, np.newaxis] * tangent
+    front, back = curve, curve - thickness * (normal + chamfer)
     low, high = heights
     flat = np.zeros((len(curve), 1))
     outwards = np.hstack([normal, flat])
@@ -103,9 +108,9 @@ def _wall(
         _band(_at(front, low), _at(back, low), -up),
     ]
     for end, sign in ((0, -1.0), (-1, 1.0)):
-        tangent = sign * np.array([[normal[end, 1], -normal[end, 0], 0.0]])
         corners = np.stack([back[end], front[end]])[:: int(sign)]
-        sides.append(_band(_at(corners, low), _at(corners, high), np.repeat(tangent, 2, axis=0)))
+        aside = np.append(sign * tangent[end] - normal[end], 0.0) / np.sqrt(2.0)
+        sides.append(_band(_at(corners, low), _at(corners, high), np.tile(aside, (2, 1))))
     return join(sides)
 
 
