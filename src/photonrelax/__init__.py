@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from .estimate import GatherSettings as GatherSettings
     from .estimate import IrradianceField as IrradianceField
     from .estimate import estimate_irradiance as estimate_irradiance
+    from .frequency import FrequencySettings as FrequencySettings
     from .gradient import GradientSettings as GradientSettings
     from .gradient import detect_gradient as detect_gradient
     from .image import Image as Image
@@ -57,6 +58,7 @@ _MODULE_OF = {
     "Diffuse": "scene",
     "DiffusionSettings": "diffusion",
     "EnergyLedger": "photonmap",
+    "FrequencySettings": "frequency",
     "GatherSettings": "estimate",
     "GradientSettings": "gradient",
     "HitPoints": "camera",

@@ -34,10 +34,12 @@ from .scene import DIFFUSE, MaterialTable, Scene
 _SMALL = 1e-6
 # Probes are at the first of these rungs at first, each the half of the one before.
 _FIRST_RUNG, _RUNGS = 6, 11
-_SPOKES = 6
+# From the last rung that is clear towards the next.
+_STEPS = (2**0.5, 2**0.25)
+_SPOKES = 8
 # Of the distance at which probes still find nothing: an edge, or a fold, may be nearest between
-# two of them, 30° from either, where an edge is nearer by cos 30°, a fold by its square.
-_BETWEEN_SPOKES = 0.75
+# two of them, where an edge is nearer by the cosine of half the angle, a fold by its square.
+_BETWEEN_SPOKES = np.cos(np.pi / _SPOKES) ** 2
 # How far the second order may carry a probe from where the first expects it, over its offset.
 _STRAY = 0.5
 # Probes that land on a face turned by more than 60° see another one.
@@ -216,8 +218,8 @@ class _Bundle:
         return started(self._origin, self._direction, self._across, self._aim.lead)
 
     def beside(self, offset: Floats) -> Beams:
-        """Return beams that leave the emitter at an offset (2,), m or, as tangents, rad."""
-        step = np.einsum("i,nij->nj", offset, self._across)
+        """Return beams that leave the emitter at offsets (n, 2), m or, as tangents, rad."""
+        step = np.einsum("ni,nij->nj", offset, self._across)
         aim = self._aim
         if aim.is_plane:
             return started(self._origin + step, self._direction, self._across, 0.0)
@@ -254,22 +256,27 @@ def clear_distance(follower: Follower, bundle: _Bundle, ways: Ways, landings: La
     fold that is the offset to the fold, and in general that over which light changes its stretch
     by as much as that is.
     """
-    scale = bundle.reach * 0.5 ** np.arange(_RUNGS)
-    clear = np.full(len(bundle), 0.5 * scale[-1])
+    clear = np.full(len(bundle), bundle.reach * 0.5**_RUNGS)
 
-    def probed(rows: NDArray, rung: int) -> NDArray[np.bool_]:
-        stray = _stray(follower, bundle[rows], ways[rows], landings[rows], float(scale[rung]))
+    def raised(rows: NDArray, scale: Floats) -> NDArray[np.bool_]:
+        """Probe at a scale (m,) and raise what is clear to it where it is."""
+        stray = _stray(follower, bundle[rows], ways[rows], landings[rows], scale)
         fine: NDArray[np.bool_] = stray <= _STRAY
-        clear[rows[fine]] = scale[rung]
+        clear[rows[fine]] = scale[fine]
         return fine
 
+    def at(rows: NDArray, rung: int) -> NDArray[np.bool_]:
+        return raised(rows, np.full(len(rows), bundle.reach * 0.5**rung))
+
     rows = np.flatnonzero(_known(landings))
-    fine = probed(rows, _FIRST_RUNG)
+    fine = at(rows, _FIRST_RUNG)
     rising, falling = rows[fine], rows[~fine]
     for rung in reversed(range(_FIRST_RUNG)):
-        rising = rising[probed(rising, rung)]
+        rising = rising[at(rising, rung)]
     for rung in range(_FIRST_RUNG + 1, _RUNGS):
-        falling = falling[~probed(falling, rung)]
+        falling = falling[~at(falling, rung)]
+    for step in _STEPS:
+        raised(rows, step * clear[rows])
     return _BETWEEN_SPOKES * clear
 
 
@@ -278,17 +285,17 @@ def _known(landings: Landings) -> NDArray[np.bool_]:
 
 
 def _stray(
-    follower: Follower, bundle: _Bundle, ways: Ways, landings: Landings, scale: float
+    follower: Follower, bundle: _Bundle, ways: Ways, landings: Landings, scale: Floats
 ) -> Floats:
     """Return how far, over the offset, probes land from where they should; inf if elsewhere."""
     stretch = bundle.stretch(landings)
     determinant = np.abs(stretch[:, 0, 0] * stretch[:, 1, 1] - stretch[:, 0, 1] * stretch[:, 1, 0])
     worst = np.zeros(len(bundle))
     for turn in 2.0 * np.pi * np.arange(_SPOKES) / _SPOKES:
-        offset = scale * np.array([np.cos(turn), np.sin(turn)])
+        offset = scale[:, np.newaxis] * [np.cos(turn), np.sin(turn)]
         probes = follower.follow(bundle.beside(offset), ways)
         along = np.einsum("nij,nj->ni", landings.axes, probes.position - landings.position)
-        error = along - stretch @ offset
+        error = along - np.einsum("nij,nj->ni", stretch, offset)
         # The adjugate, for the stretch has no inverse at folds.
         back = np.column_stack(
             [

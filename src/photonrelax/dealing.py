@@ -88,6 +88,10 @@ class ProgressiveField:
             trees.build()
             yield rows, trees
 
+    def least_radius(self, points: Floats, normals: Floats, radius: Floats) -> Floats | None:
+        """Return the radii (m,) discs need not go below; None for discs that shrink for ever."""
+        return None
+
     def __call__(
         self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
     ) -> Floats:
@@ -146,5 +150,5 @@ class ProgressiveDensities:
         for one in self._passes:
             # What photons carry is divided by the number emitted in all passes already.
             statistics.find(one)
-            statistics.count_in(1.0)
+            statistics.count_in(1.0, field.least_radius(points, normals, statistics.radius))
         return statistics.n_passes * statistics.densities()

@@ -11,6 +11,7 @@ from ._progress import Progress
 from .dealing import ProgressiveField
 from .diffusion import DiffusionField, DiffusionSettings
 from .estimate import Field, GatherSettings, IrradianceField
+from .frequency import FrequencyField, FrequencySettings
 from .gradient import GradientSettings, detect_gradient
 from .photonmap import PhotonMap
 from .progressive import ProgressiveSettings
@@ -44,7 +45,9 @@ def irradiance_field(
         - ``standard``: the photons as they are (Jensen);
         - ``diffusion``, ``isotropic-diffusion``: with kernels that adapt their shape, or their size
           alone, to the structure around a point (SSO08);
-        - ``progressive``: photons as they are, dealt to passes (Hachisuka et al. 2008).
+        - ``progressive``: photons as they are, dealt to passes (Hachisuka et al. 2008);
+        - ``frequency``: these with discs no smaller than spectra ask for (FPPM); some of the
+          photons carry such (see `photonrelax.trace_photons`).
     scene : Scene, optional
         Keeps moved photons on their objects; see `photonrelax.relax`.
     n_threads : int, optional
@@ -78,6 +81,7 @@ class Settings:
     gather: GatherSettings | None = None
     diffusion: DiffusionSettings | None = None
     progressive: ProgressiveSettings | None = None
+    frequency: FrequencySettings | None = None
 
     def __post_init__(self) -> None:
         for name, kind in _KINDS.items():
@@ -93,6 +97,7 @@ _KINDS: dict[str, type] = {
     "gather": GatherSettings,
     "diffusion": DiffusionSettings,
     "progressive": ProgressiveSettings,
+    "frequency": FrequencySettings,
 }
 
 
@@ -165,6 +170,13 @@ def _progressive(task: Task) -> Field:
     return ProgressiveField(task.photons, task.settings.progressive, n_threads=task.n_threads)
 
 
+def _frequency(task: Task) -> Field:
+    settings = task.settings
+    return FrequencyField(
+        task.photons, settings.progressive, settings.frequency, n_threads=task.n_threads
+    )
+
+
 _METHODS: dict[str, Callable[[Task], Field]] = {
     "standard": _standard,
     "relaxation": _relaxation,
@@ -172,6 +184,7 @@ _METHODS: dict[str, Callable[[Task], Field]] = {
     "diffusion": _diffusion,
     "isotropic-diffusion": _isotropic_diffusion,
     "progressive": _progressive,
+    "frequency": _frequency,
 }
 METHODS = tuple(_METHODS)
 
@@ -186,3 +199,8 @@ def check_method(method: str) -> None:
     """Raise ValueError unless the method is known."""
     if method not in METHODS:
         raise ValueError(f"method should be one of {', '.join(METHODS)}, but is {method!r}")
+
+
+def frequency_share(method: str, settings: Settings) -> float:
+    """Return the share of the photons that are to carry spectra for a method."""
+    return (settings.frequency or FrequencySettings()).share if method == "frequency" else 0.0

@@ -12,7 +12,7 @@ from ._progress import Progress, Reporter
 from .camera import MAX_DEPTH
 from .estimate import Field
 from .image import Image
-from .methods import Settings, Task, check_method, prepare
+from .methods import Settings, Task, check_method, frequency_share, prepare
 from .photonmap import PhotonMap
 from .picture import Band, PhotonLayers, bands, joined
 from .scene import Camera, Scene
@@ -71,7 +71,8 @@ def render(
     check_method(method)
     chosen = Settings(**settings)
     pipeline = _Pipeline(scene, n_threads, progress)
-    photons = pipeline.trace(n_emitted, seed) if photons is None else photons
+    if photons is None:
+        photons = pipeline.trace(n_emitted, seed, frequency_share(method, chosen))
     field = pipeline.prepare(photons, method, chosen)
     layers = pipeline.picture(field, scene.camera, supersampling, max_depth)
     used = field.used | {"supersampling": supersampling, "max_depth": max_depth}
@@ -102,10 +103,15 @@ class _Pipeline:
         self._progress = progress
         self._stages: dict[str, dict[str, float]] = {}
 
-    def trace(self, n_emitted: int, seed: int) -> PhotonMap:
+    def trace(self, n_emitted: int, seed: int, frequency_share: float) -> PhotonMap:
         started = perf_counter()
         photons = trace_photons(
-            self._scene, n_emitted, seed=seed, n_threads=self._n_threads, progress=self._progress
+            self._scene,
+            n_emitted,
+            seed=seed,
+            frequency_share=frequency_share,
+            n_threads=self._n_threads,
+            progress=self._progress,
         )
         self._finished("trace", perf_counter() - started, emitted=n_emitted, stored=len(photons))
         return photons

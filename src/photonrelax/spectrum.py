@@ -221,14 +221,14 @@ def diffused(spectrum: Floats) -> Floats:
     return np.column_stack([kept, gone, gone])
 
 
-def kernel_radius(variance: Floats) -> Floats:
+def kernel_radius(variance: Floats, bias: float = BIAS) -> Floats:
     """Return the radius, m, of a disc whose mean is within 5 % of the irradiance at its centre.
 
     `variance` is that of the irradiance's spectrum, cycles²/m²: the first coefficient of what
-    `diffused` returns. Infinite where it is zero.
+    `diffused` returns. Infinite where it is zero. Another `bias` stands for other than 5 %.
     """
     with np.errstate(divide="ignore"):
-        radius: Floats = np.sqrt(BIAS / np.asarray(variance, dtype=np.float64)) / np.pi
+        radius: Floats = np.sqrt(bias / np.asarray(variance, dtype=np.float64)) / np.pi
     return radius
 
 

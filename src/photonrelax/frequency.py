@@ -1,0 +1,139 @@
+"""Frequency-driven progressive photon mapping (FPPM).
+
+Progressive photon mapping shrinks every disc for ever, at the expense of noise. Here a disc is left
+as it is while the local spectra of the light (see `spectrum`) say that its mean is within 5 % of
+the irradiance at its middle, so that smooth regions keep large discs and all their photons.
+
+Some of the photons carry spectra (see `trace_photons`). At every pass a hit point takes the largest
+of each coefficient among those within its disc, as diffuse surfaces reflect them, and the disc
+shrinks, by the rule of progressive photon mapping, no farther than this bound allows. FPPM keeps
+the largest of all that were ever seen; here the bound is that of the disc as it is, so that an edge
+the disc no longer reaches is forgotten, and it is taken from the photons of all passes, not of
+those gone by. Where no photon in the disc carries a spectrum it shrinks as ever.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import cached_property
+
+import numpy as np
+
+from . import _arrays, spectrum
+from ._arrays import Floats
+from ._ext.frequency import Bounds
+from ._facing import FacingTrees
+from ._sheets import NORMAL_RANGE
+from .dealing import ProgressiveField
+from .photonmap import PhotonMap
+from .progressive import ProgressiveSettings
+
+
+@dataclass(frozen=True)
+class FrequencySettings:
+    """How many photons carry spectra, and what these allow.
+
+    Attributes
+    ----------
+    share : float
+        Of the photons that carry spectra, in (0, 1], where `render` traces them.
+    bias : float
+        Largest bias of a disc over the amplitude of the light it averages, in (0, 1) (5 %).
+    """
+
+    share: float = 0.02
+    bias: float = spectrum.BIAS
+
+    def __post_init__(self) -> None:
+        share = _arrays.positive(self.share, "FrequencySettings.share")
+        if share > 1.0:
+            raise ValueError(f"FrequencySettings.share should be at most 1, but is {share}")
+        bias = _arrays.positive(self.bias, "FrequencySettings.bias")
+        if bias >= 1.0:
+            raise ValueError(f"FrequencySettings.bias should be less than 1, but is {bias}")
+        object.__setattr__(self, "share", share)
+        object.__setattr__(self, "bias", bias)
+
+
+class FrequencyField(ProgressiveField):
+    """Frequency-driven progressive photon mapping of one photon map at any points: a `Field`.
+
+    Parameters
+    ----------
+    photons : PhotonMap
+        Some of them with spectra; an empty map needs none.
+    settings : ProgressiveSettings, optional
+        Of the passes, first radii and the rule by which these shrink.
+    frequency : FrequencySettings, optional
+    n_threads : int, optional
+        Threads; all available by default. Results do not depend on it.
+
+    Raises
+    ------
+    ValueError
+        If no photon carries a spectrum, or radii are left open and all photons are at one point.
+    """
+
+    def __init__(
+        self,
+        photons: PhotonMap,
+        settings: ProgressiveSettings | None = None,
+        frequency: FrequencySettings | None = None,
+        *,
+        n_threads: int | None = None,
+    ) -> None:
+        self._carriers = _carriers(photons)
+        super().__init__(photons, settings, n_threads=n_threads)
+        self.frequency = frequency or FrequencySettings()
+        self.used["frequency"] = asdict(self.frequency)
+
+    def least_radius(self, points: Floats, normals: Floats, radius: Floats) -> Floats:
+        """Return the radii (m,), m, that spectra within discs allow; zero where there are none."""
+        bounds = np.full((len(points), 3), -np.inf)
+        for number, queries, rows in self._trees.parts(points, normals):
+            self._bounds(number).raise_to(
+                queries, rows, radius, out=bounds, n_threads=self._n_threads
+            )
+        known = bounds[:, 0] >= 0.0
+        allowed = spectrum.kernel_radius(np.maximum(bounds[:, 0], 0.0), self.frequency.bias)
+        # A finite stand-in for infinity: no disc grows.
+        return np.where(known, np.minimum(allowed, radius), 0.0)
+
+    @cached_property
+    def _trees(self) -> FacingTrees:
+        return FacingTrees(self._carriers, self._n_threads)
+
+    @cached_property
+    def _bounded(self) -> dict[int, Bounds]:
+        return {}
+
+    def _bounds(self, number: int) -> Bounds:
+        if number not in self._bounded:
+            tree, rows = self._trees.tree(number)
+            self._bounded[number] = Bounds(
+                tree.kernel,
+                spectrum.diffused(self._spectra),
+                rows,
+                normal_range=NORMAL_RANGE if tree.n_axes > tree.n_metric else -1.0,
+                n_threads=self._n_threads,
+            )
+        return self._bounded[number]
+
+    @property
+    def _spectra(self) -> Floats:
+        assert self._carriers.spectrum is not None, "carriers carry spectra"
+        return self._carriers.spectrum
+
+
+def _carriers(photons: PhotonMap) -> PhotonMap:
+    """Return the photons that carry spectra; raise ValueError if none of them does."""
+    spectra = photons.spectrum
+    if spectra is None:
+        spectra = np.full((len(photons), 3), np.nan)
+    known = ~np.isnan(spectra[:, 0])
+    if len(photons) and not known.any():
+        raise ValueError(
+            'photons should carry spectra for method="frequency", but none of them does: '
+            "trace_photons(…, frequency_share=0.02) gives them"
+        )
+    return photons.replace(spectrum=spectra).subset(known)
