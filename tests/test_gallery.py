@@ -38,7 +38,7 @@ def test_every_scene_has_a_line_about_it():
 
 
 def test_an_unknown_scene_is_refused_with_the_known_ones():
-    with pytest.raises(ValueError, match="one of .*, ring, ripples, .*, but is 'teapot'"):
+    with pytest.raises(ValueError, match=r"one of .*, ring, ripples, .*, but is 'teapot'"):
         gallery.scene("teapot")
 
 

@@ -27,6 +27,7 @@ def full_map(n=5):
         n_bounces=np.arange(n),
         path_length=rng.random(n),
         object_id=np.arange(n),
+        spectrum=np.where(np.arange(n)[:, None] % 2, np.nan, rng.random((n, 3))),
         n_emitted=3 * n,
         well_spaced=True,
         ledger=ledger(),
@@ -45,6 +46,7 @@ ARRAYS = [
     "n_bounces",
     "path_length",
     "object_id",
+    "spectrum",
 ]
 
 
@@ -225,6 +227,9 @@ def test_a_truncated_map_is_no_photon_map(tmp_path):
         ({"emitter_coords": np.ones((5, 4))}, "2 or 3 columns, but has 4"),
         ({"emitter_density": np.ones((5, 1))}, r"emitter_density should have shape \(5\)"),
         ({"emitter_id": np.ones(4, int)}, "emitter_id should have shape"),
+        ({"spectrum": np.ones((5, 2))}, r"spectrum should have shape \(5, 3\)"),
+        ({"spectrum": [[1, np.nan, 0]] * 5}, "rows of numbers or of NaN"),
+        ({"spectrum": [[-1, 1, 0]] * 5}, "a and b not negative"),
         ({"n_emitted": -1}, "n_emitted should be at least 0"),
     ],
 )
