@@ -77,8 +77,8 @@ def _memory(parser: argparse.ArgumentParser) -> None:
 
 
 def _progressive(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--passes", type=int, default=512, help="default 512")
-    parser.add_argument("--photons", type=float, default=10e3, help="in each pass, default 10e3")
+    parser.add_argument("--passes", type=int, default=1024, help="default 1024")
+    parser.add_argument("--photons", type=float, default=20e3, help="in each pass, default 20e3")
 
 
 def _methods(parser: argparse.ArgumentParser) -> None:
