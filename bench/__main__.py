@@ -5,6 +5,8 @@ python -m bench table1            SJ13's Table I beside the paper's own figures
 python -m bench memory            bytes a photon takes in each stage
 python -m bench figure7           SJ13's Fig. 7: λ₂ of uniform photons, and the constraint
 python -m bench progressive       how progressive photon mapping converges, against known maps
+python -m bench shapes            SSO08's Fig. 4: shapes in twelve ways, as a picture and as figures
+python -m bench equal-error       SSO08's Table 1: photons for the error of diffusion
 python -m bench methods           errors and times of every method on the same photons
 """
 
@@ -15,7 +17,20 @@ import json
 import sys
 from pathlib import Path
 
-from . import compare, figure7, machine, memory, methods, peers, plot, progressive, simd, table1
+from . import (
+    compare,
+    equal_error,
+    figure7,
+    machine,
+    memory,
+    methods,
+    peers,
+    plot,
+    progressive,
+    shapes,
+    simd,
+    table1,
+)
 from .report import Report
 from .timing import keep_memory
 
@@ -38,6 +53,8 @@ def parsed(arguments: list[str]) -> argparse.Namespace:
         "memory": _memory,
         "methods": _methods,
         "progressive": _progressive,
+        "shapes": _shapes,
+        "equal-error": _equal_error,
     }
     for name, add in added.items():
         add(commands.add_parser(name))
@@ -92,6 +109,23 @@ def _methods(parser: argparse.ArgumentParser) -> None:
 def _figure7(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sets", type=float, default=figure7.SETS, help="default 100000")
     parser.add_argument("--out", type=Path, default=Path("build/bench/figure7.svg"))
+
+
+def _shapes(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seeds", type=int, default=shapes.SEEDS, help="photon maps, default 8")
+    parser.add_argument("--out", type=Path, default=Path("build/bench/shapes.png"))
+
+
+def _equal_error(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--scenes", nargs="+", default=tuple(equal_error.PAPER), metavar="SCENE")
+    parser.add_argument("--sampler", choices=("random", "halton"), default="random")
+
+
+def run_shapes(options: argparse.Namespace) -> None:
+    """Save the pictures and print the tables."""
+    shapes.save(options.out)
+    print(f"saved in {options.out}", file=sys.stderr)
+    print(shapes.markdown(options.seeds))
 
 
 def run_figure7(options: argparse.Namespace) -> None:
@@ -154,6 +188,10 @@ def main(arguments: list[str]) -> None:
             folder=options.out,
         )
         print(methods.markdown(matrix))
+    elif options.command == "shapes":
+        run_shapes(options)
+    elif options.command == "equal-error":
+        print(equal_error.markdown(options.scenes, options.sampler))
     elif options.command == "simd":
         simd.main(options.n, options.n_threads, options.rounds)
     else:

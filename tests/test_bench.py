@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bench import figure7, inputs, methods, peers, plot, report, stages, table1
+from bench import equal_error, figure7, inputs, methods, peers, plot, report, stages, table1
 from bench.checks import assert_nearest, assert_nearest_in_range
 from bench.timing import Case, Timing, interleave
 
@@ -197,3 +197,27 @@ def test_a_report_of_nothing_has_no_tables():
 
 def test_slope_is_the_exponent():
     assert plot.slope([10, 100, 1000], [0.2, 2.0, 20.0]) == pytest.approx(1.0)
+
+
+def test_photons_for_an_error_are_read_off_the_ladder():
+    ladder = [equal_error.Run("", n, e, s) for n, e, s in ((100, 0.4, 1.0), (400, 0.1, 9.0))]
+    sign, photons, seconds = equal_error.needed(ladder, 0.2)
+    assert (sign, photons, seconds) == ("", pytest.approx(200), pytest.approx(3))
+    assert equal_error.needed(ladder, 0.5)[:2] == ("<", pytest.approx(100))
+    assert equal_error.needed(ladder, 0.05)[:2] == (">", pytest.approx(400))
+
+
+def test_counted_floors_and_pictures_are_the_same_way_up():
+    """Photons in one corner of the floor of a square metre."""
+    floor = equal_error.Floor("ring", 0.5, 10)
+    xy = np.random.default_rng(0).uniform([0.2, -0.5], [0.5, -0.2], (20_000, 2))
+    photons = pr.PhotonMap(
+        np.column_stack([xy, np.zeros(len(xy))]),
+        np.tile([0.0, 0.0, 1.0], (len(xy), 1)),
+        np.full(len(xy), 0.09 / len(xy)),
+    )
+    counted = floor.counted(photons)
+    assert counted[:3, 7:].mean() == pytest.approx(1.0)
+    shown = floor.picture(pr.IrradianceField(photons, pr.GatherSettings(k=50)))
+    np.testing.assert_allclose(shown[:2, 8:], counted[:2, 8:], atol=0.25)
+    assert shown[4:, :6].max() == 0.0

@@ -1,7 +1,8 @@
-"""The distribution `shapes`: its photons lie as its irradiance says, its pixels are exact."""
+"""The distribution `shapes`: photons, exact pixels, and what SSO08 claims of diffusion on it."""
 
 import numpy as np
 import pytest
+from bench import shapes as figure4
 
 import photonrelax as pr
 from photonrelax import gallery
@@ -49,10 +50,10 @@ def test_photons_are_equally_dense_everywhere(shapes):
 
 def test_pixel_means_equal_many_samples_of_the_irradiance(shapes):
     exact = shapes.pixel_means(37, 23)
-    sampled = shapes.picture(lambda points, normals: shapes.irradiance(points), 37, 23, 40)
+    sampled = shapes.picture(lambda points, normals: shapes.irradiance(points), 37, 23, 20)
     # A border through a pixel of s·s samples is off by up to about 1/s.
-    np.testing.assert_allclose(sampled, exact, atol=2.0 / 40)
-    assert np.abs(sampled - exact).mean() < 1e-3
+    np.testing.assert_allclose(sampled, exact, atol=2.0 / 20)
+    assert np.abs(sampled - exact).mean() < 3e-3
 
 
 def test_pixel_means_add_up():
@@ -98,3 +99,48 @@ def test_every_method_takes_its_photons():
     for method in METHODS:
         field = pr.irradiance_field(shapes.photons, method=method)
         assert np.isfinite(field(points, normals)).all()
+
+
+@pytest.fixture(scope="module")
+def diffused():
+    """What SSO08's diffusion, q = 0.1, makes of three maps: anisotropic, and isotropic."""
+    return [figure4.measured(figure4.diffusion(0.1, isotropic=i), 3) for i in (False, True)]
+
+
+def test_diffusion_keeps_more_of_the_thinnest_line_than_standard_estimates_as_quiet(diffused):
+    """76 %; with bias compensation 52 %, with other standard estimates less than a third.
+
+    Each kind goes from quieter to noisier, or it is noisier at any number of photons.
+    """
+    anisotropic, _ = diffused
+    assert anisotropic.line > 0.7
+    kinds = {
+        "nearest": [figure4.nearest(k, gather_radius=0.1) for k in (850, 500)],
+        "fixed": [figure4.nearest(10**6, gather_radius=h) for h in (0.036, 0.026)],
+        "bias-compensation": [
+            figure4.nearest(k, refinement="bias-compensation", gather_radius=0.1)
+            for k in (2400, 600)
+        ],
+    }
+    for kind, ways in kinds.items():
+        quiet, noisy = (figure4.measured(way, 3) for way in ways)
+        assert quiet.noise < 1.1 * anisotropic.noise < 1.2 * noisy.noise
+        assert max(quiet.line, noisy.line) < (0.6 if kind == "bias-compensation" else 0.35)
+
+
+def test_anisotropic_kernels_are_quieter_along_edges_than_isotropic(diffused):
+    """8 % beside 13 %, and on the line 14 % beside 24 %; they keep as much of the line."""
+    anisotropic, isotropic = diffused
+    assert anisotropic.edge_noise < 0.7 * isotropic.edge_noise
+    assert anisotropic.line_noise < 0.7 * isotropic.line_noise
+    assert anisotropic.line == pytest.approx(isotropic.line, rel=0.05)
+
+
+def test_regions_are_where_they_should_be():
+    exact = gallery.distribution("shapes", n=1).irradiance
+    for name, points in figure4.regions().items():
+        for turn in np.linspace(0, 2 * np.pi, 8, endpoint=False):
+            away = {"deep": 0.059, "edges": 0.0, "line": 0.0}[name]
+            moved = points + away * np.array([np.cos(turn), np.sin(turn)])
+            lit = exact(np.column_stack([moved, np.zeros(len(moved))]))
+            assert (lit == 1.0).all(), name

@@ -17,12 +17,13 @@ from ..photonmap import PhotonMap
 from ..sampling import check_seed, halton, seed_shift, square_to_disk
 from ._distribution import Distribution
 
-_DISC = ((0.27, 0.76), 0.17)
-_SQUARE = ((0.73, 0.76), 0.15)
+DISC = ((0.27, 0.76), 0.17)
+SQUARE = ((0.73, 0.76), 0.15)
 _LINES_LEFT, _LINES_RIGHT = 0.08, 0.92
 # How much a line rises from left to right, and where its middle is.
 _RISE = 0.15
-_LINE_MIDDLES = (0.44, 0.28, 0.12)
+LINE_MIDDLES = (0.44, 0.28, 0.12)
+LINE_WIDTHS = (0.01, 0.02, 0.04)
 # Lines any wider would leave the square.
 _WIDEST = 0.08
 
@@ -33,7 +34,7 @@ def shapes(
     sampler: str = "random",
     seed: int = 0,
     irradiance: float = 1.0,
-    line_widths: Sequence[float] = (0.01, 0.02, 0.04),
+    line_widths: Sequence[float] = LINE_WIDTHS,
 ) -> Distribution:
     """Return photons as of collimated light through a stencil onto the unit square.
 
@@ -88,6 +89,15 @@ def shapes(
     return Distribution("shapes", photons, irradiance_at, pixel_means)
 
 
+def line_points(number: int, uv: Floats, width: float, margin: float = 0.1) -> Floats:
+    """Map points of the unit square evenly to a line, save for a margin at its ends, (n, 2).
+
+    For those who look at what becomes of the lines.
+    """
+    line = _line(LINE_MIDDLES[number], width)
+    return line.placed(uv * [1.0, 1.0 - 2 * margin] + [0.0, margin])
+
+
 def _grey(values: Floats) -> Floats:
     return np.repeat(values[..., np.newaxis], 3, axis=-1)
 
@@ -115,10 +125,10 @@ def _placed(uv: Floats, parts: Sequence[_Disc | _Parallelogram], shares: Floats)
 
 
 def _parts(line_widths: Floats) -> list[_Disc | _Parallelogram]:
-    (x, y), half = _SQUARE
+    (x, y), half = SQUARE
     square = _Parallelogram((x - half, y - half), (2 * half, 0.0), (0.0, 2 * half))
-    lines = [_line(*line) for line in zip(_LINE_MIDDLES, line_widths, strict=True)]
-    return [_Disc(*_DISC), square, *lines]
+    lines = [_line(*line) for line in zip(LINE_MIDDLES, line_widths, strict=True)]
+    return [_Disc(*DISC), square, *lines]
 
 
 def _line(middle: float, width: float) -> _Parallelogram:

@@ -1,0 +1,172 @@
+"""SSO08's Table 1: photons, and time, that gathering the nearest takes for the error of diffusion.
+
+Errors are relative L1 over the pixels of a square of the floor. The truth is counted: the flux of
+many photons that fall into each pixel, whatever method gathers them. As in the paper the number of
+nearest photons is the best for each map; so is the bandwidth of diffusion.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from time import perf_counter
+
+import numpy as np
+
+import photonrelax as pr
+from photonrelax import gallery
+
+from .morton import Floats
+
+# Photons of SSO08's Fig. 6(d) and 7(d), and how many times as many its Table 1 has for (c).
+PAPER = {"ring": (40_000, 160_000 / 40_000), "ripples": (70_000, 520_000 / 70_000)}
+HALF_SIZES = {"ring": 1.05, "ripples": 1.0}
+PIXELS = 200
+_REFERENCE_PASSES, _REFERENCE_EMITTED = 10, 4_000_000
+_KS = (10, 15, 25, 40, 60, 100)
+_DIFFUSION_KS = (150, 250, 500)
+_TIMES_AS_MANY = (1, 2, 4, 8, 16, 32)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A picture of the floor."""
+
+    settings: str
+    n: int
+    error: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Floor:
+    """The square of a scene's floor that is looked at, and its truth."""
+
+    scene: str
+    half: float
+    n_pixels: int
+
+    def counted(self, photons: pr.PhotonMap) -> Floats:
+        """Return the mean irradiance of pixels (rows, columns) from the photons in each."""
+        above = (np.abs(photons.position[:, 2]) < 1e-6) & (photons.normal[:, 2] > 0.5)
+        edges = np.linspace(-self.half, self.half, self.n_pixels + 1)
+        y, x = photons.position[above, 1], photons.position[above, 0]
+        flux = photons.flux[above].mean(axis=1)
+        return (
+            np.histogram2d(y, x, bins=(edges, edges), weights=flux)[0] / (edges[1] - edges[0]) ** 2
+        )
+
+    def samples(self, s: int = 2) -> tuple[Floats, Floats]:
+        """Return s·s points of each pixel, and normals."""
+        side = (np.arange(self.n_pixels * s) + 0.5) / (self.n_pixels * s)
+        x, y = np.meshgrid(*2 * [self.half * (2 * side - 1)])
+        points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+        return points, np.tile([0.0, 0.0, 1.0], (len(points), 1))
+
+    def picture(self, field: pr.IrradianceField, s: int = 2) -> Floats:
+        found = field(*self.samples(s)).mean(axis=1)
+        return found.reshape(self.n_pixels, s, self.n_pixels, s).mean(axis=(1, 3))
+
+
+@lru_cache
+def truth(floor: Floor, passes: int, n_emitted: int) -> Floats:
+    scene = gallery.scene(floor.scene)
+    total = np.zeros((floor.n_pixels, floor.n_pixels))
+    for seed in range(passes):
+        total += floor.counted(pr.trace_photons(scene, n_emitted, seed=1000 + seed))
+        print(f"... truth of {floor.scene}, pass {seed + 1} of {passes}", file=sys.stderr)
+    return total / passes
+
+
+def traced(scene: str, n: int, sampler: str, seed: int = 0) -> tuple[pr.PhotonMap, float]:
+    """Return about n photons, and how long they took."""
+    built = gallery.scene(scene)
+    share = len(pr.trace_photons(built, 20_000)) / 20_000
+    started = perf_counter()
+    photons = pr.trace_photons(built, int(n / share), seed=seed, sampler=sampler)
+    return photons, perf_counter() - started
+
+
+def best(
+    floor: Floor, expected: Floats, n: int, sampler: str, ways: Sequence[tuple[str, str, object]]
+) -> Run:
+    """Return the run of the least error among ways: text, method, settings."""
+    photons, cast = traced(floor.scene, n, sampler)
+    runs = []
+    for text, method, settings in ways:
+        started = perf_counter()
+        name = "gather" if method == "standard" else "diffusion"
+        field = pr.irradiance_field(photons, method=method, **{name: settings})
+        shown = floor.picture(field)
+        seconds = cast + perf_counter() - started
+        error = float(np.abs(shown - expected).sum() / expected.sum())
+        runs.append(Run(text, len(photons), error, seconds))
+    return min(runs, key=lambda run: run.error)
+
+
+def nearest() -> list[tuple[str, str, object]]:
+    return [(f"k = {k}", "standard", pr.GatherSettings(k=k)) for k in _KS]
+
+
+def adaptive() -> list[tuple[str, str, object]]:
+    return [(f"k = {k}", "diffusion", pr.DiffusionSettings(k=k)) for k in _DIFFUSION_KS]
+
+
+def published(n: int, half: float) -> list[tuple[str, str, object]]:
+    """Return SSO08's: a fixed bandwidth, the best of several, q = 0.2 and λ₁ over its largest."""
+    ways: list[tuple[str, str, object]] = []
+    for share in (25, 50, 100, 200, 400):
+        bandwidth = 2 * half * np.sqrt(share / (np.pi * n))
+        settings = pr.DiffusionSettings(
+            k=None, bandwidth=bandwidth, edge_threshold=0.2, normalisation="maximum"
+        )
+        ways.append((f"h = {bandwidth:.3f} m", "diffusion", settings))
+    return ways
+
+
+def markdown(scenes: Sequence[str] = tuple(PAPER), sampler: str = "random") -> str:
+    """Return the tables of some scenes."""
+    lines = [
+        f"| {sampler} | photons | L1 | seconds | nearest for this L1: photons | seconds |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for scene in scenes:
+        lines += _rows(Floor(scene, HALF_SIZES[scene], PIXELS), sampler)
+    return "\n".join([*lines, ""])
+
+
+def _rows(floor: Floor, sampler: str) -> list[str]:
+    expected = truth(floor, _REFERENCE_PASSES, _REFERENCE_EMITTED)
+    n, ratio = PAPER[floor.scene]
+    ladder = [best(floor, expected, n * times, sampler, nearest()) for times in _TIMES_AS_MANY]
+    runs = {
+        "diffusion, local": best(floor, expected, n, sampler, adaptive()),
+        "diffusion, SSO08": best(floor, expected, n, sampler, published(n, floor.half)),
+    }
+    lines = [_row(f"{floor.scene}, {name}", run, ladder) for name, run in runs.items()]
+    first = ladder[0]
+    told = f"| {floor.scene}, nearest, {first.settings} | {first.n:,} | {first.error:.3f} "
+    paper = f"| {floor.scene}, SSO08's own Table 1 | {n:,} | | | {ratio:.1f}× | |"
+    return [f"{told}| {first.seconds:.2f} | | |", *lines, paper]
+
+
+def _row(name: str, run: Run, ladder: list[Run]) -> str:
+    sign, photons, seconds = needed(ladder, run.error)
+    return (
+        f"| {name}, {run.settings} | {run.n:,} | {run.error:.3f} | {run.seconds:.2f} "
+        f"| {sign}{photons / run.n:.1f}× | {sign}{seconds / run.seconds:.1f}× |"
+    )
+
+
+def needed(ladder: list[Run], error: float) -> tuple[str, float, float]:
+    """Return photons and seconds of this error, interpolated on logarithms.
+
+    Before them "<" or ">" where the ladder, from few photons to many, starts or ends before.
+    """
+    sign = "<" if error > ladder[0].error else ">" if error < ladder[-1].error else ""
+    x = -np.log([run.error for run in ladder])
+    photons = np.interp(-np.log(error), x, np.log([run.n for run in ladder]))
+    seconds = np.interp(-np.log(error), x, np.log([run.seconds for run in ladder]))
+    return sign, float(np.exp(photons)), float(np.exp(seconds))
