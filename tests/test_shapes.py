@@ -94,9 +94,10 @@ def test_seeds_and_samplers():
 
 
 def test_every_method_takes_its_photons():
+    """All but the one that needs spectra, which only traced photons have."""
     shapes = gallery.distribution("shapes", n=2000)
     points, normals = shapes.samples(9, 9)
-    for method in METHODS:
+    for method in set(METHODS) - {"frequency"}:
         field = pr.irradiance_field(shapes.photons, method=method)
         assert np.isfinite(field(points, normals)).all()
 
