@@ -48,6 +48,8 @@ class ProgressiveSettings:
     k : int
         Unless `radius` is given, a disc starts just short of the k-th nearest photon of the first
         pass, but no larger than `automatic_gather_radius` of that pass.
+        Estimates keep some k · n_passes^α photons: for fine filaments, or a map dealt to passes,
+        less than the default is better, for smooth light more.
     radius : float, optional
         Of all discs at the start, m.
     """
