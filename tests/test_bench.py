@@ -175,7 +175,9 @@ def test_figure_7_tells_how_far_the_eigenvalues_are_from_a_gaussian(tmp_path):
 
 def test_methods_stand_side_by_side_on_every_scene(tmp_path):
     scenes = ("ring", "shapes")
-    matrix = methods.Matrix((3_000,), scenes=scenes, pixels=16, passes=1, folder=tmp_path)
+    matrix = methods.Matrix(
+        (3_000,), scenes=scenes, pixels=16, passes=1, folder=tmp_path, longest=2
+    )
     lines = methods.markdown(matrix).splitlines()
     head, _, *rows = lines[:6]
     assert [row.split(" | ")[0][2:] for row in rows] == [
@@ -189,6 +191,8 @@ def test_methods_stand_side_by_side_on_every_scene(tmp_path):
         assert row.count(" · ") == head.count("|") - 3
     times = [line for line in lines[6:] if line.startswith(("| ring", "| shapes"))]
     assert [row.split(" | ")[0] for row in times] == [f"| {s}, 3,000 halton" for s in scenes]
+    assert " passes, " in times[0]
+    assert times[1].endswith("| – |")
 
 
 def test_a_report_of_nothing_has_no_tables():
