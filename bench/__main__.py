@@ -7,6 +7,7 @@ python -m bench figure7           SJ13's Fig. 7: λ₂ of uniform photons, and t
 python -m bench progressive       how progressive photon mapping converges, against known maps
 python -m bench shapes            SSO08's Fig. 4: shapes in twelve ways, as a picture and as figures
 python -m bench equal-error       SSO08's Table 1: photons for the error of diffusion
+python -m bench frequency         frequency-driven beside progressive photon mapping, on `reflector`
 python -m bench methods           errors and times of every method on the same photons
 """
 
@@ -21,6 +22,7 @@ from . import (
     compare,
     equal_error,
     figure7,
+    frequency,
     machine,
     memory,
     methods,
@@ -55,6 +57,7 @@ def parsed(arguments: list[str]) -> argparse.Namespace:
         "progressive": _progressive,
         "shapes": _shapes,
         "equal-error": _equal_error,
+        "frequency": _frequency,
     }
     for name, add in added.items():
         add(commands.add_parser(name))
@@ -91,6 +94,12 @@ def _table1(parser: argparse.ArgumentParser) -> None:
 def _memory(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--photons", type=numbers, default=[1_000_000, 4_000_000])
     parser.add_argument("--whole", type=float, help="so many photons through all stages, say 20e6")
+
+
+def _frequency(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--photons", type=numbers, default=[2_000_000, 6_000_000])
+    parser.add_argument("--seeds", type=int, default=3, help="default 3")
+    parser.add_argument("--passes", type=int, default=64, help="default 64")
 
 
 def _progressive(parser: argparse.ArgumentParser) -> None:
@@ -179,6 +188,8 @@ def main(arguments: list[str]) -> None:
         run_figure7(options)
     elif options.command == "progressive":
         print(progressive.markdown(options.passes, int(options.photons)))
+    elif options.command == "frequency":
+        print(frequency.markdown(options.photons, n_seeds=options.seeds, passes=options.passes))
     elif options.command == "methods":
         matrix = methods.Matrix(
             photons=tuple(options.photons),

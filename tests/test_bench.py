@@ -2,7 +2,18 @@
 
 import numpy as np
 import pytest
-from bench import equal_error, figure7, inputs, methods, peers, plot, report, stages, table1
+from bench import (
+    equal_error,
+    figure7,
+    frequency,
+    inputs,
+    methods,
+    peers,
+    plot,
+    report,
+    stages,
+    table1,
+)
 from bench.checks import assert_nearest, assert_nearest_in_range
 from bench.timing import Case, Timing, interleave
 
@@ -171,6 +182,15 @@ def test_figure_7_tells_how_far_the_eigenvalues_are_from_a_gaussian(tmp_path):
     assert figure7.farthest_from_gaussian(gaussian) < 0.01
     assert figure7.farthest_from_gaussian(np.abs(gaussian - 0.2)) > 0.05
     assert "| mean | 0.2219 | 0.22" in figure7.markdown(found)
+
+
+def test_frequency_stands_beside_progressive_in_every_region():
+    text = frequency.markdown(
+        [20_000], samplers=("random",), n_seeds=1, passes=4, n_reference=50_000
+    )
+    rows = [line.split(" | ")[0][2:] for line in text.splitlines() if line.endswith("× |")]
+    assert rows[:-1] == list(frequency.REGIONS)
+    assert rows[-1].startswith("worst of ")
 
 
 def test_methods_stand_side_by_side_on_every_scene(tmp_path):

@@ -58,21 +58,21 @@ def test_discs_of_smooth_light_stay(interior):
     assert kept[:, 0].mean() == pytest.approx(1.0, abs=0.01)
 
 
-def test_the_bound_is_the_largest_variance_within_the_disc():
+def test_the_bound_is_the_largest_variance_in_and_around_the_disc():
     rng = np.random.default_rng(7)
     photons = with_spectra(lambda xy: rng.uniform(1.0, 50.0, len(xy)), n=2_000)
     points, normals = plane(rng.random((300, 2)))
     radius = rng.uniform(0.01, 0.2, 300)
     distance = np.linalg.norm(points[:, None] - photons.position[::5], axis=2)
-    within = np.where(distance <= radius[:, None], photons.spectrum[::5, 0], -np.inf)
+    within = np.where(distance <= 1.5 * radius[:, None], photons.spectrum[::5, 0], -np.inf)
     largest = within.max(axis=1)
     known = np.isfinite(largest)
     assert 0.5 < known.mean() < 1.0
     expected = np.zeros(300)
     expected[known] = np.minimum(kernel_radius(largest[known]), radius[known])
-    field = FrequencyField(photons, PASSES, n_threads=1)
+    field = FrequencyField(photons, PASSES, pr.FrequencySettings(reach=1.5), n_threads=1)
     np.testing.assert_allclose(field.least_radius(points, normals, radius), expected, rtol=1e-12)
-    looser = FrequencyField(photons, PASSES, pr.FrequencySettings(bias=0.2), n_threads=1)
+    looser = FrequencyField(photons, PASSES, pr.FrequencySettings(bias=0.2, reach=1.5), n_threads=1)
     larger = looser.least_radius(points, normals, radius)
     np.testing.assert_allclose(larger, np.minimum(2 * expected, radius), rtol=1e-12)
 
@@ -137,6 +137,7 @@ def test_rendering_traces_spectra_when_they_are_needed():
     [
         ({"share": 0.0}, "FrequencySettings.share should be a positive number"),
         ({"share": 1.5}, "FrequencySettings.share should be at most 1, but is 1.5"),
+        ({"reach": -1.0}, "FrequencySettings.reach should be a positive number"),
         ({"bias": 1.0}, "FrequencySettings.bias should be less than 1"),
     ],
 )

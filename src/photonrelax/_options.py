@@ -85,6 +85,13 @@ def _add_trace(parser: argparse.ArgumentParser) -> None:
     _add_output(parser, "FILE.npz")
     _add_emission(parser)
     _add_sampler(parser)
+    parser.add_argument(
+        "--frequency-share",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="of the photons that carry spectra, for --method frequency (%(default)s; say 0.02)",
+    )
     _add_common(parser)
 
 

@@ -156,6 +156,7 @@ def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:
                 _photons(options),
                 seed=options.seed or 0,
                 sampler=options.sampler,
+                frequency_share=options.frequency_share,
                 n_threads=options.threads,
                 progress=bars,
             )

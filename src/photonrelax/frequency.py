@@ -5,11 +5,11 @@ as it is while the local spectra of the light (see `spectrum`) say that its mean
 the irradiance at its middle, so that smooth regions keep large discs and all their photons.
 
 Some of the photons carry spectra (see `trace_photons`). At every pass a hit point takes the largest
-of each coefficient among those within its disc, as diffuse surfaces reflect them, and the disc
-shrinks, by the rule of progressive photon mapping, no farther than this bound allows. FPPM keeps
-the largest of all that were ever seen; here the bound is that of the disc as it is, so that an edge
-the disc no longer reaches is forgotten, and it is taken from the photons of all passes, not of
-those gone by. Where no photon in the disc carries a spectrum it shrinks as ever.
+of each coefficient among those in and around its disc, as diffuse surfaces reflect them, and the
+disc shrinks, by the rule of progressive photon mapping, no farther than this bound allows. FPPM
+keeps the largest of all that were ever seen; here the bound is that of the disc as it is, so that
+an edge the disc no longer reaches is forgotten, and it is taken from the photons of all passes, not
+of those gone by. Where none of the photons carries a spectrum it shrinks as ever.
 """
 
 from __future__ import annotations
@@ -39,10 +39,15 @@ class FrequencySettings:
         Of the photons that carry spectra, in (0, 1], where `render` traces them.
     bias : float
         Largest bias of a disc over the amplitude of the light it averages, in (0, 1) (5 %).
+    reach : float
+        Spectra are looked for within so many radii of a disc. FPPM looks within the disc; but few
+        photons carry spectra, and none of these may be among the first of brighter light that a
+        disc in dim light reaches over an edge.
     """
 
     share: float = 0.02
     bias: float = spectrum.BIAS
+    reach: float = 2.0
 
     def __post_init__(self) -> None:
         share = _arrays.positive(self.share, "FrequencySettings.share")
@@ -53,6 +58,8 @@ class FrequencySettings:
             raise ValueError(f"FrequencySettings.bias should be less than 1, but is {bias}")
         object.__setattr__(self, "share", share)
         object.__setattr__(self, "bias", bias)
+        reach = _arrays.positive(self.reach, "FrequencySettings.reach")
+        object.__setattr__(self, "reach", reach)
 
 
 class FrequencyField(ProgressiveField):
@@ -90,9 +97,10 @@ class FrequencyField(ProgressiveField):
     def least_radius(self, points: Floats, normals: Floats, radius: Floats) -> Floats:
         """Return the radii (m,), m, that spectra within discs allow; zero where there are none."""
         bounds = np.full((len(points), 3), -np.inf)
+        reach = self.frequency.reach * radius
         for number, queries, rows in self._trees.parts(points, normals):
             self._bounds(number).raise_to(
-                queries, rows, radius, out=bounds, n_threads=self._n_threads
+                queries, rows, reach, out=bounds, n_threads=self._n_threads
             )
         known = bounds[:, 0] >= 0.0
         allowed = spectrum.kernel_radius(np.maximum(bounds[:, 0], 0.0), self.frequency.bias)

@@ -16,7 +16,7 @@ from ..camera import MAX_DEPTH
 from ..estimate import Field
 from ..image import Image, srgb
 from ..measures import Errors
-from ..methods import METHODS, Settings, Task, check_method, prepare
+from ..methods import METHODS, Settings, Task, check_method, frequency_share, prepare
 from ..photonmap import PhotonMap
 from .subject import Subject
 from .view import View
@@ -192,6 +192,7 @@ def compare(plan: Plan, reference: Image, *, progress: Progress | None = None) -
         plan.n_emitted,
         seed=plan.seed,
         sampler=plan.sampler,
+        frequency_share=max(frequency_share(method, plan.settings) for method in plan.methods),
         n_threads=plan.n_threads,
         progress=progress,
     )

@@ -44,6 +44,7 @@ class Subject(Protocol):
         *,
         seed: int,
         sampler: str,
+        frequency_share: float,
         n_threads: int | None,
         progress: Progress | None,
     ) -> PhotonMap:
@@ -91,6 +92,7 @@ class SceneSubject:
         *,
         seed: int,
         sampler: str,
+        frequency_share: float,
         n_threads: int | None,
         progress: Progress | None,
     ) -> PhotonMap:
@@ -100,6 +102,7 @@ class SceneSubject:
             n_emitted,
             seed=seed,
             sampler=sampler,
+            frequency_share=frequency_share,
             n_threads=n_threads,
             progress=progress,
         )
@@ -155,10 +158,11 @@ class DistributionSubject:
         *,
         seed: int,
         sampler: str,
+        frequency_share: float,
         n_threads: int | None,
         progress: Progress | None,
     ) -> PhotonMap:
-        """Make the distribution's photons."""
+        """Make the distribution's photons; they have no paths, and no spectra."""
         made = gallery.distribution(self.name, n=n_emitted, seed=seed, sampler=sampler)
         return made.photons
 
