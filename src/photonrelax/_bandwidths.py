@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._arrays import Floats
-from ._ext import diffusion as _diffusion
+from ._ext import tangent as _tangent
 from ._facing import FacingTrees
 from ._progress import Reporter
 from ._sheets import NORMAL_RANGE
@@ -32,7 +32,7 @@ def sites_in_chunks(
     scale: Scale,
     report: Reporter,
     n_threads: int,
-) -> Iterator[tuple[int, _diffusion.Sites, Rows]]:
+) -> Iterator[tuple[int, _tangent.Sites, Rows]]:
     """Divide points by the tree that serves them and into chunks; find their bandwidths.
 
     Yields the number of the tree, the sites, and the rows of those whose turn it is. No tree
@@ -41,11 +41,11 @@ def sites_in_chunks(
     left, (largest, k) = len(points), scale
     for number, queries, rows in trees.parts(points, normals):
         bandwidth = np.full(len(points), largest)
-        sites = _diffusion.Sites(queries, normals, bandwidth)
+        sites = _tangent.Sites(queries, normals, bandwidth)
         tree = trees.tree(number)[0]
         for first, end in report.chunks(len(rows)):
             if k is not None:
-                _diffusion.bandwidths(
+                _tangent.bandwidths(
                     tree.kernel,
                     queries,
                     rows[first:end],

@@ -40,6 +40,7 @@ from . import _arrays
 from ._arrays import Floats
 from ._bandwidths import Rows, Scale, normal_range, sites_in_chunks
 from ._ext import diffusion as _diffusion
+from ._ext import tangent as _tangent
 from ._facing import FacingTrees
 from ._progress import Progress, Reporter
 from .estimate import automatic_gather_radius
@@ -182,7 +183,7 @@ class DiffusionField:
         self.gradient = self._gradient(progress)
         self.seconds = {"gradient": perf_counter() - started}
         self._carried = np.column_stack([_mean_flux(photons), self.gradient])
-        self._photons: dict[int, _diffusion.Photons] = {}
+        self._photons: dict[int, _tangent.Photons] = {}
         self.largest_eigenvalue: float | None = None
         if self.settings.normalisation == "maximum":
             started = perf_counter()
@@ -271,7 +272,7 @@ class DiffusionField:
         """Return the gradients at all photons."""
         photons, flux = self.photons, _mean_flux(self.photons)
         report = Reporter(progress, "gradient", len(photons))
-        carrying: dict[int, _diffusion.Photons] = {}
+        carrying: dict[int, _tangent.Photons] = {}
         out = np.zeros((len(photons), 3))
         for number, sites, rows in self._chunks(
             photons.position, photons.normal, self._noise_scale(), report
@@ -304,22 +305,22 @@ class DiffusionField:
 
     def _chunks(
         self, points: Floats, normals: Floats, scale: Scale, report: Reporter
-    ) -> Iterator[tuple[int, _diffusion.Sites, Rows]]:
+    ) -> Iterator[tuple[int, _tangent.Sites, Rows]]:
         """Divide points as `sites_in_chunks` does; an empty map has no tree to serve any."""
         if len(self.photons):
             yield from sites_in_chunks(
                 self._trees, points, normals, scale=scale, report=report, n_threads=self._n_threads
             )
 
-    def _carrying(self, number: int) -> _diffusion.Photons:
+    def _carrying(self, number: int) -> _tangent.Photons:
         """Return the photons of a tree with their gradients."""
         if number not in self._photons:
             self._photons[number] = self._of_tree(number, self._carried)
         return self._photons[number]
 
-    def _of_tree(self, number: int, carried: Floats) -> _diffusion.Photons:
+    def _of_tree(self, number: int, carried: Floats) -> _tangent.Photons:
         tree, rows = self._trees.tree(number)
-        return _diffusion.Photons(
+        return _tangent.Photons(
             tree.kernel,
             rows,
             self._towards,

@@ -4,79 +4,16 @@ Everything around a point happens in its tangent plane, where photons are put by
 along the direction they came from (SSO08 Appendix A).
 """
 
-from cython.parallel cimport prange, threadid
+from cython.parallel cimport prange
 from libc.math cimport M_PI, pow, sqrt
 
-from .batch cimport Batch, Query, limit_radius, limit_range, open_query, scratch
-from .core cimport orthonormal_frame
 from .kdtree cimport Tree
-from .lanes cimport BLOCK, Reach, lowest_bit
-from .search cimport find
+from .lanes cimport BLOCK, lowest_bit
 from .structure cimport Components, decompose
+from .tangent cimport Photons, Plane, Sites, along, open_plane, project
 from .within cimport visit_within
 
 from .columns import in_blocks
-
-# What the distance to the k-th photon is multiplied by: whether that photon itself, on the rim, is
-# within must not hang on roundings, and an estimate from those within is unbiased without it.
-cdef double WITHOUT_LAST = 1.0 - 1e-9
-
-# Photons that come in flatter than this are moved no farther than if they came so.
-cdef double LEAST_COSINE = 0.1
-
-
-cdef class Sites:
-    """Where something is estimated, and from how far around.
-
-    Parameters
-    ----------
-    queries : (m, axes) float64 array
-        On all axes of the tree.
-    normals : (m, 3) float64 array
-        Unit normals.
-    bandwidth : (m,) float64 array
-        Positive; m.
-    """
-
-    cdef const double[:, ::1] queries
-    cdef const double[:, ::1] normals
-    cdef const double[::1] bandwidth
-
-    def __init__(self, queries, normals, bandwidth):
-        self.queries = queries
-        self.normals = normals
-        self.bandwidth = bandwidth
-        if not self.queries.shape[0] == self.normals.shape[0] == self.bandwidth.shape[0]:
-            raise ValueError("queries, normals and bandwidths do not fit one another")
-
-
-cdef class Photons:
-    """Photons of a tree, in its order.
-
-    Parameters
-    ----------
-    tree : Tree
-        Its first three axes are positions.
-    rows : (n,) intp array
-        Row of the photon at each place.
-    towards : (m, 3) float64 array or None
-        From the surface to where light came from; None projects along the normal of the plane.
-    carried : (m, c) float64 array
-        What is looked at of them: mean flux, and gradient (c = 4) if there is one yet.
-    normal_range : float
-        Radius of the ball over the tree's range axes; negative for none.
-    """
-
-    cdef Tree tree
-    cdef const double[:, :, ::1] towards
-    cdef const double[:, :, ::1] carried
-    cdef double normal_range
-
-    def __init__(self, tree, rows, towards, carried, *, normal_range, n_threads):
-        self.tree = tree
-        self.towards = None if towards is None else in_blocks(towards, rows, n_threads)
-        self.carried = in_blocks(carried, rows, n_threads)
-        self.normal_range = normal_range
 
 
 cdef class Shaping:
@@ -109,125 +46,6 @@ cdef class Shaping:
         self.least_eigenvalue = least_eigenvalue
         self.largest = largest
         self.isotropic = isotropic
-
-
-cdef struct Plane:
-    # A tangent plane: a point of it, two axes and the normal; and how far photons are looked for.
-    const double* at
-    double[9] frame
-    double squared_bandwidth
-    # Of the photons, NULL if they are projected along the normal.
-    const double* towards
-    Reach reach
-
-
-cdef void open_plane(Plane* plane, Photons photons, Sites sites, Py_ssize_t row) noexcept nogil:
-    cdef double bandwidth = sites.bandwidth[row]
-    cdef double wide = photons.normal_range
-    cdef Py_ssize_t axis
-    plane.at = &sites.queries[row, 0]
-    orthonormal_frame(plane.frame, plane.frame + 3, &sites.normals[row, 0])
-    for axis in range(3):
-        plane.frame[6 + axis] = sites.normals[row, axis]
-    plane.squared_bandwidth = bandwidth * bandwidth
-    plane.towards = NULL if photons.towards is None else &photons.towards[0, 0, 0]
-    plane.reach.low = plane.reach.high = plane.at
-    plane.reach.squared_limit = plane.squared_bandwidth
-    plane.reach.squared_range = wide * wide if wide >= 0.0 else -1.0
-    plane.reach.half_range = NULL
-    plane.reach.n_metric = photons.tree.n_metric
-    plane.reach.n_axes = photons.tree.n_axes
-
-
-cdef inline double along(const double* axis, const double* lane) noexcept nogil:
-    """Return the product of a vector with that of one lane of a block."""
-    return axis[0] * lane[0] + axis[1] * lane[BLOCK] + axis[2] * lane[2 * BLOCK]
-
-
-cdef inline bint project(
-    const Plane* plane, Tree tree, Py_ssize_t block, int lane, double* offset
-) noexcept nogil:
-    """Write where on the plane the light of a photon would have landed (SSO08 Eq. A1–A2).
-
-    Return whether it would: light from behind the plane would not.
-    """
-    cdef const double* x = &tree.coords[block, 0, lane]
-    cdef const double* towards
-    cdef double[3] apart
-    cdef double height, cosine
-    apart[0] = x[0] - plane.at[0]
-    apart[1] = x[BLOCK] - plane.at[1]
-    apart[2] = x[2 * BLOCK] - plane.at[2]
-    offset[0] = product(plane.frame, apart)
-    offset[1] = product(plane.frame + 3, apart)
-    if plane.towards == NULL:
-        return True
-    towards = plane.towards + 3 * BLOCK * block + lane
-    cosine = along(plane.frame + 6, towards)
-    if cosine <= 0.0:
-        return False
-    height = product(plane.frame + 6, apart) / max(cosine, LEAST_COSINE)
-    offset[0] -= height * along(plane.frame, towards)
-    offset[1] -= height * along(plane.frame + 3, towards)
-    return True
-
-
-cdef inline double product(const double* a, const double* b) noexcept nogil:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-# --- bandwidths --------------------------------------------------------------------------------
-
-
-def bandwidths(
-    Tree tree, const double[:, ::1] queries, const Py_ssize_t[::1] order, double[::1] radius, *,
-    Py_ssize_t k, double normal_range, int n_threads
-):
-    """Lower radii to the distance of the k-th nearest photon, of the queries named by `order`.
-
-    Where fewer than k are within the radius, or all are at the query, it stays.
-    """
-    cdef Py_ssize_t n_batches = (order.shape[0] + BLOCK - 1) // BLOCK
-    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
-    cdef Py_ssize_t i
-    if queries.shape[0] != radius.shape[0] or queries.shape[1] < tree.n_axes:
-        raise ValueError("queries do not fit the tree and the radii")
-    for i in prange(
-        n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
-    ):
-        open_batch(
-            tree, <Batch*> &room[threadid(), 0], queries, order, BLOCK * i, radius, normal_range
-        )
-        close_batch(tree, <Batch*> &room[threadid(), 0], order, BLOCK * i, radius)
-
-
-cdef void open_batch(
-    Tree tree, Batch* batch, const double[:, ::1] queries, const Py_ssize_t[::1] order,
-    Py_ssize_t first, const double[::1] radius, double normal_range
-) noexcept nogil:
-    """Open 16 queries that follow each other, from `first` on."""
-    cdef Py_ssize_t i
-    cdef Query* query
-    batch.n_queries = 0
-    for i in range(first, min(first + BLOCK, order.shape[0])):
-        query = &batch.queries[batch.n_queries]
-        open_query(tree, batch, &queries[order[i], 0])
-        limit_radius(query, radius[order[i]] * radius[order[i]])
-        if normal_range >= 0.0:
-            limit_range(query, normal_range)
-
-
-cdef void close_batch(
-    Tree tree, Batch* batch, const Py_ssize_t[::1] order, Py_ssize_t first, double[::1] radius
-) noexcept nogil:
-    """Search, and write how far the queries reach; write their rows only."""
-    cdef Py_ssize_t i
-    cdef const Query* query
-    find(tree, batch)
-    for i in range(batch.n_queries):
-        query = &batch.queries[i]
-        if query.found.count == batch.k and query.found.squared_radius > 0.0:
-            radius[order[first + i]] = WITHOUT_LAST * sqrt(query.found.squared_radius)
 
 
 # --- gradients ---------------------------------------------------------------------------------

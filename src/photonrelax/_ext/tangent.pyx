@@ -1,0 +1,130 @@
+"""The photons and planes of tangent.pxd, and how far sites look around."""
+
+from cython.parallel cimport prange, threadid
+from libc.math cimport sqrt
+
+from .batch cimport Batch, Query, limit_radius, limit_range, open_query, scratch
+from .core cimport orthonormal_frame
+from .kdtree cimport Tree
+from .lanes cimport BLOCK
+from .search cimport find
+
+from .columns import in_blocks
+
+# What the distance to the k-th photon is multiplied by: whether that photon itself, on the rim, is
+# within must not hang on roundings, and an estimate from those within is unbiased without it.
+cdef double WITHOUT_LAST = 1.0 - 1e-9
+
+
+cdef class Sites:
+    """Where something is estimated, and from how far around.
+
+    Parameters
+    ----------
+    queries : (m, axes) float64 array
+        On all axes of the tree.
+    normals : (m, 3) float64 array
+        Unit normals.
+    bandwidth : (m,) float64 array
+        Positive; m.
+    """
+
+    def __init__(self, queries, normals, bandwidth):
+        self.queries = queries
+        self.normals = normals
+        self.bandwidth = bandwidth
+        if not self.queries.shape[0] == self.normals.shape[0] == self.bandwidth.shape[0]:
+            raise ValueError("queries, normals and bandwidths do not fit one another")
+
+
+cdef class Photons:
+    """Photons of a tree, in its order.
+
+    Parameters
+    ----------
+    tree : Tree
+        Its first three axes are positions.
+    rows : (n,) intp array
+        Row of the photon at each place.
+    towards : (m, 3) float64 array or None
+        From the surface to where light came from; None projects along the normal of the plane.
+    carried : (m, c) float64 array
+        What is looked at of them: mean flux, and gradient (c = 4) if there is one yet.
+    normal_range : float
+        Radius of the ball over the tree's range axes; negative for none.
+    """
+
+    def __init__(self, tree, rows, towards, carried, *, normal_range, n_threads):
+        self.tree = tree
+        self.towards = None if towards is None else in_blocks(towards, rows, n_threads)
+        self.carried = in_blocks(carried, rows, n_threads)
+        self.normal_range = normal_range
+
+
+cdef void open_plane(Plane* plane, Photons photons, Sites sites, Py_ssize_t row) noexcept nogil:
+    cdef double bandwidth = sites.bandwidth[row]
+    cdef double wide = photons.normal_range
+    cdef Py_ssize_t axis
+    plane.at = &sites.queries[row, 0]
+    orthonormal_frame(plane.frame, plane.frame + 3, &sites.normals[row, 0])
+    for axis in range(3):
+        plane.frame[6 + axis] = sites.normals[row, axis]
+    plane.squared_bandwidth = bandwidth * bandwidth
+    plane.towards = NULL if photons.towards is None else &photons.towards[0, 0, 0]
+    plane.reach.low = plane.reach.high = plane.at
+    plane.reach.squared_limit = plane.squared_bandwidth
+    plane.reach.squared_range = wide * wide if wide >= 0.0 else -1.0
+    plane.reach.half_range = NULL
+    plane.reach.n_metric = photons.tree.n_metric
+    plane.reach.n_axes = photons.tree.n_axes
+
+
+def bandwidths(
+    Tree tree, const double[:, ::1] queries, const Py_ssize_t[::1] order, double[::1] radius, *,
+    Py_ssize_t k, double normal_range, int n_threads
+):
+    """Lower radii to the distance of the k-th nearest photon, of the queries named by `order`.
+
+    Where fewer than k are within the radius, or all are at the query, it stays.
+    """
+    cdef Py_ssize_t n_batches = (order.shape[0] + BLOCK - 1) // BLOCK
+    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef Py_ssize_t i
+    if queries.shape[0] != radius.shape[0] or queries.shape[1] < tree.n_axes:
+        raise ValueError("queries do not fit the tree and the radii")
+    for i in prange(
+        n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
+    ):
+        open_batch(
+            tree, <Batch*> &room[threadid(), 0], queries, order, BLOCK * i, radius, normal_range
+        )
+        close_batch(tree, <Batch*> &room[threadid(), 0], order, BLOCK * i, radius)
+
+
+cdef void open_batch(
+    Tree tree, Batch* batch, const double[:, ::1] queries, const Py_ssize_t[::1] order,
+    Py_ssize_t first, const double[::1] radius, double normal_range
+) noexcept nogil:
+    """Open 16 queries that follow each other, from `first` on."""
+    cdef Py_ssize_t i
+    cdef Query* query
+    batch.n_queries = 0
+    for i in range(first, min(first + BLOCK, order.shape[0])):
+        query = &batch.queries[batch.n_queries]
+        open_query(tree, batch, &queries[order[i], 0])
+        limit_radius(query, radius[order[i]] * radius[order[i]])
+        if normal_range >= 0.0:
+            limit_range(query, normal_range)
+
+
+cdef void close_batch(
+    Tree tree, Batch* batch, const Py_ssize_t[::1] order, Py_ssize_t first, double[::1] radius
+) noexcept nogil:
+    """Search, and write how far the queries reach; write their rows only."""
+    cdef Py_ssize_t i
+    cdef const Query* query
+    find(tree, batch)
+    for i in range(batch.n_queries):
+        query = &batch.queries[i]
+        if query.found.count == batch.k and query.found.squared_radius > 0.0:
+            radius[order[first + i]] = WITHOUT_LAST * sqrt(query.found.squared_radius)
