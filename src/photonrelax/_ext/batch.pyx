@@ -65,7 +65,7 @@ cdef Py_ssize_t lay_out(Tree tree, unsigned char* room, Py_ssize_t k):
         found.squared = <double*> take(&free, 8 * points)
         found.spare = spare
         found.keys = <uint8_t*> take(&free, points + FEW_CHUNKS * KEYS)
-        found.heights = <float*> take(&free, 4 * (points + FEW_CHUNKS * KEYS))
+        found.heights = <float*> take(&free, 4 * points)
         found.blocks = <int32_t*> take(&free, 4 * points // BLOCK)
         found.few = <int32_t*> take(&free, 4 * points)
         set_axes(tree, &batch.queries[i].reach, NULL, NULL)

@@ -55,7 +55,7 @@ typedef struct {
 
 /* Candidates: all points of some blocks. Their heights, squared distances as multiples of the
  * FARTHEST-th part of the limit, and keys, heights rounded down but OUTSIDE for what is not to be
- * found, lie block by block; both have room for FEW_CHUNKS * KEYS more. Found are the `count`
+ * found, lie block by block; keys have room for FEW_CHUNKS * KEYS more. Found are the `count`
  * candidates of keys up to `key`, the farthest of them at `squared_radius`. It is among the `n_few`
  * whose exact squared distances had to be looked at; there is room for as many as candidates, and
  * as many spare numbers. */

@@ -299,9 +299,13 @@ static INLINE int64_t NAME(note_few)(const double *coords, const Reach *reach, F
                                      int key, int64_t fewer, float doubt)
 {
     const float low = (float)key - doubt, high = (float)(key + 1) + doubt;
+    const int64_t end = BLOCK * found->n_blocks;
     int64_t n = 0;
-    for (int64_t j = 0; j < BLOCK * found->n_blocks; j += KEYS)
-        for (uint64_t here = NAME(keys_next_to)(found->keys + j, key); here; here &= here - 1) {
+    for (int64_t j = 0; j < end; j += KEYS) {
+        uint64_t here = NAME(keys_next_to)(found->keys + j, key);
+        /* What lies behind may be next to it modulo 256. */
+        if (end - j < KEYS) here &= ((uint64_t)1 << (end - j)) - 1;
+        for (; here; here &= here - 1) {
             int64_t candidate = j + LOWEST_BIT(here);
             float height = found->heights[candidate];
             int own = found->keys[candidate];
@@ -311,6 +315,7 @@ static INLINE int64_t NAME(note_few)(const double *coords, const Reach *reach, F
             n += noted;
             fewer -= noted & (own < key);
         }
+    }
     found->n_few = n;
     look_at_few(coords, reach, found);
     return fewer;
