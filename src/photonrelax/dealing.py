@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from . import _arrays
 from ._arrays import Floats
 from ._facing import FacingTrees
 from ._progress import Progress, Reporter
+from .estimate import Field
 from .photonmap import PhotonMap
 from .progressive import FirstRadius, Pass, ProgressiveSettings, ProgressiveStatistics
 from .structure import Structure
@@ -34,7 +34,7 @@ def dealt(photons: PhotonMap, n_passes: int) -> NDArray[np.intp]:
     return number
 
 
-class ProgressiveField:
+class ProgressiveField(Field):
     """Progressive photon mapping of one photon map at any points: a `Field`.
 
     The photons are dealt to passes (see `dealt`), no more of them than have k photons each. The
@@ -91,16 +91,6 @@ class ProgressiveField:
     def least_radius(self, points: Floats, normals: Floats, radius: Floats) -> Floats | None:
         """Return the radii (m,) discs need not go below; None for discs that shrink for ever."""
         return None
-
-    def __call__(
-        self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
-    ) -> Floats:
-        """Return the irradiance (m, 3), W/m², at points on surfaces; see `IrradianceField`."""
-        return self._irradiance(points, normals, progress=progress)
-
-    @cached_property
-    def _irradiance(self) -> ProgressiveDensities:
-        return ProgressiveDensities(self, self.photons.flux)
 
     def densities(self, values: ArrayLike) -> ProgressiveDensities:
         """Return what estimates, per area, anything else that photons carry, (n, c).

@@ -29,7 +29,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -43,7 +42,7 @@ from ._ext import diffusion as _diffusion
 from ._ext import tangent as _tangent
 from ._facing import FacingTrees
 from ._progress import Progress, Reporter
-from .estimate import automatic_gather_radius
+from .estimate import Field, automatic_gather_radius
 from .photonmap import PhotonMap
 
 if TYPE_CHECKING:
@@ -128,7 +127,7 @@ class DiffusionSettings:
         object.__setattr__(self, name, value)
 
 
-class DiffusionField:
+class DiffusionField(Field):
     """Irradiance by kernels that follow structure: a `photonrelax.estimate.Field`.
 
     Parameters
@@ -190,34 +189,6 @@ class DiffusionField:
             self.largest_eigenvalue = self._largest_eigenvalue(progress)
             self.seconds["normalise"] = perf_counter() - started
         self.used = {"diffusion": asdict(self.settings)}
-
-    def __call__(
-        self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
-    ) -> Floats:
-        """Return the irradiance at points on surfaces.
-
-        Parameters
-        ----------
-        points, normals : (m, 3) array_like
-            m, and directions of any length.
-        progress : callable, optional
-            Called as ``progress("estimate", done, m)``.
-
-        Returns
-        -------
-        (m, 3) float array
-            W/m².
-
-        Raises
-        ------
-        TypeError, ValueError
-            If a shape is wrong, a value is not finite or a normal is zero.
-        """
-        return self._irradiance(points, normals, progress=progress)
-
-    @cached_property
-    def _irradiance(self) -> DiffusionDensities:
-        return DiffusionDensities(self, self.photons.flux)
 
     def densities(self, values: ArrayLike) -> DiffusionDensities:
         """Return what estimates, per area, anything else that photons carry.

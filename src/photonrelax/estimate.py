@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
@@ -98,7 +99,7 @@ class GatherSettings:
         return self.k if self.refinement == "none" else 2 * self.k_min
 
 
-class Field(Protocol):
+class Field(ABC):
     """Photons prepared once by any method, their irradiance evaluated anywhere.
 
     Attributes
@@ -121,8 +122,32 @@ class Field(Protocol):
     def __call__(
         self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
     ) -> Floats:
-        """Return the irradiance (m, 3), W/m², at points on surfaces with the given normals."""
+        """Return the irradiance at points on surfaces.
 
+        Parameters
+        ----------
+        points, normals : (m, 3) array_like
+            m, and directions of any length.
+        progress : callable, optional
+            Called as ``progress("estimate", done, m)``.
+
+        Returns
+        -------
+        (m, 3) float array
+            W/m².
+
+        Raises
+        ------
+        TypeError, ValueError
+            If a shape is wrong, a value is not finite or a normal is zero.
+        """
+        return self._irradiance(points, normals, progress=progress)
+
+    @cached_property
+    def _irradiance(self) -> Estimate:
+        return self.densities(self.photons.flux)
+
+    @abstractmethod
     def densities(self, values: ArrayLike) -> Estimate:
         """Return what estimates, per area, anything else that photons carry, (n, c)."""
 
@@ -136,7 +161,7 @@ class Estimate(Protocol):
         """Return the estimates."""
 
 
-class IrradianceField:
+class IrradianceField(Field):
     """The k nearest photons gathered anywhere (Jensen's estimate): a `Field`.
 
     Parameters
@@ -186,34 +211,6 @@ class IrradianceField:
         self._trees.build()
         self.settings = settings
         self.used = {"gather": asdict(settings), **(used or {})}
-
-    def __call__(
-        self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
-    ) -> Floats:
-        """Return the irradiance at points on surfaces.
-
-        Parameters
-        ----------
-        points, normals : (m, 3) array_like
-            m, and directions of any length.
-        progress : callable, optional
-            Called as ``progress("estimate", done, m)``.
-
-        Returns
-        -------
-        (m, 3) float array
-            W/m².
-
-        Raises
-        ------
-        TypeError, ValueError
-            If a shape is wrong, a value is not finite or a normal is zero.
-        """
-        return self._irradiance(points, normals, progress=progress)
-
-    @cached_property
-    def _irradiance(self) -> Densities:
-        return Densities(self, self.photons.flux)
 
     def densities(self, values: ArrayLike) -> Densities:
         """Return what estimates, per area, anything else that photons carry.
