@@ -20,7 +20,7 @@ from photonrelax.compare import (
     reference,
 )
 from photonrelax.compare.subject import Subject
-from photonrelax.measures import relative_l1
+from photonrelax.measures import check_installed, relative_l1
 from photonrelax.methods import Settings
 
 from . import machine
@@ -160,6 +160,7 @@ def subject(name: str, pixels: int) -> Subject:
 
 def markdown(matrix: Matrix) -> str:
     """Return a table of errors, the least L1 and the largest SSIM bold, and one of times."""
+    check_installed()
     rows = []
     for row in matrix.rows():
         print(f"... {row.label}", file=sys.stderr, flush=True)

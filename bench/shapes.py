@@ -18,6 +18,7 @@ import photonrelax as pr
 from photonrelax import gallery
 from photonrelax.gallery import shapes as layout
 from photonrelax.gallery._distribution import Distribution
+from photonrelax.measures import relative_l1
 
 from .morton import Floats
 
@@ -58,7 +59,8 @@ class Measures:
     noise, edge_noise, line_noise : float
         Deep inside the disc and the square; within 1 cm of their edges; on the thinnest line.
     error : float
-        Relative L1 over the pixels of one picture, against exact pixel means; NaN if not asked.
+        Relative L1 over the pixels of one picture, against the truth at the same samples; NaN if
+        not asked.
     """
 
     line: float
@@ -155,11 +157,14 @@ def measured(way: Way, seeds: int = SEEDS, *, pixels: int = 0) -> Measures:
     deep, edges, line = np.split(found, ends, axis=1)
     error = float("nan")
     if pixels:
-        exact = distribution(0).pixel_means(pixels, pixels)
-        shown = distribution(0).picture(fields[0], pixels, pixels, 2)
-        error = float(np.abs(shown - exact).sum() / exact.sum())
+        exact, shown = (distribution(0).picture(f, pixels, pixels, 2) for f in (_truth, fields[0]))
+        error = relative_l1(shown, exact)
     noise = [float(np.sqrt(part.var(axis=0, ddof=1).mean())) for part in (deep, edges, line)]
     return Measures(float(line.mean()), *noise, error)
+
+
+def _truth(points: Floats, normals: Floats) -> Floats:
+    return distribution(0).irradiance(points)
 
 
 def line_at_equal_noise(found: Sequence[Measures], noise: float) -> float:

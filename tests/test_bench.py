@@ -1,5 +1,7 @@
 """What the benchmarks themselves must get right: inputs, recipes, tables."""
 
+import sys
+
 import numpy as np
 import pytest
 from bench import (
@@ -213,6 +215,13 @@ def test_methods_stand_side_by_side_on_every_scene(tmp_path):
     assert [row.split(" | ")[0] for row in times] == [f"| {s}, 3,000 halton" for s in scenes]
     assert " passes, " in times[0]
     assert times[1].endswith("| – |")
+
+
+def test_methods_say_what_is_missing_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+    monkeypatch.setattr(methods.Matrix, "rows", None)
+    with pytest.raises(ImportError, match="pip install"):
+        methods.markdown(methods.Matrix((3_000,), folder=tmp_path))
 
 
 def test_a_report_of_nothing_has_no_tables():

@@ -23,6 +23,7 @@ from photonrelax.compare import (
 )
 from photonrelax.compare import table as tables
 from photonrelax.compare.sheet import contact_sheet
+from photonrelax.estimate import Field
 from photonrelax.image import read_exr, srgb
 from photonrelax.methods import METHODS, Settings
 
@@ -38,6 +39,19 @@ def ring():
 
 def run_cli(*arguments):
     return cli.main([str(argument) for argument in arguments])
+
+
+class Exact(Field):
+    """An estimate without error."""
+
+    structure = None
+
+    def __init__(self, photons, known):
+        self.photons, self.seconds, self.used, self._known = photons, {}, {}, known
+
+    def densities(self, values):
+        width = np.shape(values)[1]
+        return lambda points, normals, **_: self._known.irradiance(points)[:, :1].repeat(width, 1)
 
 
 @pytest.fixture(scope="module")
@@ -140,15 +154,25 @@ def test_settings_and_sampler_reach_their_stages(plan, truth):
 def test_photons_without_a_scene_are_measured_against_their_exact_irradiance(tmp_path):
     plan = Plan(subject=DistributionSubject("shapes", (40, 30)), n_emitted=4000, methods=PAIR)
     truth = reference.kept(tmp_path / "none.exr", plan, 1)
-    expected = gallery.distribution("shapes").pixel_means(40, 30) / np.pi
+    known = gallery.distribution("shapes")
+    expected = known.picture(lambda points, _: known.irradiance(points), 40, 30, 2) / np.pi
     np.testing.assert_array_equal(truth.layers["radiance"], expected)
     made = compare(plan, truth)
-    assert made.about_reference == "exact means over pixels"
+    assert made.about_reference == "exact irradiance at the same points"
     photons = gallery.distribution("shapes", n=4000, sampler="halton").photons
     seen = gallery.distribution("shapes").picture(pr.irradiance_field(photons), 40, 30, 2)
     layers = made.entries[1].image.layers
     np.testing.assert_allclose(layers["radiance"], seen / np.pi, rtol=1e-12)
     assert made.entries[1].errors.relative_l1 == measures.relative_l1(seen / np.pi, expected)
+
+
+def test_the_exact_irradiance_of_shapes_has_no_error(tmp_path, monkeypatch):
+    """Means over the area of these pixels would make it 10 %.."""
+    plan = Plan(subject=DistributionSubject("shapes", (40, 30)), n_emitted=99, methods=PAIR[:1])
+    known = gallery.distribution("shapes")
+    monkeypatch.setattr(run, "prepare", lambda method, task: Exact(task.photons, known))
+    (entry,) = compare(plan, reference.kept(tmp_path / "none.exr", plan, 1)).entries
+    assert entry.errors == measures.Errors(0.0, 0.0, 0.0, 1.0, 0.0)
 
 
 @pytest.mark.parametrize(

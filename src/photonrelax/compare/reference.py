@@ -39,9 +39,11 @@ def kept(
     It is computed and kept if there is none, or one that is not of the same scene, view, photons,
     passes and seed; its photons are others than those compared, whatever their seed.
     """
-    exact = plan.subject.exact()
+    exact = plan.subject.exact(plan.supersampling)
     if exact is not None:
-        return Image({"radiance": exact, "caustic": exact}, {ABOUT: "exact means over pixels"})
+        return Image(
+            {"radiance": exact, "caustic": exact}, {ABOUT: "exact irradiance at the same points"}
+        )
     found = _found(path)
     if found is None or found.metadata.get(_KEY) != _key(plan, passes, seed):
         _computed(plan, passes, seed, progress).write_exr(path)

@@ -60,8 +60,11 @@ class Subject(Protocol):
     ) -> View:
         """Return the points that all methods are seen at."""
 
-    def exact(self) -> Floats | None:
-        """Return what a picture would be without error, (height, width, 3), if it is known."""
+    def exact(self, supersampling: int) -> Floats | None:
+        """Return the picture of the true irradiance at the points of `view`, if it is known.
+
+        (height, width, 3): means over the s·s samples of each pixel, as of any estimate.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +127,7 @@ class SceneSubject:
             progress=progress,
         )
 
-    def exact(self) -> None:
+    def exact(self, supersampling: int) -> None:
         """Return nothing: pictures of scenes are not known."""
 
 
@@ -192,6 +195,14 @@ class DistributionSubject:
         band = Band(range(height), width, hits, first, np.zeros_like(points))
         return View([band], band.fixed_layers(), 0.0)
 
-    def exact(self) -> Floats:
-        """Return the mean radiance over the area of each pixel, (height, width, 3)."""
-        return gallery.distribution(self.name, n=0).pixel_means(*self.size) / np.pi
+    def exact(self, supersampling: int) -> Floats:
+        """Return the mean radiance of the points of `view` in each pixel, (height, width, 3).
+
+        Means over the area of pixels differ from these where edges cut them, by more than the
+        error of a good estimate.
+        """
+        known = gallery.distribution(self.name, n=0)
+        picture = known.picture(
+            lambda points, _: known.irradiance(points), *self.size, supersampling
+        )
+        return picture / np.pi
