@@ -119,6 +119,23 @@ def test_a_run_resumed_is_a_run_never_stopped(ring, stochastic, tmp_path):
     assert resumed.stats["stages"]["passes"]["passes"] == 5
 
 
+def test_a_run_is_resumed_with_the_normals_it_began_with(tmp_path):
+    """In one process, of a mesh that came without any."""
+    ball = trimesh.creation.icosphere(3, 0.5)
+    ball = trimesh.Trimesh(np.add(ball.vertices, [4, 0, 1]), ball.faces, process=False)
+    scene = mirrored_floor()
+    glass = pr.SceneObject(ball, pr.Dielectric(), smooth=True)
+    scene = replace(scene, objects=[scene.objects[0], glass])
+    kept, whole = tmp_path / "kept.npz", tmp_path / "whole.npz"
+    for n_passes in (1, 3):
+        state = pr.Checkpoints(state=kept)
+        pr.render_progressive(scene, n_passes=n_passes, checkpoints=state, **FEW)
+    again = trimesh.Trimesh(ball.vertices, ball.faces, process=False)
+    scene = replace(scene, objects=[scene.objects[0], replace(glass, mesh=again)])
+    pr.render_progressive(scene, n_passes=3, checkpoints=pr.Checkpoints(state=whole), **FEW)
+    assert kept.read_bytes() == whole.read_bytes()
+
+
 def test_the_picture_so_far_is_shown_at_intervals(ring):
     shown = []
     on_image = pr.Checkpoints(interval=1e-9, on_image=shown.append)

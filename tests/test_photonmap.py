@@ -229,7 +229,7 @@ def test_a_truncated_map_is_no_photon_map(tmp_path):
         ({"emitter_id": np.ones(4, int)}, "emitter_id should have shape"),
         ({"spectrum": np.ones((5, 2))}, r"spectrum should have shape \(5, 3\)"),
         ({"spectrum": [[1, np.nan, 0]] * 5}, "rows of numbers or of NaN"),
-        ({"spectrum": [[-1, 1, 0]] * 5}, "a and b not negative"),
+        ({"spectrum": [[-1, 1, 0]] * 5}, "e and b not negative"),
         ({"n_emitted": -1}, "n_emitted should be at least 0"),
     ],
 )

@@ -8,7 +8,7 @@ import trimesh
 
 import photonrelax as pr
 from photonrelax import raycast
-from photonrelax.raycast import RayCaster
+from photonrelax.raycast import RayCaster, vertex_normals
 
 OFFSETS = [(0.0, 0.0, 0.0), (1e5, -2e5, 3e5)]
 SCALES = [1e-4, 1.0, 1e4]
@@ -127,6 +127,16 @@ def test_given_vertex_normals_are_interpolated():
     hit = RayCaster([diffuse(mesh, smooth=True)]).intersect([[0.5, 0.25, 1]], [[0, 0, -1]])
     expected = 0.25 * normals[0] + 0.5 * normals[1] + 0.25 * normals[2]
     np.testing.assert_allclose(hit.shading_normal[0], expected / np.linalg.norm(expected))
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0])
+def test_looking_at_the_normals_of_a_mesh_does_not_change_them(scale):
+    sphere = trimesh.creation.icosphere(subdivisions=3)
+    vertices = scale * np.add(sphere.vertices, [0, 0, 1])
+    sphere = trimesh.Trimesh(vertices, sphere.faces, process=False)
+    before = vertex_normals(sphere).tobytes()
+    assert sphere.vertex_normals.shape == sphere.vertices.shape
+    assert vertex_normals(sphere).tobytes() == before
 
 
 def test_normals_that_point_behind_their_face_are_not_used():

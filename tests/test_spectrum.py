@@ -1,10 +1,20 @@
 """Operators against light fields transformed ray by ray; radii against the bias they bound."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
 from photonrelax import spectrum
-from photonrelax.spectrum import COSINE_LOBE, carried, diffused, kernel_radius, occluded
+from photonrelax.spectrum import (
+    COSINE_LOBE,
+    carried,
+    deposited,
+    diffused,
+    kernel_radius,
+    occluded,
+    root,
+)
 
 ONE = np.ones(1)
 # Wave packets in (x, θ), of unit size: centre, axes, wave, weight.
@@ -184,7 +194,7 @@ def test_a_deposit_is_the_slice_without_angular_frequency():
     measured = (omega**2 * amplitude).sum() / amplitude.sum()
     a, b, c = narrow[0, 0], narrow[1, 1], narrow[0, 1]
     assert a - c**2 / b == pytest.approx(measured, rel=1e-6)
-    assert diffused(np.array([[a, b, c]]))[0, 0] == pytest.approx(measured, rel=0.02)
+    assert kept_of(narrow) == pytest.approx(measured, rel=0.02)
 
 
 def test_the_cosine_blurs_the_slice():
@@ -195,21 +205,55 @@ def test_the_cosine_blurs_the_slice():
     irradiance = (gaussian_light(x[:, None], theta, wide) * np.cos(theta)).sum(axis=1)
     # By its width rather than its tails, where cos θ and its Gaussian differ.
     spread = (x**2 * irradiance).sum() / irradiance.sum()
-    (kept,) = diffused(np.array([[0.05, 0.03, 0.02]]))
-    assert kept[0] == pytest.approx(1 / (4 * np.pi**2 * spread), rel=0.03)
-    assert 0.9 * kept[0] > 0.05 - 0.02**2 / 0.03
-    assert (kept[1:] == 0.0).all()
+    kept = kept_of(wide)
+    assert kept == pytest.approx(1 / (4 * np.pi**2 * spread), rel=0.03)
+    assert 0.9 * kept > 0.05 - 0.02**2 / 0.03
+
+
+def kept_of(matrix):
+    slices, _ = deposited(root(matrix[np.newaxis]))
+    return slices[0, 0, 0] ** 2
+
+
+def test_what_is_reflected_has_no_angular_frequency():
+    np.testing.assert_array_equal(diffused(np.array([[0.4, 6.0, -0.3]])), [[0.4, 0.0, 0.0]])
 
 
 def test_the_roughest_section_has_the_largest_slice_of_all():
     rng = np.random.default_rng(3)
     factor = rng.normal(size=(50, 4, 4))
     spectra = factor @ np.swapaxes(factor, 1, 2)
-    kept = diffused(spectrum.roughest(spectra))[:, 0]
+    kept, b, c = spectrum.roughest(factor).T
     lobe = spectra[:, 2:, 2:] + COSINE_LOBE * np.eye(2)
     mixed = spectra[:, :2, 2:]
     slices = spectra[:, :2, :2] - mixed @ np.linalg.inv(lobe) @ np.swapaxes(mixed, 1, 2)
-    np.testing.assert_allclose(kept, np.linalg.eigvalsh(slices)[:, 1], rtol=1e-9)
+    values, vectors = np.linalg.eigh(slices)
+    np.testing.assert_allclose(kept, values[:, 1], rtol=1e-9)
+    t = vectors[:, :, 1]
+    a = np.einsum("ni,nij,nj->n", t, spectra[:, :2, :2], t)
+    np.testing.assert_allclose(a - c**2 / (b + COSINE_LOBE), kept, rtol=1e-9)
+
+
+@pytest.mark.parametrize("focal_length", [0.25, 0.03, 0.003, 0.001, 1e-4])
+def test_slices_of_parallel_light_beyond_a_focus_are_exact(focal_length):
+    """A window of 0.3 f, a mirror and 1 m of travel, in fractions instead of floating point."""
+    rng = np.random.default_rng(1)
+    focal, distance = focal_length * rng.uniform(0.9, 1.1, 40), rng.uniform(0.8, 1.2, 40)
+    beam = np.zeros((40, 4, 4))
+    beam[:, [2, 3], [2, 3]] = 1.0 / (4.0 * np.pi**2 * 1e-12)
+    beam = occluded(beam, 0.3 * focal)
+    mirror = spectrum.reflect(np.ones(40), np.eye(2) * (-0.5 / focal)[:, None, None])
+    there = spectrum.travel(distance, 2) @ mirror @ root(beam)
+    exact = [beyond_a_mirror(*each) for each in zip(beam, focal, distance, strict=True)]
+    np.testing.assert_allclose(spectrum.roughest(there)[:, 0], exact, rtol=1e-9)
+
+
+def beyond_a_mirror(beam, focal, distance):
+    a, b, lobe = Fraction(beam[0, 0]), Fraction(beam[2, 2]), Fraction(COSINE_LOBE)
+    power, d = 1 / Fraction(focal), Fraction(distance)
+    stretch = 1 - d * power
+    mixed = d * a - power * stretch * b
+    return float(a + power**2 * b - mixed**2 / (d**2 * a + stretch**2 * b + lobe))
 
 
 def test_a_point_lights_smoothly_from_afar_and_a_parallel_beam_keeps_its_pattern():

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._files import NOT_READABLE, remove_leftovers, whole_file
+from .raycast import vertex_normals
 from .scene import Scene, SceneObject
 
 
@@ -100,4 +101,4 @@ def _mesh_arrays(item: SceneObject) -> Iterable[NDArray]:
     yield np.asarray(mesh.vertices)
     yield np.asarray(mesh.faces)
     if item.smooth:
-        yield np.asarray(mesh.vertex_normals)
+        yield vertex_normals(mesh)

@@ -24,7 +24,7 @@ from . import spectrum
 from ._arrays import Floats
 from ._ext import trace as _kernel
 from ._followed import CHUNK, Beams, Follower, Landings, Ways, started
-from .emit import ELLIPSE, LUMINANCE, PATHS, Aim, EmissionPlan, emission, emit
+from .emit import ELLIPSE, LUMINANCE, PATHS, Aim, EmissionPlan, emission
 from .photonmap import FATES
 from .raycast import Intersections, RayCaster, empty_intersections
 from .scene import DIFFUSE, MaterialTable, Scene
@@ -105,25 +105,18 @@ class SpectrumTracer:
         self._dot = _SMALL * scene.scale
 
     def spectra(self, chosen: Retraced) -> Floats:
-        """Return (a, b, c) of up to `CHUNK` photons as they land; NaN where followed in vain."""
+        """Return (e, b, c) of up to `CHUNK` photons as they land; NaN where followed in vain."""
         emitter_id, photons = chosen.emitter_id, chosen.photons
         aim = self._plan.aims[emitter_id]
-        ways = self._ways(emitter_id, photons)
-        bundle = _Bundle(aim, *self._rays(emitter_id, photons))
+        ways, rays = self._ways(emitter_id, photons)
+        bundle = _Bundle(aim, *rays)
         landings = self._follower.follow(bundle.beams(), ways)
         clear = clear_distance(self._follower, bundle, ways, landings)
         light = self._emitted(aim, clear)
         out = np.full((len(photons), 3), np.nan)
         known = _known(landings)
-        out[known] = spectrum.roughest(spectrum.carried(light[known], landings.operator[known]))
+        out[known] = spectrum.roughest(landings.operator[known] @ spectrum.root(light[known]))
         return out
-
-    def _rays(self, emitter_id: int, photons: NDArray[np.int64]) -> tuple[Floats, Floats]:
-        first, end = int(photons[0]), int(photons[-1]) + 1
-        rays = emit(
-            self._plan, emitter_id, range(first, end), seed=self._seed, sampler=self._sampler
-        )
-        return rays.origin[photons - first], rays.direction[photons - first]
 
     def _emitted(self, aim: Aim, clear: Floats) -> Floats:
         """Return the spectra (n, 4, 4) of what leaves the emitter, through windows of a size."""
@@ -136,8 +129,10 @@ class SpectrumTracer:
             light[:, angle, angle] = spectrum.COSINE_LOBE if aim.kind == ELLIPSE else 0.0
         return spectrum.occluded(light, clear, angular=not aim.is_plane)
 
-    def _ways(self, emitter_id: int, photons: NDArray[np.int64]) -> Ways:
-        """Trace photons again and note what they meet."""
+    def _ways(
+        self, emitter_id: int, photons: NDArray[np.int64]
+    ) -> tuple[Ways, tuple[Floats, Floats]]:
+        """Trace photons again; note what they meet, and the rays, two of (n, 3), they start as."""
         n = len(photons)
         steps: list[_Step] = []
         self._paths.start(
@@ -147,9 +142,11 @@ class SpectrumTracer:
             ledger=np.zeros((-(-n // _kernel.BLOCK), len(FATES), 3)),
             ends=np.zeros(len(FATES), dtype=np.int64),
         )
+        emitted = self._paths.live()
+        rays = np.ascontiguousarray(emitted[:, 1:4]), emitted[:, 4:].copy()
         while self._paths.n_live:
             steps.append(self._step())
-        return _noted(steps, n, self._table)
+        return _noted(steps, n, self._table), rays
 
     def _step(self) -> _Step:
         before = self._paths.live()

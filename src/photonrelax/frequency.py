@@ -96,7 +96,7 @@ class FrequencyField(ProgressiveField):
 
     def least_radius(self, points: Floats, normals: Floats, radius: Floats) -> Floats:
         """Return the radii (m,), m, that spectra within discs allow; zero where there are none."""
-        bounds = np.full((len(points), 3), -np.inf)
+        bounds = np.full((len(points), 1), -np.inf)
         reach = self.frequency.reach * radius
         for number, queries, rows in self._trees.parts(points, normals):
             self._bounds(number).raise_to(
@@ -120,7 +120,8 @@ class FrequencyField(ProgressiveField):
             tree, rows = self._trees.tree(number)
             self._bounded[number] = Bounds(
                 tree.kernel,
-                spectrum.diffused(self._spectra),
+                # All that diffuse surfaces reflect.
+                np.ascontiguousarray(spectrum.diffused(self._spectra)[:, :1]),
                 rows,
                 normal_range=NORMAL_RANGE if tree.n_axes > tree.n_metric else -1.0,
                 n_threads=self._n_threads,

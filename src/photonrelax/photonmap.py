@@ -104,7 +104,7 @@ class PhotonMap:
     path_length : (n,) array_like, optional
         Length of the path from the emitter, m.
     spectrum : (n, 3) array_like, optional
-        (a, b, c) of the local spectrum of light, in cycles²/m², cycles²/rad², cycles²/(m rad), as
+        (e, b, c) of the local spectrum of light, in cycles²/m², cycles²/rad², cycles²/(m rad), as
         in `photonrelax.spectrum`; rows of NaN for photons that carry none.
     n_emitted : int, optional
         Paths started to make this map.
@@ -294,7 +294,7 @@ def _spectrum(value: ArrayLike, n: int) -> Floats:
     if not (known.all(axis=1) | ~known.any(axis=1)).all():
         raise ValueError("spectrum should have rows of numbers or of NaN, but has one of both")
     if np.isinf(array).any() or (array[:, :2] < 0.0).any():
-        raise ValueError("spectrum should be finite and a and b not negative, but are not")
+        raise ValueError("spectrum should be finite and e and b not negative, but are not")
     return _frozen(array)
 
 

@@ -28,6 +28,8 @@ _CHUNK = 65536
 # Step off the surface left, as a fraction of the largest coordinate in the frame: some ten
 # roundings of float32. Half of all unstepped rays would hit the triangle they start on.
 _STEP = 1e-6
+# Vertex normals as near as this to what trimesh computes are not given but computed.
+_OWN = 1e-6
 _NO_RAYS = np.empty((0, 3))
 _NO_LIMITS = np.empty(0)
 
@@ -251,14 +253,21 @@ def _joined(parts: list[_Part]) -> _Part:
 def vertex_normals(mesh: trimesh.Trimesh) -> Floats:
     """Return the normals (v, 3) that came with a mesh, or trimesh's from a copy of unit size.
 
-    trimesh takes the faces of tiny meshes for degenerate.
+    trimesh takes the faces of tiny meshes for degenerate. What it was given it keeps where it
+    keeps what it was asked for: the latter is told by its values, so that looking at a mesh does
+    not change what is made of it.
     """
-    if "vertex_normals" in mesh._cache:
-        return np.asarray(mesh.vertex_normals)
     vertices = np.asarray(mesh.vertices)
+    if "vertex_normals" in mesh._cache:
+        kept = np.asarray(mesh.vertex_normals)
+        if np.abs(kept - _own_normals(mesh, vertices)).max() > _OWN:
+            return kept
     low = vertices.min(axis=0)
-    size = (vertices - low).max()
-    return np.asarray(type(mesh)((vertices - low) / size, mesh.faces, process=False).vertex_normals)
+    return _own_normals(mesh, (vertices - low) / (vertices - low).max())
+
+
+def _own_normals(mesh: trimesh.Trimesh, vertices: Floats) -> Floats:
+    return np.asarray(type(mesh)(vertices, mesh.faces, process=False).vertex_normals)
 
 
 def _embree(vertices: Floats, faces: NDArray[np.int32]) -> Any:

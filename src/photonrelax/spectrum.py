@@ -47,9 +47,12 @@ orders, at 5 %. Next to a shadow's edge kernels then stay off the edge.
 variance σ² = π²/4 - 2, widens the spectrum over angle; the integral is its slice Ω_θ = 0, of
 variance
 
-    a - c² / (b + 1/(4π²σ²)).
+    e = a - c² / (b + 1/(4π²σ²)).
 
 What is reflected has no angular frequency of its own, so FPPM's r_θ is infinite and r_x decides.
+Photons carry (e, b, c) rather than (a, b, c): a follows from these, while in light that is nearly
+parallel a and what is taken from it have all their digits in common. For the same reason spectra
+are carried along a path as roots F, Σ = F Fᵀ, and e is what F leaves (see `deposited`).
 
 **Radius.** Around a wave of frequency f the mean over a disc of radius r is 2 J₁(z)/z of its value,
 z = 2πfr, and 1 - 2 J₁(z)/z ≤ z²/8. Of an irradiance whose spectrum has variance a along both axes,
@@ -186,39 +189,70 @@ def occluded(spectrum: Floats, distance: Floats, *, angular: bool = False) -> Fl
     return out
 
 
-def roughest(spectrum: Floats) -> Floats:
-    """Return (a, b, c), (n, 3), of the section in which irradiance is roughest.
+def root(spectrum: Floats) -> Floats:
+    """Return roots F (n, 2s, 2s), Σ = F Fᵀ, of spectra with frequencies of all kinds.
 
-    `spectrum` (n, 4, 4) is that on the receiver. Along the unit vector t in which irradiance varies
-    most, a = tᵀ Σ_xx t; b and c are those of the angle that tells most of Ω_x, so that
-    a - c² / (b + 1/(4π²σ²)) is the largest variance of the irradiance's spectrum in any direction.
+    Operators apply to them from the left: K F.
     """
-    space, mixed = spectrum[:, :2, :2], spectrum[:, :2, 2:]
-    lobe = spectrum[:, 2:, 2:] + COSINE_LOBE * np.eye(2)
-    regression = np.swapaxes(np.linalg.solve(lobe, np.swapaxes(mixed, 1, 2)), 1, 2)
-    slices = space - regression @ np.swapaxes(mixed, 1, 2)
-    t = np.linalg.eigh(0.5 * (slices + np.swapaxes(slices, 1, 2)))[1][:, :, 1]
-    angle = np.einsum("ni,nij->nj", t, regression)
+    lower: Floats = np.linalg.cholesky(spectrum)
+    return lower
+
+
+def deposited(root: Floats) -> tuple[Floats, Floats]:
+    """Return what Lambertian surfaces keep of the light that comes to them.
+
+    Parameters
+    ----------
+    root : (n, 2s, m)
+        F of spectra Σ = F Fᵀ on the surface.
+
+    Returns
+    -------
+    slices : (n, s, s)
+        G, Gᵀ G being Σ sliced at Ω_θ = 0, the lobe of the cosine included: what the rows of F over
+        space leave beside those over angle. The difference Σ_xx - Σ_xθ (…)⁻¹ Σ_θx would leave
+        nothing but rounding of light that is nearly parallel.
+    regression : (n, s, s)
+        Multiplied by a frequency Ω_x, the Ω_θ that is expected beside it.
+    """
+    n, twice, m = root.shape
+    sections = twice // 2
+    columns = np.zeros((n, m + sections, twice))
+    columns[:, :m] = np.swapaxes(np.roll(root, sections, axis=1), 1, 2)
+    columns[:, m:, :sections] = np.sqrt(COSINE_LOBE) * np.eye(sections)
+    # From the largest row to the least, rounding stays in proportion to each.
+    size = np.abs(columns).max(axis=2, keepdims=True)
+    columns = np.take_along_axis(columns, np.argsort(-size, axis=1), axis=1)
+    upper: Floats = np.asarray(np.linalg.qr(columns, mode="r"))
+    over, beside = upper[:, :sections], upper[:, sections:, sections:]
+    return beside, np.linalg.solve(over[:, :, :sections], over[:, :, sections:])
+
+
+def roughest(root: Floats) -> Floats:
+    """Return (e, b, c), (n, 3), of the section in which irradiance is roughest.
+
+    `root` (n, 4, m) is that of the spectrum on the receiver. Along the unit vector t in which
+    irradiance varies most, e = tᵀ Gᵀ G t; b and c are those of the angle that tells most of Ω_x,
+    so that e = a - c² / (b + 1/(4π²σ²)) for a = tᵀ Σ_xx t.
+    """
+    slices, regression = deposited(root)
+    _, size, axes = np.linalg.svd(slices)
+    t = axes[:, 0]
+    angle = np.einsum("nji,ni->nj", regression, t)
     length = np.linalg.norm(angle, axis=1, keepdims=True)
     angle = np.where(length > 0.0, angle / np.where(length > 0.0, length, 1.0), t)
-    return np.column_stack(
-        [
-            np.einsum("ni,nij,nj->n", t, space, t),
-            np.einsum("ni,nij,nj->n", angle, spectrum[:, 2:, 2:], angle),
-            np.einsum("ni,nij,nj->n", t, mixed, angle),
-        ]
-    )
+    along = np.einsum("ni,nij->nj", t, root[:, :2])
+    turning = np.einsum("ni,nij->nj", angle, root[:, 2:])
+    products = [np.einsum("nj,nj->n", turning, other) for other in (turning, along)]
+    return np.column_stack([size[:, 0] ** 2, *products])
 
 
 def diffused(spectrum: Floats) -> Floats:
-    """Return the spectra (n, 3) that Lambertian surfaces reflect of those (a, b, c) they receive.
+    """Return the spectra (n, 3) that Lambertian surfaces reflect of those (e, b, c) they receive.
 
     Angular frequency is gone; NaN, for none known, stays NaN.
     """
-    a, b, c = spectrum.T
-    kept = np.maximum(a - c * c / (b + COSINE_LOBE), 0.0)
-    gone = 0.0 * kept
-    return np.column_stack([kept, gone, gone])
+    return spectrum * np.array([1.0, 0.0, 0.0])
 
 
 def kernel_radius(variance: Floats, bias: float = BIAS) -> Floats:
