@@ -388,6 +388,18 @@ def test_fields_tell_what_they_did():
 
 
 @pytest.mark.parametrize("method", METHODS)
+def test_with_fewer_photons_than_k_the_bandwidth_is_the_largest(method):
+    photons = flat_map(np.array([[0.5, 0.5]]), 1)
+    points, normals = plane(np.array([[0.55, 0.5]]))
+    settings = pr.DiffusionSettings(k=500, bandwidth=0.1)
+    found = pr.irradiance_field(photons, method=method, diffusion=settings)(points, normals)
+    gather = pr.GatherSettings(k=500, gather_radius=0.1)
+    expected = pr.estimate_irradiance(photons, points, normals, gather)
+    assert expected.min() > 0.0
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("method", METHODS)
 def test_maps_with_next_to_nothing(method):
     points, normals = plane(np.array([[0.5, 0.5], [9.0, 9.0]]))
     empty = flat_map(np.empty((0, 2)), 1)
@@ -414,6 +426,8 @@ def test_maps_with_next_to_nothing(method):
         ({"k": None}, "should have k or bandwidth, but both are None"),
         ({"bandwidth": 0.0}, "bandwidth should be a positive number"),
         ({"bandwidth": np.inf}, "bandwidth should be a positive number"),
+        ({"bandwidth": 1e160}, r"bandwidth should lie in \[1e-150, 1e\+150\], but is 1e\+160"),
+        ({"noise_scale": 1e-160}, r"noise_scale should lie in \[1e-150, 1e\+150\], but is 1e-160"),
         ({"noise_scale": -1.0}, "noise_scale should be a positive number"),
         ({"edge_threshold": 0.0}, "edge_threshold should be a positive number"),
         ({"edge_steepness": 0.0}, "edge_steepness should be a positive number"),

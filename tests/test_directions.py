@@ -40,6 +40,14 @@ def test_few_normals_are_numbered_as_they_appear(n_faces):
     np.testing.assert_array_equal(face, [*range(n_faces), *reversed(range(n_faces))])
 
 
+def test_roundings_do_not_make_faces():
+    normals = random_directions(3).repeat(200, axis=0)
+    normals += np.random.default_rng(1).uniform(-4e-16, 4e-16, normals.shape)
+    faces, face = directions.distinct(normals, 64)
+    np.testing.assert_array_equal(faces, normals[::200])
+    np.testing.assert_array_equal(face, np.arange(3).repeat(200))
+
+
 def test_many_normals_are_not_told_apart():
     assert directions.distinct(random_directions(65), 64)[0] is None
 

@@ -6,6 +6,7 @@ import pytest
 import photonrelax as pr
 from photonrelax._facing import FacingTrees
 from photonrelax.estimate import automatic_gather_radius
+from photonrelax.methods import METHODS
 
 SLANTED = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0)
 N = 700
@@ -104,6 +105,21 @@ def test_same_bytes_for_every_number_of_threads_and_in_parts(scene):
     halves = [field(points[half], normals[half]) for half in (slice(0, 99), slice(99, None))]
     for other in (*others, np.concatenate(halves)):
         assert other.tobytes() == one.tobytes()
+
+
+@pytest.mark.parametrize("roundings", [4e-16, 1e-13])
+@pytest.mark.parametrize("method", METHODS)
+def test_one_normal_of_many_roundings_faces_one_way(method, roundings):
+    rng = np.random.default_rng(6)
+    position, normal = on_face(rng, SLANTED, 2000)
+    normal += rng.uniform(-roundings, roundings, normal.shape)
+    assert len(np.unique(normal, axis=0)) > 64
+    photons = pr.PhotonMap(position, normal, np.full((2000, 3), 1 / 2000), n_emitted=2000)
+    if method == "frequency":
+        photons = photons.replace(spectrum=np.tile([1e4, 0.0, 0.0], (2000, 1)))
+    field, normals = pr.irradiance_field(photons, method=method), np.tile(SLANTED, (50, 1))
+    assert field(0.5 * position[:50], normals).min() > 0.0
+    assert field(0.5 * position[:50], -normals).max() == 0.0
 
 
 @pytest.mark.parametrize(("scene", "n_sets"), [(scene_of_faces, 5), (drum, 0), (sphere, 0)])

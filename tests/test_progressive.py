@@ -247,6 +247,7 @@ def test_a_map_of_few_photons_makes_few_passes():
         ({"n_passes": 0}, ValueError, r"ProgressiveSettings.n_passes should be at least 1"),
         ({"k": 1}, ValueError, r"ProgressiveSettings.k should be at least 2"),
         ({"radius": -1.0}, ValueError, r"ProgressiveSettings.radius should be a positive"),
+        ({"radius": 1e160}, ValueError, r"radius should lie in \[1e-150, 1e\+150\]"),
         ({"n_passes": 1.5}, TypeError, r"ProgressiveSettings.n_passes should be an integer"),
     ],
 )
@@ -261,6 +262,8 @@ def test_bad_settings_are_refused(arguments, error, message):
         (0.0, "radius should be positive, but its least value is 0.0"),
         ([0.1, 0.2], r"radius should be a number or of shape \(1,\), but has \(2,\)"),
         (np.nan, "radius should be finite"),
+        (1e160, r"radius should lie in \[1e-150, 1e\+150\], but spans 1e\+160 to 1e\+160"),
+        (1e-160, r"radius should lie in \[1e-150, 1e\+150\]"),
     ],
 )
 def test_bad_radii_are_refused(radius, message):

@@ -46,6 +46,15 @@ def cloud(n, m, n_axes=3, seed=1):
     return points, values, queries, rng.choice([0.01, 0.1, 0.4, 3.0], m)
 
 
+@pytest.mark.parametrize("n", [10, 1003, 5003])
+def test_radii_whose_square_is_infinite_reach_all_points_and_no_more(n):
+    """Where no point is there is infinity in lanes and boxes, which is as large as the square."""
+    points, values, queries, _ = cloud(n, 20)
+    out, counts = gathered(points, values, queries, np.full(20, 1e160))
+    assert (counts == n).all()
+    np.testing.assert_allclose(out, np.tile(values.sum(axis=0), (20, 1)), rtol=1e-11)
+
+
 @pytest.mark.parametrize("kernel", WEIGHTS)
 @pytest.mark.parametrize("n", [1, 15, 16, 17, 300, 5000])
 def test_sums_and_counts_are_those_of_brute_force(n, kernel):

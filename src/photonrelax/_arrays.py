@@ -17,6 +17,9 @@ from ._ext import directions as _directions
 # More threads than this the OpenMP runtime may refuse, and with it end the process.
 _MOST_THREADS = 1024
 
+# Radii beyond have squares, and what is divided by these, outside of the range of floats.
+RADII = (1e-150, 1e150)
+
 # Numbers looked at together where an array is only checked.
 _PART = 32768
 
@@ -145,6 +148,20 @@ def positive(value: float, name: str, *, allow_inf: bool = False) -> float:
     number = float(float_array(value, name, (), finite=False))
     if not number > 0.0 or (np.isinf(number) and not allow_inf):
         raise ValueError(f"{name} should be a positive number, but is {number}")
+    return number
+
+
+def radius(value: float, name: str, *, allow_inf: bool = False) -> float:
+    """Return a radius, m, whose square is within the range of floats.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is not a real number from 1e-150 to 1e150, or infinite if that is allowed.
+    """
+    number = positive(value, name, allow_inf=allow_inf)
+    if not (RADII[0] <= number <= RADII[1] or np.isinf(number)):
+        raise ValueError(f"{name} should lie in [{RADII[0]:g}, {RADII[1]:g}], but is {number:g}")
     return number
 
 

@@ -11,7 +11,7 @@ from . import _arrays
 from ._arrays import Floats, Rows
 from ._ext.curve import curve_order
 from ._ext.directions import distinct, faced
-from ._sheets import MOST_FACES, NORMAL_RANGE, facing, photon_tree, placed_rows, side_by_side
+from ._sheets import MOST_FACES, NORMAL_RANGE, facing, placed_rows, side_by_side
 from .kdtree import KDTree
 from .photonmap import PhotonMap
 
@@ -55,7 +55,7 @@ class FacingTrees:
             self.tree(number)
 
     def whole(self) -> KDTree:
-        """Return the tree of all photons, normals on range axes unless all are the same.
+        """Return the tree of all photons, normals on range axes unless all lie on one face.
 
         Only where points can do with this one it is kept.
         """
@@ -71,14 +71,14 @@ class FacingTrees:
 
     def _built(self, number: int) -> tuple[KDTree, Order]:
         position, normal = self._photons.position, self._photons.normal
+        columns: list[Floats] = [position]
         rows: Rows = slice(None)
         if number == self.n_sets:
-            tree, _ = photon_tree(position, normal, n_threads=self._n_threads)
-        else:
-            if self._face is not None:
-                rows = np.flatnonzero(self._members[number][self._face])
-            points = side_by_side([position], [1.0], rows, self._n_threads)
-            tree = KDTree(points, n_metric=3, n_threads=self._n_threads)
+            columns = [position, normal]
+        elif self._face is not None:
+            rows = np.flatnonzero(self._members[number][self._face])
+        points = side_by_side(columns, [1.0] * len(columns), rows, self._n_threads)
+        tree = KDTree(points, n_metric=3, n_threads=self._n_threads)
         return tree, placed_rows(tree, rows)
 
     def parts(self, points: Floats, normals: Floats) -> Iterator[tuple[int, Floats, Order]]:

@@ -105,12 +105,13 @@ class DiffusionSettings:
             self._set("k", _arrays.count(self.k, "DiffusionSettings.k", low=2))
         elif self.bandwidth is None:
             raise ValueError("DiffusionSettings should have k or bandwidth, but both are None")
-        for name in ("bandwidth", "noise_scale", "edge_threshold", "edge_steepness"):
+        for name in ("bandwidth", "noise_scale"):
             value = getattr(self, name)
             if value is not None:
-                infinite = name == "edge_threshold"
-                label = f"DiffusionSettings.{name}"
-                self._set(name, _arrays.positive(value, label, allow_inf=infinite))
+                self._set(name, _arrays.radius(value, f"DiffusionSettings.{name}"))
+        for name in ("edge_threshold", "edge_steepness"):
+            label, infinite = f"DiffusionSettings.{name}", name == "edge_threshold"
+            self._set(name, _arrays.positive(getattr(self, name), label, allow_inf=infinite))
         least = _arrays.positive(self.least_eigenvalue, "DiffusionSettings.least_eigenvalue")
         if least > 1.0:
             raise ValueError(

@@ -28,8 +28,6 @@ KERNELS = {
     "epanechnikov": _estimate.EPANECHNIKOV,
 }
 _WELL_SPACED_BIAS = {"constant": (0.43, -1.0), "cone": (0.45, -1.5), "epanechnikov": (0.57, -1.5)}
-# The square of a lesser one, and what is divided by it, would leave the range of floats.
-_LEAST_RADIUS = 1e-150
 # What the automatic gather radius looks at: no more photons than this, these two quantiles.
 _SAMPLE = 10_000
 _SHARE_OF_PHOTONS = 0.95
@@ -83,14 +81,9 @@ class GatherSettings:
                 f"but is {self.k}"
             )
         if self.gather_radius is not None:
-            radius = _arrays.positive(
+            radius = _arrays.radius(
                 self.gather_radius, "GatherSettings.gather_radius", allow_inf=True
             )
-            if radius < _LEAST_RADIUS:
-                raise ValueError(
-                    f"GatherSettings.gather_radius should be at least {_LEAST_RADIUS:g}, "
-                    f"but is {radius:g}"
-                )
             object.__setattr__(self, "gather_radius", radius)
 
     @property

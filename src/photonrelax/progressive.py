@@ -68,7 +68,7 @@ class ProgressiveSettings:
             number = _arrays.count(getattr(self, name), f"ProgressiveSettings.{name}", low=low)
             object.__setattr__(self, name, number)
         if self.radius is not None:
-            radius = _arrays.positive(self.radius, "ProgressiveSettings.radius")
+            radius = _arrays.radius(self.radius, "ProgressiveSettings.radius")
             object.__setattr__(self, "radius", radius)
 
 
@@ -161,7 +161,8 @@ class ProgressiveStatistics(Discs):
     Raises
     ------
     TypeError, ValueError
-        If a shape is wrong, a value not finite, or a radius or `alpha` not positive.
+        If a shape is wrong, a value not finite, `alpha` not positive, or a radius not from 1e-150
+        to 1e150.
     """
 
     def __init__(
@@ -290,11 +291,16 @@ def _normal_range(tree: KDTree) -> float:
 
 
 def _radii(value: ArrayLike, name: str, m: int) -> Floats:
-    array = _arrays.float_array(value, name)
+    array, (least, most) = _arrays.float_array(value, name), _arrays.RADII
     if array.shape not in ((), (m,)):
         raise ValueError(f"{name} should be a number or of shape ({m},), but has {array.shape}")
     if not (array > 0.0).all():
         raise ValueError(f"{name} should be positive, but its least value is {array.min()}")
+    if (array < least).any() or (array > most).any():
+        raise ValueError(
+            f"{name} should lie in [{least:g}, {most:g}], but spans {array.min():g} to "
+            f"{array.max():g}"
+        )
     return np.ascontiguousarray(np.broadcast_to(array, (m,)))
 
 

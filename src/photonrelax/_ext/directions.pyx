@@ -71,7 +71,7 @@ cdef Py_ssize_t scale_part(
 
 
 def distinct(const double[:, ::1] normals, int most):
-    """Tell normals apart, as long as they are few.
+    """Tell normals apart that differ by more than roundings, as long as they are few.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def distinct(const double[:, ::1] normals, int most):
     Returns
     -------
     faces : (f, 3) float array or None
-        The distinct normals, as they first appear; None if there are more than `most`.
+        The normals told apart, as they first appear; None if there are more than `most`.
     face : (n,) int8 array
         Which of them each row has.
     """
@@ -92,7 +92,7 @@ def distinct(const double[:, ::1] normals, int most):
     cdef int number = 0, n_faces = 0
     with nogil:
         for i in range(normals.shape[0]):
-            if n_faces == 0 or not same(&normals[i, 0], &faces[number, 0]):
+            if n_faces == 0 or not nearly_same(&normals[i, 0], &faces[number, 0]):
                 number = face_of(faces, n_faces, &normals[i, 0])
             if number == most:
                 break
@@ -106,9 +106,9 @@ def distinct(const double[:, ::1] normals, int most):
 
 
 cdef int face_of(const double[:, ::1] faces, int n_faces, const double* normal) noexcept nogil:
-    """Return which of the faces has this normal, `n_faces` if none."""
+    """Return which of the faces has this normal but for roundings, `n_faces` if none."""
     cdef int number = 0
-    while number < n_faces and not same(&faces[number, 0], normal):
+    while number < n_faces and not nearly_same(&faces[number, 0], normal):
         number += 1
     return number
 

@@ -92,6 +92,8 @@ def bandwidths(
     cdef Py_ssize_t i
     if queries.shape[0] != radius.shape[0] or queries.shape[1] < tree.n_axes:
         raise ValueError("queries do not fit the tree and the radii")
+    if k > tree.n_points:
+        return
     for i in prange(
         n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
     ):

@@ -1,6 +1,7 @@
 """The search of within.pxd, and sums over what it finds."""
 
 from cython.parallel cimport prange
+from libc.float cimport DBL_MAX
 from libc.stdint cimport int64_t
 
 from .kdtree cimport Tree, fan_out, first_block, last_kept
@@ -19,19 +20,22 @@ cdef void visit_within(
     cdef Py_ssize_t[STACK_SIZE] open_level
     cdef Py_ssize_t[STACK_SIZE] open_group
     cdef Py_ssize_t n_open = 1, level, g, last = last_kept(tree)
+    cdef Reach within = reach[0]
     cdef unsigned int near, child
     if tree.n_points == 0:
         return
+    # Boxes and lanes without a point are infinitely far, and must stay out of reach.
+    within.squared_limit = min(within.squared_limit, DBL_MAX)
     open_level[0] = open_group[0] = 0
     while n_open > 0:
         n_open -= 1
         level = open_level[n_open]
         g = open_group[n_open]
         near = tree.lanes.boxes_near(
-            &tree.boxes[tree.first_group[level] + g, 0, 0, 0], BLOCK, reach
+            &tree.boxes[tree.first_group[level] + g, 0, 0, 0], BLOCK, &within
         )
         if level == last:
-            visit_blocks(tree, reach, g * fan_out(tree, last), near, visit, state)
+            visit_blocks(tree, &within, g * fan_out(tree, last), near, visit, state)
             continue
         while near:
             child = highest_bit(near)
