@@ -11,7 +11,7 @@ import pytest
 from PIL import Image as Picture
 
 import photonrelax as pr
-from photonrelax._files import check_writable, whole_file
+from photonrelax._files import check_writable, output_path, whole_file
 from photonrelax.image import read_exr, srgb
 
 HEIGHT, WIDTH = 5, 7
@@ -255,6 +255,18 @@ def test_files_are_whole_or_not_there(tmp_path):
     assert os.listdir(tmp_path) == ["file"]
     with pytest.raises(FileNotFoundError, match="no folder"), whole_file(tmp_path / "no" / "file"):
         pass
+
+
+def test_only_what_is_left_of_a_file_of_this_name_is_removed(tmp_path):
+    """Names that share forty letters are other names."""
+    one, other = (tmp_path / ("n" * 50 + end) for end in ("one", "other"))
+    with whole_file(one) as mine, whole_file(other) as theirs:
+        mine.write_text("mine")
+        theirs.write_text("theirs")
+        output_path(other)
+        assert mine.exists()
+        assert not theirs.exists()
+        theirs.write_text("theirs")
 
 
 def test_what_can_be_written_is_found_out_without_a_trace(tmp_path):

@@ -1,10 +1,11 @@
 """Pictures made in passes: what they show, and that stopping and resuming leaves no trace."""
 
+import gc
 import os
 import signal
 import subprocess
 import sys
-import time
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -169,78 +170,83 @@ def test_progress_counts_passes(ring):
 
 
 @pytest.mark.parametrize("stochastic", [False, True])
-@pytest.mark.parametrize("where", ["trace_photons", "Pass", "narrow"])
-def test_ctrl_c_keeps_whole_passes(ring, where, stochastic, tmp_path, monkeypatch):
-    """In the middle of the third pass; of a pass cut in two nothing is kept."""
-    from photonrelax import _hits, passes, progressive
+def test_memory_does_not_grow_with_passes(ring, stochastic):
+    def peak(n_passes):
+        gc.collect()
+        tracemalloc.start()
+        pr.render_progressive(ring, n_passes=n_passes, stochastic=stochastic, n_threads=1, **FEW)
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return most
 
-    owner = {"trace_photons": passes, "Pass": _hits, "narrow": progressive.Discs}[where]
-    work, calls = getattr(owner, where), []
+    peak(3)
+    # Eight bytes for each hit point and pass would be twice as much.
+    assert peak(30) - peak(3) < 27 * 8 * 16 * 16 * 4 / 2
 
-    def interrupted(*arguments, **more):
-        calls.append(where)
-        if len(calls) == 3:
-            raise KeyboardInterrupt
+
+# Is killed at the call of a function that has a number, before or after its work.
+RUN = """
+import os, signal, sys
+from pathlib import Path
+import photonrelax as pr
+from photonrelax import _files, gallery, passes
+
+state, kind, output, where, when, number = sys.argv[1:]
+owner = {"trace_photons": passes, "fsync": os, "replace": Path, "write_exr": pr.Image}[where]
+work, calls = getattr(owner, where), []
+
+def killed(*arguments, **more):
+    calls.append(where)
+    if when == "after":
+        work(*arguments, **more)
+    if len(calls) == int(number):
+        os.kill(os.getpid(), signal.SIGKILL)
+    if when == "before":
         return work(*arguments, **more)
 
-    shown = []
-    state = pr.Checkpoints(state=tmp_path / "run.npz", interval=1e-9, on_image=shown.append)
-    monkeypatch.setattr(owner, where, interrupted)
-    how = {"n_passes": 4, "stochastic": stochastic, **FEW}
-    with pytest.raises(KeyboardInterrupt):
-        pr.render_progressive(ring, checkpoints=state, **how)
-    monkeypatch.undo()
-    assert np.load(tmp_path / "run.npz")["n_passes"] == 2
-    resumed = pr.render_progressive(ring, checkpoints=state, **how)
-    assert layers_bytes(resumed) == layers_bytes(pr.render_progressive(ring, **how))
-
-
-def test_ctrl_c_saves_what_the_interval_had_not(ring, tmp_path):
-    def interrupt(stage, done, total):
-        if done == 2:
-            raise KeyboardInterrupt
-
-    state = pr.Checkpoints(state=tmp_path / "run.npz")
-    with pytest.raises(KeyboardInterrupt):
-        pr.render_progressive(ring, n_passes=4, checkpoints=state, progress=interrupt, **FEW)
-    assert np.load(tmp_path / "run.npz")["n_passes"] == 2
-
-
-# Prints a line when it starts with passes, and one when it is done.
-RUN = """
-import sys
-import photonrelax as pr
-from photonrelax import gallery
-scene = gallery.scene("ring", pixels=16, sections=64)
-checkpoints = pr.Checkpoints(state=sys.argv[1], interval=1e-9)
-image = pr.render_progressive(
-    scene, n_passes=200, photons_per_pass=2000, seed=3, checkpoints=checkpoints, n_threads=1,
-    stochastic=sys.argv[2] == "stochastic", progress=lambda *step: print(*step, flush=True),
+setattr(owner, where, killed)
+output = _files.output_path(Path(output))
+on_image = lambda image: image.write_exr(output)
+pr.render_progressive(
+    gallery.scene("ring", pixels=16, sections=64), n_passes=8, photons_per_pass=2000, seed=3,
+    checkpoints=pr.Checkpoints(state=state, interval=1e-9, on_image=on_image), n_threads=1,
+    stochastic=kind == "stochastic",
 )
-image.write_exr(sys.argv[3])
 """
+KILLS = [
+    ("trace_photons", "before", "1"),
+    ("fsync", "before", "1"),
+    ("replace", "before", "3"),  # every second one is that of the picture
+    ("replace", "after", "1"),
+    ("replace", "before", "2"),
+    ("trace_photons", "before", "2"),
+]
 
 
-def test_killing_it_at_any_moment_leaves_no_trace(tmp_path):
-    """SIGKILL, wherever it hits, until a run comes through: the bytes of one left in peace."""
+@pytest.mark.parametrize("kind", ["fixed", "stochastic"])
+def test_killing_it_at_any_moment_leaves_no_trace(kind, tmp_path):
+    """SIGKILL, run after run, until one comes through: the bytes of one left in peace."""
     state, output = tmp_path / "run.npz", tmp_path / "run.exr"
-    command = [sys.executable, "-c", RUN, str(state), "fixed", str(output)]
-    rng, kills = np.random.default_rng(), 0
-    while not output.exists():
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        for _ in range(rng.integers(1, 50)):
-            assert process.stdout.readline().startswith("passes")
-        if kills < 3:
-            time.sleep(rng.uniform(0.0, 0.005))
-            process.kill()
-        process.communicate()
-        assert process.returncode in (0, -signal.SIGKILL)
-        kills += process.returncode == -signal.SIGKILL
-    assert kills > 0
-    peace = [tmp_path / "peace.npz", tmp_path / "peace.exr"]
-    subprocess.run([*command[:3], str(peace[0]), "fixed", str(peace[1])], check=True)
-    assert output.read_bytes() == peace[1].read_bytes()
-    assert state.read_bytes() == peace[0].read_bytes()
+    command = [sys.executable, "-c", RUN, str(state), kind, str(output)]
+    passes_left, half_written = [], 0
+    for kill in KILLS:
+        assert subprocess.run([*command, *kill]).returncode == -signal.SIGKILL
+        passes_left.append(int(np.load(state)["n_passes"]) if state.exists() else 0)
+        half_written += any(path.suffix == ".part" for path in tmp_path.iterdir())
+    assert passes_left == [0, 0, 1, 2, 3, 4]
+    assert half_written >= 3
+    subprocess.run([*command, "write_exr", "before", "0"], check=True)
+    peace = tmp_path / "peace.npz"
+    image = pr.render_progressive(
+        gallery.scene("ring", pixels=16, sections=64),
+        n_passes=8,
+        stochastic=kind == "stochastic",
+        checkpoints=pr.Checkpoints(state=peace),
+        **FEW,
+    )
+    image.write_exr(tmp_path / "peace.exr")
+    assert output.read_bytes() == (tmp_path / "peace.exr").read_bytes()
+    assert state.read_bytes() == peace.read_bytes()
     # What was half written when a run was killed is cleared away by the next.
     assert sorted(os.listdir(tmp_path)) == ["peace.exr", "peace.npz", "run.exr", "run.npz"]
 
@@ -268,9 +274,14 @@ def test_another_run_is_not_resumed(ring, change, message, tmp_path):
 def test_another_scene_is_not_resumed(ring, tmp_path):
     state = pr.Checkpoints(state=tmp_path / "run.npz")
     pr.render_progressive(ring, n_passes=1, checkpoints=state, **FEW)
-    brighter = gallery.scene("ring", pixels=16, sections=64, irradiance=2.0)
-    with pytest.raises(ValueError, match="its scene is"):
-        pr.render_progressive(brighter, n_passes=2, checkpoints=state, **FEW)
+    others = {
+        "emitters": gallery.scene("ring", pixels=16, sections=64, irradiance=2.0),
+        "objects": gallery.scene("ring", pixels=16, sections=65),
+        "camera": gallery.scene("ring", pixels=17, sections=64),
+    }
+    for part, other in others.items():
+        with pytest.raises(ValueError, match=f"its digest of the {part} is"):
+            pr.render_progressive(other, n_passes=2, checkpoints=state, **FEW)
 
 
 def test_scenes_that_differ_in_anything_have_other_digests(ring):

@@ -99,18 +99,6 @@ def test_same_bits_for_every_number_of_threads(interior):
         assert len({getattr(run, name).tobytes() for run in runs}) == 1
 
 
-def test_memory_does_not_grow_with_passes(interior):
-    def held(statistics):
-        return sum(v.nbytes for v in vars(statistics).values() if isinstance(v, np.ndarray))
-
-    statistics = pr.ProgressiveStatistics(*interior, 0.05)
-    before, names = held(statistics), set(vars(statistics))
-    for seed in range(4):
-        statistics.add(uniform_map(1000, "random", seed=seed))
-    assert held(statistics) == before < 150 * len(interior[0])
-    assert set(vars(statistics)) == names
-
-
 PASSES = 2 ** np.arange(2, 8)
 WAVE = 2.0 * np.pi * 4.0
 

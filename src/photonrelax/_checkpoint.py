@@ -69,10 +69,20 @@ class Checkpoint:
                 )
 
 
+def scene_digests(scene: Scene) -> dict[str, str]:
+    """Return what two scenes share only if all that is rendered of them is the same, by part."""
+    parts = {"camera": scene.camera, "objects": scene.objects, "emitters": scene.emitters}
+    return {f"digest of the {name}": _digest(part) for name, part in parts.items()}
+
+
 def scene_digest(scene: Scene) -> str:
-    """Return what two scenes share only if all that is rendered of them is the same."""
+    """Return what two scenes share only if they, and their names, are the same."""
+    return _digest(scene)
+
+
+def _digest(value: Any) -> str:
     digest = blake2b(digest_size=16)
-    for part in _parts(scene):
+    for part in _parts(value):
         digest.update(part)
     return digest.hexdigest()
 

@@ -10,6 +10,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,7 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 def remove_leftovers(path: Path) -> None:
     """Remove what `whole_file` could not, where a process was killed that wrote `path`."""
-    pattern = f".{glob.escape(path.name[:40])}.{'[0-9a-f]' * 32}.part"
+    pattern = f"{glob.escape(_partials(path))}.{'[0-9a-f]' * 32}.part"
     for partial in path.parent.glob(pattern):
         partial.unlink(missing_ok=True)
 
@@ -74,6 +75,8 @@ def check_writable(path: str | os.PathLike[str]) -> None:
 def output_path(path: Path, suffix: str | None = None) -> Path:
     """Return a path that can be written to; better to find out before the work than after.
 
+    What was left half written of it, by a process that was killed, is removed.
+
     Raises
     ------
     ValueError
@@ -84,6 +87,7 @@ def output_path(path: Path, suffix: str | None = None) -> Path:
     if suffix is not None and path.suffix.lower() != suffix:
         raise ValueError(f"the output should be named *{suffix}, but is {path}")
     check_writable(path)
+    remove_leftovers(path)
     return path
 
 
@@ -108,5 +112,11 @@ def _check_folder(path: Path) -> None:
 
 
 def _partial(path: Path) -> Path:
-    # A part of the name will do: the whole could become longer than file systems allow.
-    return path.with_name(f".{path.name[:40]}.{uuid.uuid4().hex}.part")
+    return path.with_name(f"{_partials(path)}.{uuid.uuid4().hex}.part")
+
+
+def _partials(path: Path) -> str:
+    """Return how the names of files begin that become `path`, and of no others."""
+    # The whole name could become longer than file systems allow.
+    digest = blake2b(os.fsencode(path.name), digest_size=8).hexdigest()
+    return f".{path.name[:40]}.{digest}"

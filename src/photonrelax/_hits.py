@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any, Protocol
 
@@ -11,16 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._arrays import Floats
+from ._facing import FacingTrees
 from .photonmap import PhotonMap
 from .picture import Band, bands, joined
-from .progressive import (
-    Discs,
-    FirstRadius,
-    Pass,
-    ProgressiveSettings,
-    ProgressiveStatistics,
-    pass_weight,
-)
+from .progressive import Discs, FirstRadius, Pass, ProgressiveSettings
 from .raycast import RayCaster
 from .sampling import halton, seed_shift
 from .scene import Scene
@@ -76,23 +70,76 @@ class View:
         right, down = halton(number, 1, shift=self._shift)[0].tolist()
         return right, down
 
-    def first_radius(self, photons: PhotonMap) -> FirstRadius:
-        return FirstRadius(photons, self.recipe.settings, self.n_threads)
+    def looked_at(self, photons: PhotonMap) -> Look:
+        """Return a pass of photons, ready to be gathered."""
+        return Look(self, photons)
+
+    def discs(self, radius: Floats, n_before: int) -> Discs:
+        """Return discs that found nothing in so many passes."""
+        discs = Discs(radius, 3, alpha=self.recipe.settings.alpha, n_threads=self.n_threads)
+        discs.n_passes = n_before
+        discs.weight = float(n_before * self.recipe.photons_per_pass)
+        return discs
+
+
+class Look:
+    """A pass of photons as hit points look at it."""
+
+    def __init__(self, view: View, photons: PhotonMap) -> None:
+        trees = FacingTrees(photons, view.n_threads)
+        settings = view.recipe.settings
+        self.found = Pass(trees, photons.flux, view.n_threads).within
+        self.weight = float(view.recipe.photons_per_pass)
+        self.is_empty = len(photons) == 0
+        self._first = partial(FirstRadius, photons, settings, view.n_threads, trees)
+
+    def first_radius(self) -> FirstRadius:
+        return self._first()
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What a run keeps of its passes; never changed, but followed by that after the next pass.
+
+    Attributes
+    ----------
+    discs : Discs or None
+        None until a photon was stored: there is no telling how far to look for it.
+    seen : dict
+        Sums over passes of the layers that need no photons, where these change.
+    """
+
+    discs: Discs | None = None
+    seen: dict[str, Floats] = field(default_factory=dict)
+
+    def arrays(self) -> dict[str, Any]:
+        """Return all that later passes build upon."""
+        seen = {f"seen_{name}": layer for name, layer in self.seen.items()}
+        if self.discs is None:
+            return seen
+        discs = {name: getattr(self.discs, name) for name in ("radius", "n", "tau", "weight")}
+        return {**discs, "disc_passes": self.discs.n_passes, **seen}
+
+    @classmethod
+    def of(cls, arrays: dict[str, NDArray], view: View) -> Kept:
+        """Return what `arrays` returned such of."""
+        ahead = "seen_"
+        seen = {n.removeprefix(ahead): a for n, a in arrays.items() if n.startswith(ahead)}
+        if "radius" not in arrays:
+            return cls(None, seen)
+        discs = view.discs(arrays["radius"], int(arrays["disc_passes"]))
+        discs.n, discs.tau = arrays["n"], arrays["tau"]
+        discs.weight = float(arrays["weight"])
+        return cls(discs, seen)
 
 
 class Points(Protocol):
-    """Where photons are gathered, and what is kept of them."""
+    """Where photons are gathered."""
 
-    def passed(self, photons: PhotonMap, number: int) -> Callable[[], None]:
-        """Look at a pass; what is returned counts it in when it is called."""
+    def after(self, kept: Kept, photons: PhotonMap, number: int) -> Kept:
+        """Return what is kept after a pass by its number, from zero, and those before it."""
 
-    def arrays(self) -> dict[str, Any]:
-        """Return what is kept, of one pass at least."""
-
-    def restore(self, kept: dict[str, NDArray]) -> None:
-        """Take up what `arrays` returned."""
-
-    def layers(self, n_passes: int) -> dict[str, Floats]:
+    def layers(self, kept: Kept, n_passes: int) -> dict[str, Floats]:
         """Return the layers of the picture after so many passes, but for the radiance."""
 
 
@@ -101,43 +148,35 @@ class FixedPoints:
 
     def __init__(self, view: View) -> None:
         self._view = view
-        self._bands = list(view.bands())
-        self._seen = joined([band.fixed_layers() for band in self._bands])
-        self._position = np.concatenate([band.hits.position for band in self._bands])
-        self._normal = np.concatenate([band.hits.normal for band in self._bands])
-        self._statistics: ProgressiveStatistics | None = None
-
-    def passed(self, photons: PhotonMap, number: int) -> Callable[[], None]:
-        if self._statistics is None:
-            first = self._view.first_radius(photons)
-            self._statistics = self._started(first(self._position, self._normal))
-        statistics = self._statistics
-        statistics.find(Pass(photons, photons.flux, self._view.n_threads))
-        return partial(statistics.count_in, pass_weight(photons))
-
-    def arrays(self) -> dict[str, Any]:
-        return {} if self._statistics is None else self._statistics.arrays()
-
-    def restore(self, kept: dict[str, NDArray]) -> None:
-        self._statistics = self._started(kept["radius"])
-        self._statistics.restore(kept)
-
-    def layers(self, n_passes: int) -> dict[str, Floats]:
-        assert self._statistics is not None, "pictures are shown after the first pass"
-        irradiance = self._statistics.irradiance()
-        ends = np.cumsum([len(band.hits) for band in self._bands])[:-1]
-        parts = zip(self._bands, np.split(irradiance, ends), strict=True)
-        caustic = np.concatenate([band.radiance(part) for band, part in parts])
-        return {"caustic": caustic, **self._seen}
-
-    def _started(self, radius: Floats) -> ProgressiveStatistics:
-        return ProgressiveStatistics(
-            self._position,
-            self._normal,
-            radius,
-            alpha=self._view.recipe.settings.alpha,
-            n_threads=self._view.n_threads,
+        seen, hits, scale = [], [], []
+        for band in view.bands():
+            seen.append(band.fixed_layers())
+            hits.append((band.hits.position, band.hits.normal, band.hits.pixel))
+            scale.append(band.hits.weight * band.hits.albedo / np.pi)
+        self._seen = joined(seen)
+        position, normal, self._pixel = (
+            np.concatenate(column) for column in zip(*hits, strict=True)
         )
+        self._points = position, normal
+        self._scale = np.concatenate(scale)
+
+    def after(self, kept: Kept, photons: PhotonMap, number: int) -> Kept:
+        look, discs = self._view.looked_at(photons), kept.discs
+        if discs is None:
+            if look.is_empty:
+                return kept
+            discs = self._view.discs(look.first_radius()(*self._points), number)
+        discs = discs.copy()
+        discs.narrow(*look.found(self._points, discs.radius), look.weight)
+        return Kept(discs)
+
+    def layers(self, kept: Kept, n_passes: int) -> dict[str, Floats]:
+        caustic = np.zeros((*self._view.shape, 3))
+        if kept.discs is not None:
+            for channel, column in enumerate((self._scale * kept.discs.densities()).T):
+                sums = np.bincount(self._pixel, column, minlength=caustic[..., 0].size)
+                caustic[..., channel] = sums.reshape(self._view.shape)
+        return {"caustic": caustic, **self._seen}
 
 
 class MovingPoints:
@@ -149,62 +188,51 @@ class MovingPoints:
 
     def __init__(self, view: View) -> None:
         self._view = view
-        self._discs: Discs | None = None
-        self._seen: dict[str, Floats] = {}
 
-    def passed(self, photons: PhotonMap, number: int) -> Callable[[], None]:
-        seen = list(self._view.bands(self._view.offset(number)))
-        discs = self._discs
-        if discs is None:
-            discs = self._started(self._first_radius(photons, seen))
-        photons_of_pass = Pass(photons, photons.flux, self._view.n_threads)
-        found = [self._found(photons_of_pass, band, discs.radius) for band in seen]
-        counts, sums = (np.concatenate(column) for column in zip(*found, strict=True))
-        layers = joined([band.fixed_layers() for band in seen])
-        return partial(self._count_in, discs, layers, (counts, sums, pass_weight(photons)))
+    def after(self, kept: Kept, photons: PhotonMap, number: int) -> Kept:
+        look, discs = self._view.looked_at(photons), kept.discs
+        if discs is None and not look.is_empty:
+            discs = self._view.discs(self._first_radius(look, number), number)
+        layers, found = [], []
+        for band in self._view.bands(self._view.offset(number)):
+            layers.append(band.fixed_layers())
+            if discs is not None:
+                found.append(_found(look, band, discs.radius))
+        if discs is not None:
+            counts, sums = (np.concatenate(column) for column in zip(*found, strict=True))
+            discs = discs.copy()
+            discs.narrow(counts, sums, look.weight)
+        return Kept(discs, _merged(kept.seen, joined(layers)))
 
-    def _count_in(
-        self, discs: Discs, layers: dict[str, Floats], found: tuple[NDArray, Floats, float]
-    ) -> None:
-        self._discs = discs
-        discs.narrow(*found)
-        for name, layer in layers.items():
-            merge = np.minimum if name == "Z" else np.add
-            self._seen[name] = merge(self._seen[name], layer) if name in self._seen else layer
-
-    def _found(self, photons: Pass, band: Band, radius: Floats) -> tuple[NDArray, Floats]:
-        """Return numbers and sums of the photons that each pixel of a band sees."""
-        hits = band.hits
-        counts, sums = np.empty(len(hits), dtype=np.int64), np.empty((len(hits), 3))
-        points = (hits.position, hits.normal)
-        photons.sums_within(points, radius[hits.pixel], out=sums, counts=counts)
-        numbers = band.sums(counts[:, np.newaxis].astype(np.float64))
-        return numbers.ravel().astype(np.int64), band.radiance(sums).reshape(-1, 3)
-
-    def _first_radius(self, photons: PhotonMap, seen: list[Band]) -> Floats:
+    def _first_radius(self, look: Look, number: int) -> Floats:
         """Return the least radius of the hit points of each pixel."""
-        first = self._view.first_radius(photons)
+        first = look.first_radius()
         radius = np.full(self._view.shape, first.largest).ravel()
-        for band in seen:
+        for band in self._view.bands(self._view.offset(number)):
             np.minimum.at(radius, band.hits.pixel, first(band.hits.position, band.hits.normal))
         return radius
 
-    def _started(self, radius: Floats) -> Discs:
-        alpha = self._view.recipe.settings.alpha
-        return Discs(radius, 3, alpha=alpha, n_threads=self._view.n_threads)
+    def layers(self, kept: Kept, n_passes: int) -> dict[str, Floats]:
+        caustic = np.zeros((*self._view.shape, 3))
+        if kept.discs is not None:
+            caustic = kept.discs.densities().reshape(caustic.shape)
+        seen = {n: layer if n == "Z" else layer / n_passes for n, layer in kept.seen.items()}
+        return {"caustic": caustic, **seen}
 
-    def arrays(self) -> dict[str, Any]:
-        if self._discs is None:
-            return {}
-        seen = {f"seen_{name}": layer for name, layer in self._seen.items()}
-        return {**self._discs.arrays(), **seen}
 
-    def restore(self, kept: dict[str, NDArray]) -> None:
-        self._discs = self._started(kept["radius"])
-        self._discs.restore(kept)
-        self._seen = {name: kept[f"seen_{name}"] for name in ("direct", "albedo", "N", "Z")}
+def _found(look: Look, band: Band, radius: Floats) -> tuple[NDArray, Floats]:
+    """Return numbers and sums of the photons that each pixel of a band sees."""
+    hits = band.hits
+    counts, sums = look.found((hits.position, hits.normal), radius[hits.pixel])
+    numbers = band.sums(counts[:, np.newaxis].astype(np.float64))
+    return numbers.ravel().astype(np.int64), band.radiance(sums).reshape(-1, 3)
 
-    def layers(self, n_passes: int) -> dict[str, Floats]:
-        assert self._discs is not None, "pictures are shown after the first pass"
-        seen = {n: layer if n == "Z" else layer / n_passes for n, layer in self._seen.items()}
-        return {"caustic": self._discs.densities().reshape(*self._view.shape, 3), **seen}
+
+def _merged(before: dict[str, Floats], layers: dict[str, Floats]) -> dict[str, Floats]:
+    """Return sums over passes, of the depth the least."""
+    if not before:
+        return layers
+    return {
+        name: (np.minimum if name == "Z" else np.add)(before[name], layer)
+        for name, layer in layers.items()
+    }

@@ -15,7 +15,7 @@ from ._facing import FacingTrees
 from ._progress import Progress, Reporter
 from .estimate import Field
 from .photonmap import PhotonMap
-from .progressive import FirstRadius, Pass, ProgressiveSettings, ProgressiveStatistics
+from .progressive import Discs, FirstRadius, Pass, ProgressiveSettings
 from .structure import Structure
 
 
@@ -111,8 +111,7 @@ class ProgressiveDensities:
         self._field = field
         self._n_channels = values.shape[1]
         self._passes = [
-            Pass(field.photons, values[rows], field._n_threads, trees)
-            for rows, trees in field._passes
+            Pass(trees, values[rows], field._n_threads) for rows, trees in field._passes
         ]
 
     def __call__(
@@ -129,16 +128,15 @@ class ProgressiveDensities:
     def _some(self, points: Floats, normals: Floats) -> Floats:
         """Estimate at no more than so many points that what is kept of them is small."""
         field = self._field
-        statistics = ProgressiveStatistics(
-            points,
-            normals,
+        normals = _arrays.unit_vectors(normals, "normals", points.shape, field._n_threads)
+        discs = Discs(
             field._first_radius(points, normals),
+            self._n_channels,
             alpha=field.settings.alpha,
-            n_channels=self._n_channels,
             n_threads=field._n_threads,
         )
         for one in self._passes:
+            found = one.within((points, normals), discs.radius)
             # What photons carry is divided by the number emitted in all passes already.
-            statistics.find(one)
-            statistics.count_in(1.0, field.least_radius(points, normals, statistics.radius))
-        return statistics.n_passes * statistics.densities()
+            discs.narrow(*found, 1.0, field.least_radius(points, normals, discs.radius))
+        return discs.n_passes * discs.densities()

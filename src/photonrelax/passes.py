@@ -9,9 +9,8 @@ that is stopped and resumed is the run that was never stopped.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
 
@@ -19,12 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import __version__, _arrays
-from ._checkpoint import Checkpoint, scene_digest
+from ._checkpoint import Checkpoint, scene_digests
 from ._files import check_writable
-from ._hits import FixedPoints, MovingPoints, Points, Recipe, View
+from ._hits import FixedPoints, Kept, MovingPoints, Points, Recipe, View
 from ._progress import Progress
 from .camera import MAX_DEPTH
 from .image import Image
+from .photonmap import NothingStoredError, PhotonMap
 from .progressive import ProgressiveSettings
 from .render import header
 from .sampling import check_seed
@@ -105,9 +105,9 @@ def render_progressive(
     Raises
     ------
     TypeError, ValueError
-        If an argument is invalid, no photon is stored, or the file is of another run.
+        If an argument is invalid, no photon is stored in any pass, or the file is of another run.
     KeyboardInterrupt
-        On Ctrl-C, after the run was saved.
+        On Ctrl-C, after the run was saved, as it is before any other error leaves.
     """
     if n_passes is None and seconds is None:
         raise ValueError("n_passes or seconds should be given: passes have no end of their own")
@@ -125,6 +125,7 @@ def render_progressive(
     )
     run = _Run(scene, recipe, _arrays.thread_count(n_threads))
     _follow(run, end, checkpoints or Checkpoints(), progress)
+    run.check()
     return run.image()
 
 
@@ -171,10 +172,13 @@ def _follow(run: _Run, end: _End, checkpoints: Checkpoints, progress: Progress |
             if perf_counter() - saved >= checkpoints.interval:
                 keeper.save()
                 saved = perf_counter()
+        keeper.save()
     except KeyboardInterrupt:
         keeper.save()
         raise
-    keeper.save()
+    except BaseException:
+        keeper.save_state()
+        raise
 
 
 class _Keeper:
@@ -204,88 +208,105 @@ class _Keeper:
         self._n_saved = n_passes
 
     def save(self) -> None:
-        """Save the run and show the picture, unless a pass was cut in two or none is new."""
+        """Save the run and show the picture."""
+        self.save_state()
+        if self._on_image is not None and self._run.n_passes > 0:
+            self._on_image(self._run.image())
+
+    def save_state(self) -> None:
+        """Save the run, unless no pass is new."""
         run = self._run
-        if not run.whole or run.n_passes == 0:
-            return
         if self._file is not None and run.n_passes > self._n_saved:
             self._file.save(run.arrays())
             self._n_saved = run.n_passes
-        if self._on_image is not None:
-            self._on_image(run.image())
+
+
+@dataclass(frozen=True)
+class _Done:
+    """Passes done and what is kept of them; replaced as one, so that no run is ever torn."""
+
+    n_passes: int = 0
+    n_stored: int = 0
+    kept: Kept = field(default_factory=Kept)
 
 
 class _Run:
     """A picture in the making, pass by pass."""
 
     def __init__(self, scene: Scene, recipe: Recipe, n_threads: int) -> None:
-        self.n_passes = 0
-        self.whole = True
         self.seconds = 0.0
-        self._n_stored = 0
+        self._done = _Done()
         self._scene = scene
         self._recipe = recipe
         self._n_threads = n_threads
         kind = MovingPoints if recipe.stochastic else FixedPoints
-        view = View(scene, recipe, n_threads)
-        self._caster = view.caster
-        self._points: Points = kind(view)
+        self._view = View(scene, recipe, n_threads)
+        self._points: Points = kind(self._view)
+        self._nothing: NothingStoredError | None = None
+
+    @property
+    def n_passes(self) -> int:
+        return self._done.n_passes
 
     def identity(self) -> dict[str, Any]:
         """Return what must be the same for a run to be resumed."""
         return {
             "version": __version__,
-            "scene": scene_digest(self._scene),
+            "scene": self._scene.name,
+            **scene_digests(self._scene),
             **self._recipe.named(),
         }
 
     def advance(self) -> None:
         """Do the next pass."""
-        photons = trace_photons(
-            self._scene,
-            self._recipe.photons_per_pass,
-            seed=pass_seed(self._recipe.seed, self.n_passes),
-            n_threads=self._n_threads,
-            caster=self._caster,
-        )
-        change = self._points.passed(photons, self.n_passes)
-        with self._changing():
-            change()
-            self.n_passes += 1
-            self._n_stored += len(photons)
+        done = self._done
+        photons = self._photons(done.n_passes)
+        kept = self._points.after(done.kept, photons, done.n_passes)
+        self._done = _Done(done.n_passes + 1, done.n_stored + len(photons), kept)
 
-    @contextmanager
-    def _changing(self) -> Iterator[None]:
-        """Mark the run as torn while it changes: what is cut off there cannot be resumed from."""
-        self.whole = False
-        yield
-        self.whole = True
+    def _photons(self, number: int) -> PhotonMap:
+        """Return the photons of a pass, of which there may be none."""
+        try:
+            return trace_photons(
+                self._scene,
+                self._recipe.photons_per_pass,
+                seed=pass_seed(self._recipe.seed, number),
+                n_threads=self._n_threads,
+                caster=self._view.caster,
+            )
+        except NothingStoredError as nothing:
+            self._nothing = nothing
+            return nothing.photons
+
+    def check(self) -> None:
+        """Raise ValueError if no pass has stored anything."""
+        if self._done.n_stored == 0:
+            last = "" if self._nothing is None else f"; of the last: {self._nothing}"
+            raise ValueError(f"no photon was stored in {self.n_passes} passes{last}")
 
     def arrays(self) -> dict[str, Any]:
         """Return all that later passes build upon."""
-        counts = {"n_passes": self.n_passes, "n_stored": self._n_stored}
-        return {**counts, **self._points.arrays()}
+        counts = {"n_passes": self._done.n_passes, "n_stored": self._done.n_stored}
+        return {**counts, **self._done.kept.arrays()}
 
-    def restore(self, kept: dict[str, NDArray]) -> None:
+    def restore(self, arrays: dict[str, NDArray]) -> None:
         """Take up what `arrays` returned."""
-        with self._changing():
-            self._points.restore(kept)
-            self.n_passes = int(kept["n_passes"])
-            self._n_stored = int(kept["n_stored"])
+        kept = Kept.of(arrays, self._view)
+        self._done = _Done(int(arrays["n_passes"]), int(arrays["n_stored"]), kept)
 
     def image(self) -> Image:
         """Return the picture so far; it tells nothing of how often the run was resumed."""
-        layers = self._points.layers(self.n_passes)
+        layers = self._points.layers(self._done.kept, self.n_passes)
         metadata = header(
             photons_emitted=self.n_passes * self._recipe.photons_per_pass,
-            photons_stored=self._n_stored,
+            photons_stored=self._done.n_stored,
             seed=self._recipe.seed,
             scene=self._scene.name,
             method="progressive",
             settings={**self._recipe.named(), "n_passes": self.n_passes},
         )
         radiance = {"radiance": layers["caustic"] + layers["direct"]}
-        stage = {"seconds": self.seconds, "passes": self.n_passes, "stored": self._n_stored}
+        stage = {"seconds": self.seconds, "passes": self.n_passes, "stored": self._done.n_stored}
         return Image(
             radiance | layers,
             metadata,

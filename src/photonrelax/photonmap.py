@@ -242,6 +242,14 @@ _KIND_NAMES = {"iu": "integer", "b": "truth value", "U": "text"}
 _ARRAY_FIELDS = tuple(f.name for f in fields(PhotonMap) if f.name not in (*_SCALARS, "ledger"))
 
 
+class NothingStoredError(ValueError):
+    """No photon was stored; `photons` is the empty map with its ledger."""
+
+    def __init__(self, message: str, photons: PhotonMap) -> None:
+        super().__init__(message)
+        self.photons = photons
+
+
 def _set(instance: object, name: str, value: object) -> None:
     object.__setattr__(instance, name, value)
 

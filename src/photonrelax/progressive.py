@@ -15,7 +15,6 @@ estimate, ~ R², and its variance, ~ 1/N, vanish: as i^(α - 1) and i^-α. The k
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -122,17 +121,12 @@ class Discs:
         self.weight += weight
         self.n_passes += 1
 
-    def arrays(self) -> dict[str, Any]:
-        """Return all that later passes build upon."""
-        kept = {"radius": self.radius, "n": self.n, "tau": self.tau}
-        return {**kept, "weight": self.weight, "disc_passes": self.n_passes}
-
-    def restore(self, kept: dict[str, NDArray]) -> None:
-        """Take up what `arrays` returned, of discs as many."""
-        for name in ("radius", "n", "tau"):
-            np.copyto(getattr(self, name), kept[name])
-        self.weight = float(kept["weight"])
-        self.n_passes = int(kept["disc_passes"])
+    def copy(self) -> Discs:
+        """Return discs that may be narrowed beside these."""
+        c = Discs(self.radius, self.tau.shape[1], alpha=self._alpha, n_threads=self._n_threads)
+        c.n, c.tau = self.n.copy(), self.tau.copy()
+        c.weight, c.n_passes = self.weight, self.n_passes
+        return c
 
     def densities(self) -> Floats:
         """Return the estimates (m, c) per m²; zero before the first pass."""
@@ -153,8 +147,6 @@ class ProgressiveStatistics(Discs):
         Of the discs at the start, m; see `first_radius`.
     alpha : float
         Share of photons kept.
-    n_channels : int
-        Numbers that photons carry.
     n_threads : int, optional
         Threads; all available by default. Results do not depend on it.
 
@@ -172,7 +164,6 @@ class ProgressiveStatistics(Discs):
         radius: ArrayLike,
         *,
         alpha: float = 0.7,
-        n_channels: int = 3,
         n_threads: int | None = None,
     ) -> None:
         self.positions = _arrays.float_array(positions, "positions", (None, 3))
@@ -181,9 +172,7 @@ class ProgressiveStatistics(Discs):
         self.normals = _arrays.unit_vectors(normals, "normals", (m, 3), threads)
         settings = ProgressiveSettings(alpha=alpha)
         start = _radii(radius, "radius", m)
-        super().__init__(start, n_channels, alpha=settings.alpha, n_threads=threads)
-        self._counts = np.empty(m, dtype=np.int64)
-        self._sums = np.empty((m, n_channels))
+        super().__init__(start, 3, alpha=settings.alpha, n_threads=threads)
 
     def add(
         self,
@@ -213,18 +202,11 @@ class ProgressiveStatistics(Discs):
         if least_radius is not None:
             least = _radii(least_radius, "least_radius", len(self.n))
         weight = pass_weight(photons) if weight is None else _arrays.positive(weight, "weight")
-        self.find(Pass(photons, photons.flux, self._n_threads))
-        self.count_in(weight, least)
-
-    def find(self, photons: Pass) -> None:
-        """Look for the photons of a pass, the first half of `add`; it may be broken off."""
-        photons.sums_within(
-            (self.positions, self.normals), self.radius, out=self._sums, counts=self._counts
+        trees = FacingTrees(photons, self._n_threads)
+        found = Pass(trees, photons.flux, self._n_threads).within(
+            (self.positions, self.normals), self.radius
         )
-
-    def count_in(self, weight: float, least_radius: Floats | None = None) -> None:
-        """Count in what was found and shrink the discs, the second half of `add`."""
-        self.narrow(self._counts, self._sums, weight, least_radius)
+        self.narrow(*found, weight, least)
 
     def irradiance(self) -> Floats:
         """Return the irradiance (m, 3), W/m², as far as it is known by now."""
@@ -244,33 +226,23 @@ def pass_weight(photons: PhotonMap) -> float:
 class Pass:
     """Photons of one pass, and numbers (n, c) they carry, ready to be summed within discs."""
 
-    def __init__(
-        self,
-        photons: PhotonMap,
-        values: Floats,
-        n_threads: int,
-        trees: FacingTrees | None = None,
-    ) -> None:
+    def __init__(self, trees: FacingTrees, values: Floats, n_threads: int) -> None:
+        self._trees = trees
         self._values = values
         self._n_threads = n_threads
-        self._trees = FacingTrees(photons, n_threads) if trees is None else trees
         self._sums: dict[int, Within] = {}
 
-    def sums_within(
-        self,
-        hits: tuple[Floats, Floats],
-        radius: Floats,
-        *,
-        out: Floats,
-        counts: NDArray[np.int64],
-    ) -> None:
-        """Write sums (m, c) and numbers (m,) of photons within (m,) radii of positions, normals."""
-        out[:] = 0.0
-        counts[:] = 0
+    def within(
+        self, hits: tuple[Floats, Floats], radius: Floats
+    ) -> tuple[NDArray[np.int64], Floats]:
+        """Return numbers (m,) and sums (m, c) of photons within radii of positions and normals."""
+        counts = np.zeros(len(radius), dtype=np.int64)
+        sums = np.zeros((len(radius), self._values.shape[1]))
         for number, queries, rows in self._trees.parts(*hits):
             self._within(number).sums(
-                queries, rows, radius, out=out, counts=counts, n_threads=self._n_threads
+                queries, rows, radius, out=sums, counts=counts, n_threads=self._n_threads
             )
+        return counts, sums
 
     def _within(self, number: int) -> Within:
         if number not in self._sums:
@@ -331,10 +303,19 @@ class FirstRadius:
         self._settings = settings
         self._n_threads = n_threads
         self._trees = FacingTrees(photons, n_threads) if trees is None else trees
-        self.largest = settings.radius or 1.0
+        # Of no photons none are found, however far.
+        self.largest = 1.0 if settings.radius is None else settings.radius
         if settings.radius is None and len(photons):
-            tree = self._trees.whole()
-            self.largest = automatic_gather_radius(tree, settings.k, n_threads=n_threads)
+            self.largest = self._automatic(photons)
+
+    def _automatic(self, photons: PhotonMap) -> float:
+        if not np.ptp(photons.position, axis=0).any():
+            raise ValueError(
+                f"the {len(photons)} photons of the first pass that stored any are all at one "
+                "point, from which no radius follows: give ProgressiveSettings(radius=…)"
+            )
+        tree = self._trees.whole()
+        return automatic_gather_radius(tree, self._settings.k, n_threads=self._n_threads)
 
     def __call__(self, positions: Floats, normals: Floats) -> Floats:
         """Return radii (m,), m, at positions (m, 3) on surfaces with the given normals."""

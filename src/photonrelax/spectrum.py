@@ -194,8 +194,7 @@ def root(spectrum: Floats) -> Floats:
 
     Operators apply to them from the left: K F.
     """
-    lower: Floats = np.linalg.cholesky(spectrum)
-    return lower
+    return np.asarray(np.linalg.cholesky(spectrum), dtype=np.float64)
 
 
 def deposited(root: Floats) -> tuple[Floats, Floats]:
@@ -223,9 +222,10 @@ def deposited(root: Floats) -> tuple[Floats, Floats]:
     # From the largest row to the least, rounding stays in proportion to each.
     size = np.abs(columns).max(axis=2, keepdims=True)
     columns = np.take_along_axis(columns, np.argsort(-size, axis=1), axis=1)
-    upper: Floats = np.asarray(np.linalg.qr(columns, mode="r"))
+    upper: Floats = np.asarray(np.linalg.qr(columns, mode="r"), dtype=np.float64)
     over, beside = upper[:, :sections], upper[:, sections:, sections:]
-    return beside, np.linalg.solve(over[:, :, :sections], over[:, :, sections:])
+    regression = np.linalg.solve(over[:, :, :sections], over[:, :, sections:])
+    return beside, np.asarray(regression, dtype=np.float64)
 
 
 def roughest(root: Floats) -> Floats:

@@ -23,7 +23,7 @@ from ._ext.deposits import Columns, Deposits
 from ._progress import Progress, Reporter
 from ._spectra import Retraced, SpectrumTracer, joined, surfaces
 from .emit import LUMINANCE, PATHS, SAMPLERS, EmissionPlan, check_choice, emission, plan_emission
-from .photonmap import FATES, EnergyLedger, PhotonMap
+from .photonmap import FATES, EnergyLedger, NothingStoredError, PhotonMap
 from .raycast import RayCaster
 from .sampling import check_seed
 from .scene import DIFFUSE, Scene
@@ -245,14 +245,13 @@ class _Tracer:
         progress: Progress | None,
     ) -> Floats:
         """Return the column of spectra, NaN for photons not among the chosen."""
-        how = self._how
         tracer = SpectrumTracer(
             self._scene,
             self._plan,
             self._caster,
-            seed=how.seed,
-            sampler=how.sampler,
-            max_bounces=how.max_bounces,
+            seed=self._how.seed,
+            sampler=self._how.sampler,
+            max_bounces=self._how.max_bounces,
             n_threads=n_threads,
         )
         out = np.full((n_stored, 3), np.nan)
@@ -357,9 +356,7 @@ def _photon_map(
     plan: EmissionPlan, how: _How, columns: _Columns, accounts: list[_Account]
 ) -> PhotonMap:
     ledger = _ledger(plan, accounts)
-    if not len(columns):
-        raise ValueError(_nothing_stored(ledger, accounts, how))
-    return PhotonMap(
+    photons = PhotonMap(
         **columns.finished(),
         n_emitted=int(plan.counts.sum()),
         well_spaced=how.sampler == "halton" and how.paths == "caustic",
@@ -368,6 +365,9 @@ def _photon_map(
         sampler=how.sampler,
         paths=how.paths,
     )
+    if not len(photons):
+        raise NothingStoredError(_nothing_stored(ledger, accounts, how), photons)
+    return photons
 
 
 def _ledger(plan: EmissionPlan, accounts: list[_Account]) -> EnergyLedger:
