@@ -111,7 +111,7 @@ def _methods(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--photons", type=numbers, default=[100_000, 1_000_000])
     parser.add_argument("--scenes", nargs="+", default=methods.SCENES, metavar="SCENE")
     parser.add_argument("--pixels", type=int, default=256, help="default 256")
-    parser.add_argument("--passes", type=int, default=50, help="of the references, default 50")
+    parser.add_argument("--passes", type=int, default=100, help="of the references, default 100")
     parser.add_argument("--out", type=Path, default=Path("build/bench/methods"))
 
 

@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 
 import photonrelax as pr
-from photonrelax import gallery
-from photonrelax.compare import (
-    DistributionSubject,
-    Entry,
-    Plan,
-    SceneSubject,
-    compare,
-    reference,
-)
-from photonrelax.compare.subject import Subject
+from photonrelax.compare import Entry, Plan, compare, named, reference
 from photonrelax.measures import check_installed, relative_l1
 from photonrelax.methods import Settings
 
@@ -27,18 +20,24 @@ from . import machine
 
 SCENES = ("prism", "ring", "ripples", "shapes")
 SAMPLERS = ("halton", "random")
-# Beside the methods as they are by default: what else the same photons give.
+# Beside the methods as they are by default: what else the same photons give. SJ13's diffusion is
+# that of SSO08 with eigenvalues over the largest of the map.
 VARIANTS = {
     "standard, K = 50": ("standard", Settings(gather=pr.GatherSettings(k=50))),
     "parameterised, 3 + 3": (
         "parameterised",
         Settings(relax=pr.RelaxSettings(n_iterations=(3, 3))),
     ),
+    "diffusion, q = 0.02, maximum": (
+        "diffusion",
+        Settings(diffusion=pr.DiffusionSettings(edge_threshold=0.02, normalisation="maximum")),
+    ),
 }
-# Photons a pass of references takes.
-_REFERENCE_PHOTONS = 1_000_000
 _SAMPLES = 2
+_ROUNDS = 3
 _OWN_SEED = 2
+# Discs of fresh photons start as small as those of references.
+_FRESH = pr.ProgressiveSettings(k=reference.Effort().k)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +50,18 @@ class Row:
         Scene, photons emitted and sampler.
     entries : dict
         By method or variant.
-    noise : float
-        Relative L1 error that the reference has from its own noise.
+    doubt : Doubt or None
+        How far the reference may be off; None for an exact one.
+    known : float or None
+        Relative L1 of the reference where light is known without photons.
     progressive : str
         What progressive photon mapping takes to come as near as the parameterised relaxation.
     """
 
     label: str
     entries: dict[str, Entry]
-    noise: float
+    doubt: reference.Doubt | None
+    known: float | None
     progressive: str
 
 
@@ -76,7 +78,9 @@ class Matrix:
     pixels : int
         Width and height of pictures, of 2 x 2 samples.
     passes : int
-        Of photons that each of the two halves of a reference takes.
+        Of the references.
+    reference_photons : int
+        In each of these.
     folder : Path
         Where references are kept.
     longest : int
@@ -87,75 +91,66 @@ class Matrix:
     scenes: tuple[str, ...] = SCENES
     samplers: tuple[str, ...] = SAMPLERS
     pixels: int = 256
-    passes: int = 50
+    passes: int = 100
+    reference_photons: int = 1_000_000
     folder: Path = Path("build/bench/methods")
     longest: int = 64
 
     def rows(self) -> Iterator[Row]:
         """Measure."""
         for name in self.scenes:
-            on = subject(name, self.pixels)
-            truth, noise = self._reference(on)
-            for n in self.photons:
-                for sampler in self.samplers:
-                    plan = Plan(subject=on, n_emitted=n, sampler=sampler, supersampling=_SAMPLES)
-                    found, longer = entries(plan, truth), ""
-                    if (n, sampler) == (max(self.photons), "halton") and self.longest:
-                        least = found["parameterised"].errors.relative_l1
-                        longer = as_near(plan, truth, least, self.longest)
-                    yield Row(f"{name}, {n:,} {sampler}", found, noise, longer)
+            on = named(name, self.pixels, self.pixels)
+            effort = reference.Effort(self.passes, self.reference_photons)
+            for n, sampler in product(self.photons, self.samplers):
+                plan = Plan(
+                    subject=on,
+                    variants=VARIANTS,
+                    n_emitted=n,
+                    sampler=sampler,
+                    supersampling=_SAMPLES,
+                    rounds=_ROUNDS if self._timed(n, sampler) else 1,
+                )
+                self.folder.mkdir(parents=True, exist_ok=True)
+                truth = reference.kept(self.folder / f"{on.name}.exr", plan, effort)
+                yield self._row(plan, truth)
 
-    def _reference(self, on: Subject) -> tuple[pr.Image, float]:
-        """Return the mean of two references, and the relative L1 of its noise.
+    def _timed(self, n: int, sampler: str) -> bool:
+        return (n, sampler) == (max(self.photons), "halton")
 
-        What is left of noise in a mean of two is half of how they differ.
-        """
-        n = min(_REFERENCE_PHOTONS, 10 * max(self.photons))
-        plan = Plan(subject=on, n_emitted=n, supersampling=_SAMPLES)
-        self.folder.mkdir(parents=True, exist_ok=True)
-        paths = [self.folder / f"{on.name}-{seed}.exr" for seed in range(2)]
-        halves = [
-            reference.kept(path, plan, self.passes, seed=seed) for seed, path in enumerate(paths)
-        ]
-        layers = {
-            layer: sum(np.asarray(half.layers[layer]) for half in halves) / 2
-            for layer in ("radiance", "caustic")
-        }
-        caustics = (half.layers["caustic"] for half in halves)
-        return pr.Image(layers, halves[0].metadata), 0.5 * relative_l1(*caustics)
-
-
-def entries(plan: Plan, truth: pr.Image) -> dict[str, Entry]:
-    """Return an entry for each method and variant."""
-    found = {entry.method: entry for entry in compare(plan, truth).entries}
-    for name, (method, settings) in VARIANTS.items():
-        varied = replace(plan, methods=(method,), settings=settings)
-        (found[name],) = compare(varied, truth).entries
-    return found
+    def _row(self, plan: Plan, truth: pr.Image) -> Row:
+        made = compare(plan, truth)
+        found = {entry.name: entry for entry in made.entries}
+        longer = ""
+        if self._timed(plan.n_emitted, plan.sampler):
+            longer = as_near(plan, truth, found["parameterised"].errors.relative_l1, self.longest)
+        label = f"{plan.subject.name}, {plan.n_emitted:,} {plan.sampler}"
+        known = made.truth.known_errors.get("relative_l1")
+        return Row(label, found, reference.doubt(truth), known, longer)
 
 
 def as_near(plan: Plan, truth: pr.Image, error: float, longest: int) -> str:
-    """Return the passes, in powers of two, and seconds that fresh photons take to an error."""
+    """Return the passes, in powers of two, and seconds that fresh photons take to an error.
+
+    Camera rays count, as for every method.
+    """
     scene, passes, found, seconds = plan.subject.scene, 1, np.inf, 0.0
-    if scene is None:
+    if scene is None or longest < 1:
         return "–"
     while found > error and passes <= longest:
         # Photons of the reference would flatter it.
+        started = perf_counter()
         image = pr.render_progressive(
-            scene, n_passes=passes, photons_per_pass=plan.n_emitted, seed=_OWN_SEED
+            scene,
+            n_passes=passes,
+            photons_per_pass=plan.n_emitted,
+            seed=_OWN_SEED,
+            settings=_FRESH,
         )
+        told, seconds = f"{passes} passes", perf_counter() - started
         found = relative_l1(image.layers["caustic"], truth.layers["caustic"])
-        told, seconds = f"{passes} passes", image.stats["seconds"]
         passes *= 2
     reached = "" if found <= error else f", still {found:.1%}"
     return f"{told}, {seconds:.1f}{reached}"
-
-
-def subject(name: str, pixels: int) -> Subject:
-    """Return what the gallery knows by a name."""
-    if name in gallery.distribution_names():
-        return DistributionSubject(name, (pixels, pixels))
-    return SceneSubject(gallery.scene(name, pixels=pixels))
 
 
 def markdown(matrix: Matrix) -> str:
@@ -165,17 +160,26 @@ def markdown(matrix: Matrix) -> str:
     for row in matrix.rows():
         print(f"... {row.label}", file=sys.stderr, flush=True)
         rows.append(row)
-    names = list(rows[0].entries)
-    errors = [["", *names, "noise of reference"], *map(_errors, rows)]
-    timed = [row for row in rows if row.label.endswith(f"{max(matrix.photons):,} halton")]
+    names = [f"{name}, dealt" if name == "progressive" else name for name in rows[0].entries]
+    errors = [["", *names, "reference: noise, bias"], *map(_errors, rows)]
+    squares = [["", *names, "reference: noise, bias"], *map(_squares, rows)]
+    timed = [row for row in rows if row.progressive]
     longer = "progressive, fresh photons, until as near as parameterised"
     times = [["seconds", *names, longer], *map(_times, timed)]
     note = (
         f"Relative L1 of the caustic · SSIM, {matrix.pixels} x {matrix.pixels} pixels of "
-        f"{_SAMPLES} x {_SAMPLES} samples. References: the exact irradiance of shapes; otherwise "
-        f"the mean of two runs of progressive photon mapping, {matrix.passes} passes each."
+        f"{_SAMPLES} x {_SAMPLES} samples. References: the exact irradiance of shapes at the same "
+        f"samples; otherwise progressive photon mapping, {matrix.passes} passes of "
+        f"{matrix.reference_photons:,} photons in two runs. Dealt: the photons of the same map."
     )
-    return "\n".join([_table(errors), "", note, "", _table(times), "", machine.description(), ""])
+    known = [
+        f"Reference of {row.label.split(',')[0]} where its light is known: off by {row.known:.1%}."
+        for row in timed
+        if row.known is not None
+    ]
+    rounds = f"Medians of {_ROUNDS} interleaved rounds; camera rays count."
+    tables = (_table(errors), note, *known, "Relative L2:", _table(squares), _table(times))
+    return "\n\n".join([*tables, f"{rounds} {machine.description()}."]) + "\n"
 
 
 def _table(lines: list[list[str]]) -> str:
@@ -184,14 +188,22 @@ def _table(lines: list[list[str]]) -> str:
 
 
 def _errors(row: Row) -> list[str]:
-    least = min(entry.errors.relative_l1 for entry in row.entries.values())
-    most = max(entry.errors.ssim for entry in row.entries.values())
+    each = [entry.errors for entry in row.entries.values()]
+    least, most = min(e.relative_l1 for e in each), max(e.ssim for e in each)
     cells = [
         f"{_marked(f'{e.relative_l1:.1%}', e.relative_l1 == least)} · "
         f"{_marked(f'{e.ssim:.3f}', e.ssim == most)}"
-        for e in (entry.errors for entry in row.entries.values())
+        for e in each
     ]
-    return [row.label, *cells, f"{row.noise:.1%}"]
+    doubt = row.doubt
+    return [row.label, *cells, f"{doubt.noise_l1:.1%}, {doubt.bias_l1:.1%}" if doubt else "exact"]
+
+
+def _squares(row: Row) -> list[str]:
+    each = [entry.errors.relative_l2 for entry in row.entries.values()]
+    cells = [_marked(f"{error:.1%}", error == min(each)) for error in each]
+    doubt = row.doubt
+    return [row.label, *cells, f"{doubt.noise_l2:.1%}, {doubt.bias_l2:.1%}" if doubt else "exact"]
 
 
 def _marked(text: str, best: bool) -> str:

@@ -198,7 +198,13 @@ def test_frequency_stands_beside_progressive_in_every_region():
 def test_methods_stand_side_by_side_on_every_scene(tmp_path):
     scenes = ("ring", "shapes")
     matrix = methods.Matrix(
-        (3_000,), scenes=scenes, pixels=16, passes=1, folder=tmp_path, longest=2
+        (3_000,),
+        scenes=scenes,
+        pixels=16,
+        passes=1,
+        reference_photons=3_000,
+        folder=tmp_path,
+        longest=2,
     )
     lines = methods.markdown(matrix).splitlines()
     head, _, *rows = lines[:6]
@@ -209,9 +215,13 @@ def test_methods_stand_side_by_side_on_every_scene(tmp_path):
         assert f"| {name} |" in head
     for row in rows:
         assert row.count("**") == 4
-        assert row.endswith("| 0.0% |") == row.startswith("| shapes")
+        assert row.endswith("| exact |") == row.startswith("| shapes")
         assert row.count(" · ") == head.count("|") - 3
-    times = [line for line in lines[6:] if line.startswith(("| ring", "| shapes"))]
+    squares = lines[lines.index("Relative L2:") + 4 :][:4]
+    assert [row.split(" | ")[0] for row in squares] == [row.split(" | ")[0] for row in rows]
+    assert any(line.startswith("Reference of ring where its light is known") for line in lines)
+    first = next(i for i, line in enumerate(lines) if line.startswith("| seconds"))
+    times = lines[first + 2 : first + 4]
     assert [row.split(" | ")[0] for row in times] == [f"| {s}, 3,000 halton" for s in scenes]
     assert " passes, " in times[0]
     assert times[1].endswith("| – |")

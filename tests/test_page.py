@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from dataclasses import replace
 
 import pytest
 
@@ -152,6 +153,24 @@ def test_the_reference_has_no_error_map_and_shows_itself(page):
     before = source(page, "left")
     find(page, "[value=flip]").send_keys(" ")
     assert source(page, "left") == before
+    assert find(page, "#left-tag").text == "reference: the picture itself"
+
+
+def test_two_pictures_are_seen_at_first_whatever_was_compared(browser, comparison, tmp_path):
+    (entry,) = (e for e in comparison.entries if e.method == "parameterised")
+    folder.write(replace(comparison, entries=(entry,)), tmp_path)
+    browser.get((tmp_path / "index.html").as_uri())
+    assert find(browser, "#left-method").get_attribute("value") == "reference"
+    assert source(browser, "left") != source(browser, "right")
+
+
+def test_words_that_look_like_the_end_of_the_data_do_no_harm(browser, comparison, tmp_path):
+    words = "</script><script>document.title = 'broken'</script>"
+    folder.write(replace(comparison, about_reference=words), tmp_path)
+    browser.get((tmp_path / "index.html").as_uri())
+    assert "broken" not in browser.title
+    notes = [note.text for note in browser.find_elements("css selector", "#notes p")]
+    assert f"reference: {words}" in notes
 
 
 def test_the_table_is_the_one_that_is_printed(page, written):

@@ -135,7 +135,14 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
         type=positive,
         default=50,
         metavar="N",
-        help="progressive passes of as many photons that the reference takes (%(default)s)",
+        help="progressive passes that the reference takes (%(default)s)",
+    )
+    parser.add_argument(
+        "--reference-photons",
+        type=positive,
+        default=1_000_000,
+        metavar="N",
+        help="in each of these, whatever --photons is (%(default)s)",
     )
     _add_common(parser)
 

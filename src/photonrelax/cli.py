@@ -21,7 +21,6 @@ from ._options import PHOTONS, PHOTONS_PER_PASS, parser
 # Everything else is imported where it is used: an interrupt meanwhile is then caught in `main`.
 if TYPE_CHECKING:
     from .compare import Plan
-    from .compare.subject import Subject
     from .scene import Scene
 
 INTERRUPTED = 130
@@ -198,24 +197,25 @@ def _relax(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
 def _compare(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from . import measures
-    from .compare import compare, folder
+    from .compare import compare, folder, reference
 
     measures.check_installed()
     plan = _plan(options)
+    given = None if options.reference is None else reference.given(options.reference, plan)
     folder.prepare_folder(options.output, plan.methods)
     with Bars(options.quiet, interrupts) as bars:
-        truth = _reference(options, plan, bars)
+        truth = _kept_reference(options, plan, bars) if given is None else given
         comparison = compare(plan, truth, progress=bars)
     shown = folder.write(comparison, options.output)
     _report(options, shown.text(), f"wrote {options.output / folder.PAGE}")
 
 
 def _plan(options: argparse.Namespace) -> Plan:
-    from .compare import Plan
+    from .compare import Plan, named
     from .methods import Settings
 
     return Plan(
-        subject=_subject(options),
+        subject=named(options.scene, options.width, options.height),
         methods=tuple(options.methods or ()),
         n_emitted=_photons(options),
         seed=options.seed or 0,
@@ -230,22 +230,11 @@ def _plan(options: argparse.Namespace) -> Plan:
     )
 
 
-def _subject(options: argparse.Namespace) -> Subject:
-    from .compare import DistributionSubject, SceneSubject
-
-    if options.scene in gallery.distribution_names():
-        size = (options.width or 600, options.height or options.width or 600)
-        return DistributionSubject(options.scene, size)
-    return SceneSubject(_resized(gallery.scene(options.scene), options.width, options.height))
-
-
-def _reference(options: argparse.Namespace, plan: Plan, bars: Bars) -> pr.Image:
+def _kept_reference(options: argparse.Namespace, plan: Plan, bars: Bars) -> pr.Image:
     from .compare import folder, reference
 
-    if options.reference is not None:
-        return reference.given(options.reference, plan)
-    path = options.output / folder.REFERENCE
-    return reference.kept(path, plan, options.reference_passes, bars)
+    effort = reference.Effort(options.reference_passes, options.reference_photons)
+    return reference.kept(options.output / folder.REFERENCE, plan, effort, bars)
 
 
 def _list(options: argparse.Namespace, interrupts: Interrupts) -> None:

@@ -13,7 +13,7 @@ from ._arrays import Floats, float_array
 
 # As in Wang et al. 2004: a Gaussian of 1.5 pixels, cut off at 3.5 deviations.
 _SSIM_SIGMA = 1.5
-_SSIM_WINDOW = 11
+SSIM_WINDOW = 11
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,9 @@ def ssim(image: ArrayLike, reference: ArrayLike) -> float:
         If scikit-image is not installed.
     """
     values, truth = _displayed(image, reference)
-    if min(values.shape[:2]) < _SSIM_WINDOW:
+    if min(values.shape[:2]) < SSIM_WINDOW:
         raise ValueError(
-            f"pictures should have at least {_SSIM_WINDOW} x {_SSIM_WINDOW} pixels for SSIM, "
+            f"pictures should have at least {SSIM_WINDOW} x {SSIM_WINDOW} pixels for SSIM, "
             f"but have {values.shape[1]} x {values.shape[0]}"
         )
     return float(

@@ -76,7 +76,7 @@ def render(
     field = pipeline.prepare(photons, method, chosen)
     layers = pipeline.picture(field, scene.camera, supersampling, max_depth)
     used = field.used | {"supersampling": supersampling, "max_depth": max_depth}
-    metadata = _metadata(photons, scene=scene.name, method=method, settings=used)
+    metadata = photon_header(photons, scene=scene.name, method=method, settings=used)
     return Image(layers, metadata, pipeline.stats(photons))
 
 
@@ -163,8 +163,8 @@ def _ledger(photons: PhotonMap) -> dict[str, Any] | None:
     return None if photons.ledger is None else photons.ledger.to_dict()
 
 
-def _metadata(photons: PhotonMap, **others: Any) -> dict[str, str]:
-    """Return what an EXR header says; as text, since its integers wrap at 32 bits."""
+def photon_header(photons: PhotonMap, **others: Any) -> dict[str, str]:
+    """Return what the header of a picture says, of the photons it was made from as well."""
     return header(
         photons_emitted=photons.n_emitted,
         photons_stored=len(photons),
@@ -175,7 +175,9 @@ def _metadata(photons: PhotonMap, **others: Any) -> dict[str, str]:
 
 
 def header(**values: Any) -> dict[str, str]:
-    """Return what is told of a picture as its metadata."""
+    """Return what is told of a picture as its metadata; as text, since integers of EXR headers
+    wrap at 32 bits.
+    """
     values = {"version": __version__, **values}
     return {f"photonrelax.{name}": _text(value) for name, value in values.items()}
 

@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from .._files import check_writable, whole_file, write_json
+from ..methods import METHODS
 from .page import page, png
 from .pictures import Bytes, method_pictures, photon_pictures
 from .run import Comparison, Entry
@@ -20,6 +21,7 @@ _CAPTIONS = {
     "constraints": "Derived constraints",
 }
 _KINDS = ("flip", "difference")
+_ENDS = (".exr", ".png", *(f"-{kind}.png" for kind in _KINDS))
 
 
 def prepare_folder(folder: Path, methods: tuple[str, ...]) -> None:
@@ -43,20 +45,25 @@ def prepare_folder(folder: Path, methods: tuple[str, ...]) -> None:
 
 
 def write(comparison: Comparison, folder: Path) -> Table:
-    """Write a comparison's pictures, contact sheet, numbers and page; return its table."""
+    """Write a comparison's pictures, contact sheet, numbers and page; return its table.
+
+    Pictures of an earlier comparison that this one has none for are removed.
+    """
     pictures, photons = method_pictures(comparison), photon_pictures(comparison)
     about, shown = comparison.to_dict(), table(comparison)
     flat = {name: made["picture"] for name, made in photons.items()}
     for method, kinds in pictures.items():
         flat[method] = kinds["picture"]
         flat |= {f"{method}-{kind}": kinds[kind] for kind in kinds if kind != "picture"}
+    placed: set[str] = set()
     with ExitStack() as files:
 
         def place(name: str) -> Path:
+            placed.add(name)
             return files.enter_context(whole_file(folder / name))
 
         for entry in comparison.entries:
-            entry.image.write_exr(place(f"{entry.method}.exr"))
+            entry.image.write_exr(place(f"{entry.name}.exr"))
         for name, picture in flat.items():
             place(f"{name}.png").write_bytes(png(picture))
         sheet = contact_sheet(_panels(comparison, flat), shown.title)
@@ -64,12 +71,20 @@ def write(comparison: Comparison, folder: Path) -> Table:
         write_json(place(NUMBERS), about)
         html = page(about, shown.to_dict(), pictures, photons)
         place(PAGE).write_text(html, encoding="utf-8")
+    for name in _known_names() - placed:
+        (folder / name).unlink(missing_ok=True)
     return shown
+
+
+def _known_names() -> set[str]:
+    """Return the names of all pictures that any comparison writes, but for the reference's own."""
+    of_methods = {f"{method}{end}" for method in METHODS for end in _ENDS}
+    return of_methods | {f"{name}.png" for name in _CAPTIONS}
 
 
 def _panels(comparison: Comparison, pictures: dict[str, Bytes]) -> list[list[Panel]]:
     """Return the panels of the contact sheet: methods; what photons carry, and the reference."""
-    of_methods = [(pictures[e.method], e.method, _detail(e)) for e in comparison.entries]
+    of_methods = [(pictures[e.name], e.name, _detail(e)) for e in comparison.entries]
     of_photons = [
         (pictures[name], caption, "") for name, caption in _CAPTIONS.items() if name in pictures
     ]

@@ -38,7 +38,7 @@ def method_pictures(comparison: Comparison) -> dict[str, dict[str, Bytes]]:
     pictures = {}
     for entry in comparison.entries:
         shown = displayed(entry.image.layers["radiance"], exposure)
-        pictures[entry.method] = {
+        pictures[entry.name] = {
             "picture": _bytes(shown),
             "flip": _bytes(_ramp(np.asarray(entry.image.layers["flip"]), _HEAT)),
             "difference": _bytes(_signed((shown - truth).mean(axis=2))),

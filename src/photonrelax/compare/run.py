@@ -3,76 +3,25 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+import os
+import platform
+from dataclasses import dataclass, replace
+from statistics import median
 from time import perf_counter
 from typing import Any
-
-import numpy as np
 
 from .. import __version__, _arrays, measures
 from .._arrays import Floats
 from .._progress import Progress, prefixed
-from ..camera import MAX_DEPTH
 from ..estimate import Field
-from ..image import Image, srgb
+from ..image import Image
 from ..measures import Errors
-from ..methods import METHODS, Settings, Task, check_method, frequency_share, prepare
+from ..methods import Settings, Task, frequency_share, prepare
 from ..photonmap import PhotonMap
-from .subject import Subject
+from ..render import photon_header
+from .plan import Plan
+from .truth import ABOUT, Truth, check_reference
 from .view import View
-
-METHODS_OF_SJ13 = ("standard", "relaxation", "diffusion", "parameterised", "progressive")
-"""What SJ13's Table I compares, in its order."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Plan:
-    """What is to be compared, and how.
-
-    Attributes
-    ----------
-    subject : Subject
-        What photons are of, and seen on: `SceneSubject` or `DistributionSubject`.
-    methods : tuple of str
-        By default those of `METHODS_OF_SJ13` that there are.
-    n_emitted, seed, sampler : int, int, str
-        Of the photons, which all methods share; see `photonrelax.trace_photons`.
-    settings : Settings
-        Of the stages of all methods.
-    supersampling, max_depth : int
-        s·s samples a pixel; smooth surfaces a camera ray may meet.
-    exposure : float
-        Pictures are shown, and SSIM and FLIP measured, times 2^exposure.
-    n_threads : int, optional
-        Threads; all available by default. Only times depend on it.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a method is not known or a number is out of its range.
-    """
-
-    subject: Subject
-    methods: tuple[str, ...] = ()
-    n_emitted: int = 1_000_000
-    seed: int = 0
-    sampler: str = "halton"
-    settings: Settings = field(default_factory=Settings)
-    supersampling: int = 2
-    max_depth: int = 8
-    exposure: float = 0.0
-    n_threads: int | None = None
-
-    def __post_init__(self) -> None:
-        methods = tuple(dict.fromkeys(self.methods)) or tuple(
-            name for name in METHODS_OF_SJ13 if name in METHODS
-        )
-        for method in methods:
-            check_method(method)
-        object.__setattr__(self, "methods", methods)
-        _arrays.count(self.n_emitted, "n_emitted")
-        _arrays.count(self.supersampling, "supersampling")
-        _arrays.count(self.max_depth, "max_depth", low=0, high=MAX_DEPTH)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +30,8 @@ class Entry:
 
     Attributes
     ----------
+    name : str
+        Of the column: the method's, or the variant's.
     method : str
         Its name.
     image : Image
@@ -88,14 +39,17 @@ class Entry:
     n_emitted, n_stored : int
         Photons it used.
     seconds : dict
-        Of its stages in order; those before its own, ``cast`` and ``camera``, ran once for all
-        methods that share photons.
+        Of its stages in order; those before its own, ``cast`` and ``camera``, were done for all
+        methods, which share photons. ``spectra`` is what these cost, for methods that need them.
     settings : dict
         It used, by stage.
     errors : Errors
         Of the caustic, and of the picture on a display.
+    known_errors : dict
+        Of the caustic where light is known without photons; empty if it is nowhere.
     """
 
+    name: str
     method: str
     image: Image
     n_emitted: int
@@ -103,6 +57,7 @@ class Entry:
     seconds: dict[str, float]
     settings: dict[str, Any]
     errors: Errors
+    known_errors: dict[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +74,8 @@ class Comparison:
         What they are measured against; ``radiance``, and ``caustic`` where it is known.
     about_reference : str
         How it was made.
+    truth : Truth
+        What else is known of it.
     photon_layers : dict
         ``caustic`` and what photons carry (`photonrelax.picture.PhotonLayers`).
     """
@@ -127,6 +84,7 @@ class Comparison:
     entries: tuple[Entry, ...]
     reference: Image
     about_reference: str
+    truth: Truth
     photon_layers: dict[str, Floats]
 
     def to_dict(self) -> dict[str, Any]:
@@ -140,20 +98,28 @@ class Comparison:
             "height": height,
             **{name: getattr(plan, name) for name in _TOLD},
             "reference": self.about_reference,
-            "methods": {entry.method: _told(entry) for entry in self.entries},
+            "reference_cost": reference_cost(self.reference),
+            "clipped": self.truth.clipped,
+            "known_share": self.truth.known_share,
+            "reference_known_errors": self.truth.known_errors,
+            "n_threads": _arrays.thread_count(plan.n_threads),
+            "machine": machine(),
+            "methods": {entry.name: _told(entry) for entry in self.entries},
         }
 
 
-_TOLD = ("n_emitted", "seed", "sampler", "supersampling", "max_depth", "exposure")
+_TOLD = ("n_emitted", "seed", "sampler", "supersampling", "max_depth", "exposure", "rounds")
 
 
 def _told(entry: Entry) -> dict[str, Any]:
     told = {
+        "method": entry.method,
         "n_emitted": entry.n_emitted,
         "n_stored": entry.n_stored,
         "seconds": entry.seconds,
         "total_seconds": sum(entry.seconds.values()),
         "errors": entry.errors.to_dict(),
+        "known_errors": entry.known_errors,
         "settings": entry.settings,
     }
     # JSON has no word for infinity but null.
@@ -163,6 +129,8 @@ def _told(entry: Entry) -> dict[str, Any]:
 
 def compare(plan: Plan, reference: Image, *, progress: Progress | None = None) -> Comparison:
     """Trace photons once, find the points of the picture once, and evaluate every method.
+
+    Times alone are taken as often as the plan says.
 
     Parameters
     ----------
@@ -181,92 +149,142 @@ def compare(plan: Plan, reference: Image, *, progress: Progress | None = None) -
     Raises
     ------
     TypeError, ValueError
-        If the reference has another size or is black, or no photon is stored.
+        If the reference has another size, is black or not finite, or no photon is stored.
     ImportError
         If what measures errors is not installed.
     """
     measures.check_installed()
     check_reference(reference, plan)
+    bench = _Bench(plan, _traced(plan, progress), reference, progress)
+    entries = bench.entries()
+    about = reference.metadata.get(ABOUT, "a picture given")
+    return Comparison(plan, entries, reference, about, bench.truth, bench.photon_layers)
+
+
+@dataclass(frozen=True)
+class _Cast:
+    """Photons, the seconds that tracing them takes, and those that their spectra add."""
+
+    photons: PhotonMap
+    seconds: float
+    spectra: float
+
+
+def _traced(plan: Plan, progress: Progress | None) -> _Cast:
+    """Trace the photons; where some carry spectra, without these as well, to tell their time."""
+    shares = [frequency_share(*column) for column in plan.columns().values()]
+    plain, with_spectra = [], []
+    for _ in range(plan.rounds):
+        photons, seconds = _cast(plan, 0.0, progress)
+        plain.append(seconds)
+        if max(shares) > 0.0:
+            photons, seconds = _cast(plan, max(shares), progress)
+            with_spectra.append(seconds)
+    surplus = median(with_spectra) - median(plain) if with_spectra else 0.0
+    return _Cast(photons, median(plain), max(surplus, 0.0))
+
+
+def _cast(plan: Plan, share: float, progress: Progress | None) -> tuple[PhotonMap, float]:
     started = perf_counter()
     photons = plan.subject.photons(
         plan.n_emitted,
         seed=plan.seed,
         sampler=plan.sampler,
-        frequency_share=max(frequency_share(method, plan.settings) for method in plan.methods),
+        frequency_share=share,
         n_threads=plan.n_threads,
         progress=progress,
     )
-    bench = _Bench(plan, photons, perf_counter() - started, reference, progress)
-    entries = tuple(bench.entry(method) for method in plan.methods)
-    about = reference.metadata.get(ABOUT, "a picture given")
-    return Comparison(plan, entries, reference, about, bench.photon_layers)
-
-
-ABOUT = "photonrelax.reference"
-"""Where the metadata of a reference say what it is."""
-
-
-def check_reference(reference: Image, plan: Plan) -> None:
-    """Raise ValueError if a reference does not show what is compared."""
-    if "radiance" not in reference.layers:
-        raise ValueError(
-            f"the reference should have channels R, G and B, but has {sorted(reference.layers)}"
-        )
-    height, width = np.shape(reference.layers["radiance"])[:2]
-    if (width, height) != plan.subject.size:
-        wanted = " x ".join(map(str, plan.subject.size))
-        raise ValueError(
-            f"the reference should have {wanted} pixels as the pictures have, "
-            f"but has {width} x {height}"
-        )
+    return photons, perf_counter() - started
 
 
 class _Bench:
     """What all methods share, and what is kept of those that ran."""
 
     def __init__(
-        self,
-        plan: Plan,
-        photons: PhotonMap,
-        cast_seconds: float,
-        reference: Image,
-        progress: Progress | None,
+        self, plan: Plan, cast: _Cast, reference: Image, progress: Progress | None
     ) -> None:
         self.photon_layers: dict[str, Floats] = {}
         self._plan = plan
-        self._photons = photons
+        self._cast = cast
         self._progress = progress
-        self._view = plan.subject.view(
+        views = [self._look() for _ in range(plan.rounds)]
+        self._view = views[0]
+        self._camera = median(view.seconds for view in views)
+        known = plan.subject.known(self._view)
+        self.truth = Truth(reference, self._view, plan.exposure, known)
+
+    def entries(self) -> tuple[Entry, ...]:
+        """Run all methods in turns, as often as they are timed."""
+        columns = self._plan.columns()
+        self._warm_up()
+        made: dict[str, Entry] = {}
+        seconds: dict[str, list[dict[str, float]]] = {name: [] for name in columns}
+        for _ in range(self._plan.rounds):
+            for name in columns:
+                field, caustic, taken = self._run(name)
+                seconds[name].append(taken)
+                if name not in made:
+                    made[name] = self._entry(name, field, caustic)
+        return tuple(
+            replace(entry, seconds=self._shared(entry.method) | _medians(seconds[name]))
+            for name, entry in made.items()
+        )
+
+    def _look(self) -> View:
+        plan = self._plan
+        return plan.subject.view(
             plan.supersampling,
             plan.max_depth,
             n_threads=plan.n_threads,
-            progress=progress,
+            progress=self._progress,
         )
-        self._shared = {"cast": cast_seconds, "camera": self._view.seconds}
-        self._truth = _Truth(reference, self._view, plan.exposure)
 
-    def entry(self, method: str) -> Entry:
-        """Run a method."""
-        plan, progress = self._plan, prefixed(self._progress, method)
+    def _warm_up(self) -> None:
+        """Gather a little: the first method timed should not pay for threads and memory."""
+        field = prepare("standard", self._task(Settings(), None))
+        hits = self._view.bands[0].hits
+        field(hits.position, hits.normal)
+
+    def _run(self, name: str) -> tuple[Field, Floats, dict[str, float]]:
+        """Run a method; return its photons prepared, its picture and its seconds by stage."""
+        method, settings = self._plan.columns()[name]
+        progress = prefixed(self._progress, name)
         started = perf_counter()
-        task = Task(self._photons, plan.settings, plan.subject.scene, plan.n_threads, progress)
-        field = prepare(method, task)
+        field = prepare(method, self._task(settings, progress))
         prepared = perf_counter()
         caustic = self._view.caustic(field, progress)
         now = perf_counter()
         # Trees that nothing but gathering needs are part of it.
         trees = max(prepared - started - sum(field.seconds.values()), 0.0)
+        return field, caustic, field.seconds | {"gather": now - prepared + trees}
+
+    def _task(self, settings: Settings, progress: Progress | None) -> Task:
+        plan = self._plan
+        return Task(self._cast.photons, settings, plan.subject.scene, plan.n_threads, progress)
+
+    def _entry(self, name: str, field: Field, caustic: Floats) -> Entry:
+        plan, photons = self._plan, self._cast.photons
+        method, _ = plan.columns()[name]
         self._keep_photon_layers(field, method)
-        image, errors = self._truth.measured(caustic)
+        image, errors = self.truth.measured(caustic)
+        used = field.used | {"supersampling": plan.supersampling, "max_depth": plan.max_depth}
+        told = photon_header(photons, scene=plan.subject.name, method=method, settings=used)
         return Entry(
+            name,
             method,
-            image,
+            Image(image.layers, told),
             plan.n_emitted,
-            len(self._photons),
-            self._shared | field.seconds | {"gather": now - prepared + trees},
+            len(photons),
+            {},
             field.used,
             errors,
+            self.truth.against_known(caustic),
         )
+
+    def _shared(self, method: str) -> dict[str, float]:
+        """Return the seconds of what was done for all methods, or for those with spectra."""
+        spectra = {"spectra": self._cast.spectra} if method == "frequency" else {}
+        return {"cast": self._cast.seconds, **spectra, "camera": self._camera}
 
     def _keep_photon_layers(self, field: Field, method: str) -> None:
         """Keep what the photons carry: SJ13's if they are there, else with constraints if known."""
@@ -276,29 +294,20 @@ class _Bench:
             self.photon_layers = self._view.photon_layers(field)
 
 
-class _Truth:
-    """The reference, ready to be measured against."""
+def _medians(seconds: list[dict[str, float]]) -> dict[str, float]:
+    return {stage: median(each[stage] for each in seconds) for stage in seconds[0]}
 
-    def __init__(self, reference: Image, view: View, exposure: float) -> None:
-        self._fixed = view.fixed
-        self._radiance = np.asarray(reference.layers["radiance"])
-        self._caustic = np.asarray(
-            reference.layers.get("caustic", self._radiance - view.fixed["direct"])
-        )
-        self._scale = 2.0**exposure
-        self._shown = srgb(self._scale * self._radiance)
 
-    def measured(self, caustic: Floats) -> tuple[Image, Errors]:
-        """Return the picture with its difference from the truth, and its errors."""
-        radiance = caustic + self._fixed["direct"]
-        shown = srgb(self._scale * radiance)
-        flip = measures.flip_map(shown, self._shown)
-        errors = Errors(
-            relative_l1=measures.relative_l1(caustic, self._caustic),
-            relative_l2=measures.relative_l2(caustic, self._caustic),
-            energy_bias=measures.energy_bias(caustic, self._caustic),
-            ssim=measures.ssim(shown, self._shown),
-            flip=float(flip.mean()),
-        )
-        made = {"difference": radiance - self._radiance, "flip": flip}
-        return Image({"radiance": radiance, "caustic": caustic, **self._fixed, **made}), errors
+COST = "photonrelax.reference_cost"
+"""Where the metadata of a reference say what it took, as JSON."""
+
+
+def reference_cost(reference: Image) -> dict[str, Any]:
+    """Return photons emitted and stored, and seconds of a reference, as far as they are known."""
+    cost: dict[str, Any] = json.loads(reference.metadata.get(COST, "{}"))
+    return cost
+
+
+def machine() -> str:
+    """Return what times were taken on."""
+    return f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -11,11 +11,15 @@ from .. import gallery
 from .._arrays import Floats, count
 from .._progress import Progress
 from ..camera import FirstSurfaces, HitPoints
+from ..gallery.known import KnownLight, known_light
 from ..photonmap import PhotonMap
-from ..picture import Band
+from ..picture import Band, joined
 from ..scene import Scene
 from ..trace import trace_photons
-from .view import View, look
+from .view import Known, View, look
+
+# Points of a plane that are looked at together, which bounds the memory estimates take.
+_POINTS_PER_BAND = 400_000
 
 
 class Subject(Protocol):
@@ -66,12 +70,23 @@ class Subject(Protocol):
         (height, width, 3): means over the s·s samples of each pixel, as of any estimate.
         """
 
+    def known(self, view: View) -> Known | None:
+        """Return the caustic of a view where it is known without photons, if a part of it is."""
+
 
 @dataclass(frozen=True, eq=False)
 class SceneSubject:
-    """A scene with a camera."""
+    """A scene with a camera.
+
+    Parameters
+    ----------
+    scene : Scene
+    light : KnownLight, optional
+        What is known of its caustics without photons; see `photonrelax.gallery.known`.
+    """
 
     scene: Scene
+    light: KnownLight | None = None
 
     def __post_init__(self) -> None:
         if self.scene.camera is None:
@@ -128,7 +143,11 @@ class SceneSubject:
         )
 
     def exact(self, supersampling: int) -> None:
-        """Return nothing: pictures of scenes are not known."""
+        """Return nothing: no whole picture of a scene is known."""
+
+    def known(self, view: View) -> Known | None:
+        """Return the picture of the light that is known."""
+        return None if self.light is None else view.known(self.light)
 
 
 @dataclass(frozen=True)
@@ -180,20 +199,15 @@ class DistributionSubject:
         """Return s·s points a pixel of the white plane, which nothing else lights."""
         (width, height), samples = self.size, supersampling**2
         distribution = gallery.distribution(self.name, n=0)
-        points, normals = distribution.samples(width, height, supersampling)
-        grey = np.ones_like(points)
-        hits = HitPoints(
-            pixel=np.repeat(np.arange(width * height), samples),
-            position=points,
-            normal=normals,
-            albedo=grey,
-            weight=grey / samples,
-            object_id=np.zeros(len(points), dtype=np.int32),
-        )
-        up = np.broadcast_to(normals[0], (height, width, 3))
-        first = FirstSurfaces(normal=up, depth=np.ones((height, width)))
-        band = Band(range(height), width, hits, first, np.zeros_like(points))
-        return View([band], band.fixed_layers(), 0.0)
+        points, _ = distribution.samples(width, height, supersampling)
+        per_row = width * samples
+        step = max(_POINTS_PER_BAND // per_row, 1)
+        seen = []
+        for top in range(0, height, step):
+            rows = range(top, min(top + step, height))
+            some = points[rows.start * per_row : rows.stop * per_row]
+            seen.append(_band_of_plane(some, rows, width, samples))
+        return View(seen, joined([band.fixed_layers() for band in seen]), 0.0)
 
     def exact(self, supersampling: int) -> Floats:
         """Return the mean radiance of the points of `view` in each pixel, (height, width, 3).
@@ -206,3 +220,35 @@ class DistributionSubject:
             lambda points, _: known.irradiance(points), *self.size, supersampling
         )
         return picture / np.pi
+
+    def known(self, view: View) -> None:
+        """Return nothing: the whole picture is `exact` already."""
+
+
+def _band_of_plane(points: Floats, rows: range, width: int, samples: int) -> Band:
+    """Return some rows of a picture of the white plane."""
+    white, up = np.ones_like(points), np.zeros_like(points)
+    up[:, 2] = 1.0
+    pixels = np.arange(rows.start * width, rows.stop * width)
+    hits = HitPoints(
+        pixel=np.repeat(pixels, samples),
+        position=points,
+        normal=up,
+        albedo=white,
+        weight=white / samples,
+        object_id=np.zeros(len(points), dtype=np.int32),
+    )
+    shape = (len(rows), width)
+    first = FirstSurfaces(np.broadcast_to(up[0], (*shape, 3)), np.ones(shape))
+    return Band(rows, width, hits, first, np.zeros_like(points))
+
+
+def named(name: str, width: int | None = None, height: int | None = None) -> Subject:
+    """Return what the gallery knows by a name, its pictures of a size of their own if not given."""
+    if name in gallery.distribution_names():
+        return DistributionSubject(name, (width or 600, height or width or 600))
+    scene = gallery.scene(name)
+    camera = scene.camera
+    assert camera is not None, "every built-in scene has a camera"
+    camera = replace(camera, width=width or camera.width, height=height or camera.height)
+    return SceneSubject(replace(scene, camera=camera), known_light(name))

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from .run import Comparison, Entry
+from .run import Comparison, Entry, reference_cost
 
 # Stages by the rows of the table; every other stage of a method's own finds features.
-_ROWS_OF = {"cast": "photon cast", "relax": "relaxation", "camera": "render", "gather": "render"}
+_ROWS_OF = {
+    "cast": "photon cast",
+    "spectra": "photon cast",
+    "relax": "relaxation",
+    "camera": "render",
+    "gather": "render",
+}
 _FEATURES = "feature detection"
 _NOTHING = "–"
 
@@ -45,14 +51,6 @@ class Table:
         ]
         return "\n".join([self.title, *(line.rstrip() for line in body), *self.notes])
 
-    def markdown(self) -> str:
-        """Return the table for a Markdown file, the best cells bold."""
-        lines = [f"| | {' | '.join(self.head)} |", f"| --- |{' --- |' * len(self.head)}"]
-        for name, cells, best in self.rows:
-            shown = [f"**{c}**" if i == best else c for i, c in enumerate(cells)]
-            lines.append(f"| {name} | {' | '.join(shown)} |")
-        return "\n".join(lines)
-
     def to_dict(self) -> dict[str, Any]:
         """Return the table by its attributes."""
         rows = [{"name": name, "cells": cells, "best": best} for name, cells, best in self.rows]
@@ -60,7 +58,11 @@ class Table:
 
 
 def table(comparison: Comparison) -> Table:
-    """Return the table of a comparison."""
+    """Return the table of a comparison; where the reference was computed, it is the last column.
+
+    That run is what SJ13 calls progressive; a method that photons of one map were dealt to passes
+    for is marked so.
+    """
     entries = comparison.entries
     rows = [
         ("photons emitted", [f"{entry.n_emitted:,}" for entry in entries], None),
@@ -68,8 +70,27 @@ def table(comparison: Comparison) -> Table:
         ("photons per estimate", [_photons_per_estimate(entry) for entry in entries], None),
         *_times(entries),
         *(_measured(entries, *row) for row in _ERRORS),
+        *_known(entries),
     ]
-    return Table(_title(comparison), [e.method for e in entries], rows, _notes(comparison))
+    head = [f"{e.name}, dealt" if e.method in _DEALT else e.name for e in entries]
+    made = Table(_title(comparison), head, rows, _notes(comparison))
+    return _with_reference(made, comparison)
+
+
+def _with_reference(shown: Table, comparison: Comparison) -> Table:
+    cost = reference_cost(comparison.reference)
+    if not cost:
+        return shown
+    told = {
+        "photons emitted": f"{cost['emitted']:,}",
+        "photons absorbed": f"{cost['stored']:,}",
+        "total": _seconds(cost["seconds"] or 0.0),
+    }
+    for name, attribute, form, _ in _KNOWN:
+        if comparison.truth.known_errors:
+            told[name] = form.format(comparison.truth.known_errors[attribute])
+    rows = [(name, [*cells, told.get(name, _NOTHING)], best) for name, cells, best in shown.rows]
+    return replace(shown, head=[*shown.head, "reference"], rows=rows)
 
 
 def by_row(seconds: dict[str, float]) -> dict[str, float]:
@@ -109,6 +130,23 @@ def _measured(
     return name, [form.format(value) for value in values], _best(values, badness)
 
 
+# The same errors where light is known without photons.
+_KNOWN = [
+    (f"{name}, known light", attribute, form, badness)
+    for name, attribute, form, badness in _ERRORS
+    if attribute in ("relative_l1", "relative_l2", "energy_bias")
+]
+
+
+def _known(entries: tuple[Entry, ...]) -> list[tuple[str, list[str], int | None]]:
+    rows = []
+    for name, attribute, form, badness in _KNOWN:
+        values = [entry.known_errors[attribute] for entry in entries if entry.known_errors]
+        if values:
+            rows.append((name, [form.format(value) for value in values], _best(values, badness)))
+    return rows
+
+
 def _best(values: list[float], badness: Callable[[float], float]) -> int | None:
     return min(range(len(values)), key=lambda i: badness(values[i])) if len(values) > 1 else None
 
@@ -120,6 +158,8 @@ def _photons_per_estimate(entry: Entry) -> str:
 
 
 _GATHERING = ("gather", "diffusion")
+# Methods that the photons of one map are dealt to passes for.
+_DEALT = ("progressive", "frequency")
 
 
 def _title(comparison: Comparison) -> str:
@@ -132,8 +172,19 @@ def _title(comparison: Comparison) -> str:
 
 
 def _notes(comparison: Comparison) -> list[str]:
-    return [
+    truth = comparison.truth
+    notes = [
         f"reference: {comparison.about_reference}",
         "L1, L2 and energy bias are of the caustic alone, SSIM and FLIP of the picture as shown; "
-        "photons and camera rays were traced once and count in every total.",
+        "photons and camera rays were traced for all methods and count in every total.",
+        f"SSIM and FLIP see nothing of what a display cuts off: {truth.clipped:.1%} of the "
+        "reference's pixels.",
     ]
+    if any(entry.method in _DEALT for entry in comparison.entries):
+        notes.append("dealt: the photons of the same map, not fresh ones in every pass.")
+    if truth.known_errors:
+        notes.append(
+            f"known light: {truth.known_share:.0%} of the pixels, whose irradiance follows from "
+            "geometry, without photons."
+        )
+    return notes
