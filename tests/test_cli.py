@@ -55,7 +55,8 @@ def test_help_imports_nothing_heavy():
 def test_list_names_every_scene(capsys):
     assert run("list") == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == list(gallery.names())
+    names = [*gallery.names(), *gallery.distribution_names()]
+    assert [line.split()[0] for line in lines] == names
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ TIERS = [
     {"render", "gallery", "_hits"},
     {"passes"},
     {"compare"},
-    {"cli", "_bars", "_options", "_text", "__main__"},
+    {"cli", "_bars", "_options", "_settings", "_text", "__main__"},
 ]
 TIER = {module: tier for tier, modules in enumerate(TIERS) for module in modules}
 OWNERS = {"embreex": {"raycast"}, "trimesh.ray": {"raycast"}, "OpenEXR": {"image"}}

@@ -10,6 +10,7 @@ from . import __version__, gallery
 
 PHOTONS = 1_000_000
 PHOTONS_PER_PASS = 100_000
+SAMPLER = "halton"
 
 
 def parser(commands: Mapping[str, Callable[..., None]]) -> argparse.ArgumentParser:
@@ -27,7 +28,6 @@ def parser(commands: Mapping[str, Callable[..., None]]) -> argparse.ArgumentPars
 
 
 def _add_render(parser: argparse.ArgumentParser) -> None:
-    from .adaptive import REFINEMENTS
     from .methods import METHODS
 
     _add_scene(parser)
@@ -42,13 +42,8 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.npz",
         help="photons traced before, in place of new ones; with relaxed ones: --method standard",
     )
-    _add_gathering(parser)
-    parser.add_argument(
-        "--refinement",
-        choices=tuple(REFINEMENTS),
-        default="none",
-        help="how estimates choose a number of photons of their own, up to --k (%(default)s)",
-    )
+    _add_sampler(parser)
+    _add_settings(parser)
     _add_picture(parser)
     _add_passes(parser)
     parser.add_argument("--stats", type=Path, metavar="FILE.json", help="write times and counts")
@@ -121,7 +116,7 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     )
     _add_emission(parser)
     _add_sampler(parser)
-    _add_gathering(parser)
+    _add_settings(parser)
     _add_picture(parser)
     parser.add_argument(
         "--reference",
@@ -156,7 +151,7 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "trace": ("trace the photons of a built-in scene into a photon map", _add_trace),
     "relax": ("relax the photons of a photon map", _add_relax),
     "compare": ("compare methods on the same photons: table, pictures, a page", _add_compare),
-    "list": ("list the built-in scenes", lambda parser: None),
+    "list": ("list the built-in scenes, and photons alone to compare on", lambda parser: None),
     "info": ("describe an EXR file or a photon map", _add_info),
 }
 
@@ -178,15 +173,34 @@ def _add_emission(parser: argparse.ArgumentParser) -> None:
 
 def _add_sampler(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--sampler", choices=("halton", "random"), default="halton", help="default: %(default)s"
+        "--sampler", choices=("halton", "random"), help=f"of the photons ({SAMPLER})"
     )
 
 
-def _add_gathering(parser: argparse.ArgumentParser) -> None:
+def _add_settings(parser: argparse.ArgumentParser) -> None:
+    # No defaults here: settings that no chosen method reads are refused if they were given.
+    from ._settings import assignment
+    from .adaptive import REFINEMENTS
+
     parser.add_argument(
-        "--k", type=positive, default=15, metavar="N", help="photons per estimate (%(default)s)"
+        "--k",
+        type=positive,
+        metavar="N",
+        help="photons per estimate (15); in render of the first discs of progressive methods",
     )
     _add_iterations(parser)
+    parser.add_argument(
+        "--refinement",
+        choices=tuple(REFINEMENTS),
+        help="how estimates choose a number of photons of their own, up to --k (none)",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        type=assignment,
+        metavar="STAGE.FIELD=VALUE",
+        help="any setting of a stage, as in diffusion.k=200 or relax.n_iterations=3,3; repeatable",
+    )
 
 
 def _add_iterations(parser: argparse.ArgumentParser) -> None:
@@ -194,7 +208,6 @@ def _add_iterations(parser: argparse.ArgumentParser) -> None:
         "--iterations",
         type=whole,
         nargs=2,
-        default=(7, 7),
         metavar=("CONSTRAINED", "COLLAPSED"),
         help="of relaxation (7 7)",
     )

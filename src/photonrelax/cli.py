@@ -16,11 +16,12 @@ from . import gallery
 from ._bars import Bars
 from ._files import check_distinct, output_path, whole_file, write_json
 from ._interrupts import Interrupts
-from ._options import PHOTONS, PHOTONS_PER_PASS, parser
+from ._options import PHOTONS, PHOTONS_PER_PASS, SAMPLER, parser
 
 # Everything else is imported where it is used: an interrupt meanwhile is then caught in `main`.
 if TYPE_CHECKING:
     from .compare import Plan
+    from .methods import Settings
     from .scene import Scene
 
 INTERRUPTED = 130
@@ -90,8 +91,11 @@ def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
 def _check_photons(options: argparse.Namespace) -> None:
     """End with wrong usage if options about photons contradict each other."""
-    if options.photon_map is not None and (options.photons, options.seed) != (None, None):
-        options.wrong_usage("--photon-map brings its photons: leave out --photons and --seed")
+    emission = (options.photons, options.seed, options.sampler)
+    if options.photon_map is not None and emission != (None, None, None):
+        options.wrong_usage(
+            "--photon-map brings its photons: leave out --photons, --seed and --sampler"
+        )
     passes = (options.passes, options.minutes)
     others = (options.state, options.interval, options.stochastic)
     if passes == (None, None):
@@ -101,9 +105,15 @@ def _check_photons(options: argparse.Namespace) -> None:
         options.wrong_usage("--passes and --minutes need --method progressive")
     elif options.photon_map is not None:
         options.wrong_usage("every pass brings its photons: leave out --photon-map")
+    elif options.sampler == "random":
+        options.wrong_usage("passes are of Halton photons: leave out --sampler")
+    elif any(each[:2] == ("progressive", "n_passes") for each in options.set or ()):
+        options.wrong_usage("progressive.n_passes deals out one map: --passes says how many")
 
 
 def _in_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
+    settings = _chosen(options)
+
     def write(image: pr.Image) -> None:
         with ExitStack() as files:
             _place(files, image, options)
@@ -116,7 +126,7 @@ def _in_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
             seconds=None if options.minutes is None else 60.0 * options.minutes,
             photons_per_pass=options.photons or PHOTONS_PER_PASS,
             seed=options.seed or 0,
-            settings=pr.ProgressiveSettings(k=options.k),
+            settings=settings.progressive,
             supersampling=options.supersampling,
             stochastic=options.stochastic,
             checkpoints=pr.Checkpoints(options.state, options.interval or 60.0, write),
@@ -126,6 +136,7 @@ def _in_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
 
 
 def _image(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
+    settings = _chosen(options)
     photons = None if options.photon_map is None else pr.PhotonMap.load(options.photon_map)
     scene = _resized(gallery.scene(options.scene), options.width, options.height)
     with Bars(options.quiet, interrupts) as bars:
@@ -134,13 +145,19 @@ def _image(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
             method=options.method,
             n_emitted=_photons(options),
             seed=options.seed or 0,
-            relax=pr.RelaxSettings(n_iterations=tuple(options.iterations)),
-            gather=pr.GatherSettings(k=options.k, refinement=options.refinement),
+            sampler=options.sampler or SAMPLER,
             supersampling=options.supersampling,
             photons=photons,
             n_threads=options.threads,
             progress=bars,
+            **vars(settings),
         )
+
+
+def _chosen(options: argparse.Namespace) -> Settings:
+    from ._settings import chosen
+
+    return chosen(options, (options.method,), ("gather", "progressive"))
 
 
 def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:
@@ -154,7 +171,7 @@ def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:
                 scene,
                 _photons(options),
                 seed=options.seed or 0,
-                sampler=options.sampler,
+                sampler=options.sampler or SAMPLER,
                 frequency_share=options.frequency_share,
                 n_threads=options.threads,
                 progress=bars,
@@ -172,7 +189,9 @@ def _relax(options: argparse.Namespace, interrupts: Interrupts) -> None:
     output = output_path(options.output, ".npz")
     photons = pr.PhotonMap.load(options.photon_map)
     scene = None if options.scene is None else gallery.scene(options.scene)
-    settings = pr.RelaxSettings(n_iterations=tuple(options.iterations))
+    settings = pr.RelaxSettings()
+    if options.iterations is not None:
+        settings = pr.RelaxSettings(n_iterations=tuple(options.iterations))
     with Bars(options.quiet, interrupts) as bars:
         structure, structure_seconds = _timed(
             lambda: pr.detect_structure(photons, n_threads=options.threads, progress=bars)
@@ -190,7 +209,7 @@ def _relax(options: argparse.Namespace, interrupts: Interrupts) -> None:
     relaxed.save(output)
     stages = {
         "structure": {"seconds": structure_seconds, "photons": len(photons)},
-        "relax": {"seconds": relax_seconds, "iterations": sum(options.iterations)},
+        "relax": {"seconds": relax_seconds, "iterations": sum(settings.n_iterations)},
     }
     _report(options, stage_table(stages), f"wrote {output}")
 
@@ -211,19 +230,17 @@ def _compare(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
 
 def _plan(options: argparse.Namespace) -> Plan:
-    from .compare import Plan, named
-    from .methods import Settings
+    from ._settings import chosen
+    from .compare import METHODS_OF_SJ13, Plan, named
 
+    methods = tuple(options.methods or METHODS_OF_SJ13)
     return Plan(
         subject=named(options.scene, options.width, options.height),
-        methods=tuple(options.methods or ()),
+        methods=methods,
         n_emitted=_photons(options),
         seed=options.seed or 0,
-        sampler=options.sampler,
-        settings=Settings(
-            relax=pr.RelaxSettings(n_iterations=tuple(options.iterations)),
-            gather=pr.GatherSettings(k=options.k),
-        ),
+        sampler=options.sampler or SAMPLER,
+        settings=chosen(options, methods),
         supersampling=options.supersampling,
         exposure=options.exposure,
         n_threads=options.threads,
@@ -238,8 +255,9 @@ def _kept_reference(options: argparse.Namespace, plan: Plan, bars: Bars) -> pr.I
 
 
 def _list(options: argparse.Namespace, interrupts: Interrupts) -> None:
-    width = max(map(len, gallery.names()))
-    for name in gallery.names():
+    names = (*gallery.names(), *gallery.distribution_names())
+    width = max(map(len, names))
+    for name in names:
         print(f"{name:{width}}  {gallery.about(name)}")
 
 

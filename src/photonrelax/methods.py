@@ -84,13 +84,13 @@ class Settings:
     frequency: FrequencySettings | None = None
 
     def __post_init__(self) -> None:
-        for name, kind in _KINDS.items():
+        for name, kind in KINDS.items():
             value = getattr(self, name)
             if value is not None and not isinstance(value, kind):
                 raise TypeError(f"{name} should be {kind.__name__}, but is {value!r}")
 
 
-_KINDS: dict[str, type] = {
+KINDS: dict[str, type] = {
     "structure": StructureSettings,
     "gradient": GradientSettings,
     "relax": RelaxSettings,
@@ -187,6 +187,16 @@ _METHODS: dict[str, Callable[[Task], Field]] = {
     "frequency": _frequency,
 }
 METHODS = tuple(_METHODS)
+STAGES: dict[str, tuple[str, ...]] = {
+    "standard": ("gather",),
+    "relaxation": ("gradient", "relax", "gather"),
+    "parameterised": ("structure", "relax", "gather"),
+    "diffusion": ("diffusion",),
+    "isotropic-diffusion": ("diffusion",),
+    "progressive": ("progressive",),
+    "frequency": ("progressive", "frequency"),
+}
+"""The fields of `Settings` that each method reads."""
 
 
 def prepare(method: str, task: Task) -> Field:

@@ -25,6 +25,7 @@ def render(
     method: str = "parameterised",
     n_emitted: int = 1_000_000,
     seed: int = 0,
+    sampler: str = "halton",
     supersampling: int = 2,
     max_depth: int = 8,
     photons: PhotonMap | None = None,
@@ -42,6 +43,8 @@ def render(
         How irradiance is estimated from photons; see `photonrelax.irradiance_field`.
     n_emitted, seed : int
         Photons to emit; what shifts their sequence and chooses their paths.
+    sampler : {"halton", "random"}
+        Of the photons; see `photonrelax.trace_photons`.
     supersampling, max_depth : int
         s·s samples a pixel; smooth surfaces a camera ray may meet.
     photons : PhotonMap, optional
@@ -72,7 +75,12 @@ def render(
     chosen = Settings(**settings)
     pipeline = _Pipeline(scene, n_threads, progress)
     if photons is None:
-        photons = pipeline.trace(n_emitted, seed, frequency_share(method, chosen))
+        photons = pipeline.trace(
+            n_emitted,
+            seed=seed,
+            sampler=sampler,
+            frequency_share=frequency_share(method, chosen),
+        )
     field = pipeline.prepare(photons, method, chosen)
     layers = pipeline.picture(field, scene.camera, supersampling, max_depth)
     used = field.used | {"supersampling": supersampling, "max_depth": max_depth}
@@ -103,13 +111,12 @@ class _Pipeline:
         self._progress = progress
         self._stages: dict[str, dict[str, float]] = {}
 
-    def trace(self, n_emitted: int, seed: int, frequency_share: float) -> PhotonMap:
+    def trace(self, n_emitted: int, **how: Any) -> PhotonMap:
         started = perf_counter()
         photons = trace_photons(
             self._scene,
             n_emitted,
-            seed=seed,
-            frequency_share=frequency_share,
+            **how,
             n_threads=self._n_threads,
             progress=self._progress,
         )
