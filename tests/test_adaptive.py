@@ -197,7 +197,8 @@ def test_faces_turned_away_and_maps_with_next_to_nothing(refinement):
     ("fields", "message"),
     [
         ({"refinement": "sharp"}, "refinement should be one of none, differential-checking, bias"),
-        ({"refinement": "bias-compensation", "k": 10}, "k should be at least k_min, 15"),
+        ({"refinement": "bias-compensation", "k": 10}, "k should be more than k_min, 15"),
+        ({"refinement": "differential-checking"}, "k_min, 15, .* but is 15: try k=200"),
         ({"k_min": 1}, "k_min should be at least 2"),
     ],
 )

@@ -343,7 +343,7 @@ def test_refinement_reaches_the_estimates(tmp_path, capsys):
     settings = json.loads(read_exr(tmp_path / "a.exr").metadata["photonrelax.settings"])
     assert settings["gather"]["refinement"] == "bias-compensation"
     assert run(*picture, "--k", 10, "--quiet", *SMALL) == 1
-    assert "k should be at least k_min, 15, with a refinement" in capsys.readouterr().err
+    assert "k should be more than k_min, 15, with a refinement" in capsys.readouterr().err
 
 
 def test_exposure_brightens_the_preview_alone(tmp_path):

@@ -9,12 +9,16 @@ from conftest import flat_map, unit_square
 
 import photonrelax as pr
 from photonrelax import gallery
+from photonrelax.diffusion import DiffusionField
 
 N = 60_000
 # While a tree of so many axes is built: the points, the tree with its boxes, and the order of its
 # leaves with two tables of keys, which are all that grows with the number of axes.
 BUILDING = {3: 85, 5: 170, 6: 187, 8: 254}
 STRUCTURE, POSITION = 100, 24
+# Room to search for 500, which does not grow with photons (2.3 MB); flux and gradients, in blocks
+# too.
+SEARCHING, CARRIED = 40, 64
 
 
 def flat(**fields):
@@ -55,6 +59,18 @@ def test_a_stage_takes_what_it_returns_and_one_tree(photons, n_axes, n_axes_to_g
     assert detecting < STRUCTURE + BUILDING[n_axes]
     assert moving < POSITION + BUILDING[n_axes]
     assert preparing < BUILDING[n_axes_to_gather]
+
+
+@pytest.mark.parametrize(("photons", "n_axes"), [(flat, 3), (curved, 6)])
+def test_gathering_many_takes_room_for_one_search_a_thread(photons, n_axes):
+    """Though ten thousand are made for the radius. Diffusion also what it knows of photons."""
+    photons, gather = photons(), pr.GatherSettings(k=500)
+    DiffusionField(photons.subset(slice(0, 600)))
+    _, gathering = allocated(lambda: pr.IrradianceField(photons, gather, n_threads=1))
+    settings = pr.DiffusionSettings(k=500, normalisation="maximum")
+    _, diffusing = allocated(lambda: DiffusionField(photons, settings, n_threads=1))
+    assert gathering < BUILDING[n_axes] + SEARCHING
+    assert diffusing < BUILDING[n_axes] + SEARCHING + CARRIED
 
 
 def test_photons_are_put_back_some_at_a_time(monkeypatch):

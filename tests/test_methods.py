@@ -4,6 +4,8 @@ Photons lie on a plane whose coordinates are those of their emitter. A method th
 the defaults has a `Case` below that says why.
 """
 
+import gc
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -174,6 +176,38 @@ def test_irradiance_goes_with_the_inverse_square_of_the_unit_of_length(method, p
     before = estimates(method, photons, points, normals)
     after = estimates(method, larger, unit * points, normals, unit)
     np.testing.assert_allclose(unit**2 * after, before, rtol=1e-6)
+
+
+@pytest.mark.parametrize("flux", [1e-100, 1e100])
+@pytest.mark.parametrize("unit", [1e-100, 1e100])
+@pytest.mark.parametrize("method", NAMES)
+def test_units_may_be_tiny_or_huge(method, unit, flux, patch):
+    photons, points, normals = patch
+    other = photons.replace(
+        position=unit * photons.position,
+        flux=flux * photons.flux,
+        emitter_coords=unit * photons.emitter_coords,
+        emitter_density=photons.emitter_density / unit / unit,
+    )
+    before = estimates(method, photons, points, normals)
+    after = estimates(method, other, unit * points, normals, unit)
+    np.testing.assert_allclose(after * unit / flux * unit, before, rtol=1e-6)
+
+
+@pytest.mark.parametrize("method", NAMES)
+def test_a_field_goes_with_its_last_user(method, patch):
+    """Also if it was called: nothing it keeps refers to it."""
+    photons, points, normals = patch
+    made = field(method, photons.replace())
+    made(points, normals)
+    gone, light = weakref.ref(made), weakref.ref(made.photons)
+    gc.disable()
+    try:
+        del made
+        assert gone() is None
+        assert light() is None
+    finally:
+        gc.enable()
 
 
 @pytest.mark.parametrize("method", NAMES)

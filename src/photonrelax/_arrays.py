@@ -5,6 +5,7 @@ Kernels trust what they are given, so every array a user passes comes through he
 
 from __future__ import annotations
 
+import math
 import operator
 import os
 from collections.abc import Sequence
@@ -149,6 +150,20 @@ def positive(value: float, name: str, *, allow_inf: bool = False) -> float:
     if not number > 0.0 or (np.isinf(number) and not allow_inf):
         raise ValueError(f"{name} should be a positive number, but is {number}")
     return number
+
+
+def in_units(array: Floats) -> tuple[Floats, float]:
+    """Return numbers over a unit near the largest of them, and the unit.
+
+    It is a power of two, so that nothing is rounded; squares of what is returned stay finite.
+    """
+    unit = power_of_two(float(np.abs(array).max(initial=0.0)) or 1.0)
+    return array / unit, unit
+
+
+def power_of_two(number: float) -> float:
+    """Return the power of two next below a positive number."""
+    return math.ldexp(0.5, math.frexp(number)[1])
 
 
 def radius(value: float, name: str, *, allow_inf: bool = False) -> float:

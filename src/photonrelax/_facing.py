@@ -11,6 +11,7 @@ from . import _arrays
 from ._arrays import Floats, Rows
 from ._ext.curve import curve_order
 from ._ext.directions import distinct, faced
+from ._progress import Reporter
 from ._sheets import MOST_FACES, NORMAL_RANGE, facing, placed_rows, side_by_side
 from .kdtree import KDTree
 from .photonmap import PhotonMap
@@ -96,6 +97,18 @@ class FacingTrees:
         order = curve_order(points, 3, self._n_threads)
         for one, rows in _divided(number, order):
             yield one, self._queries(one, points, normals), rows
+
+    def chunks(
+        self, points: Floats, normals: Floats, report: Reporter
+    ) -> Iterator[tuple[int, Floats, Order]]:
+        """Divide points as `parts` does, and these into chunks whose end is reported."""
+        left = len(points)
+        for number, queries, rows in self.parts(points, normals):
+            for first, end in report.chunks(len(rows)):
+                yield number, queries, rows[first:end]
+            left -= len(rows)
+        if left:
+            report.advance(left)
 
     def _numbers(self, normals: Floats) -> NDArray[np.int8]:
         """Return the number of each point's tree, -1 for none."""

@@ -86,6 +86,11 @@ def photon_tree(
     return KDTree(points, n_metric=3, n_threads=n_threads), ranges
 
 
+def normal_range(tree: KDTree) -> float:
+    """Return the radius of the ball over the normals of a tree, -1 if it has no axes for them."""
+    return NORMAL_RANGE if tree.n_axes > tree.n_metric else -1.0
+
+
 def side_by_side(columns: list[Floats], scales: list[float], rows: Rows, n_threads: int) -> Floats:
     """Return rows of arrays, each multiplied by its scale, as one array."""
     chosen = None if isinstance(rows, slice) else rows

@@ -26,9 +26,10 @@ probable under the noise expected,
     u_K = (K - 1) Σ_{i < K} Φ_i² / (Σ_{i < K} Φ_i)²,
 
 and bias else. Beside z² stands the variance by which estimates of L photons differ from those of
-the K that they are among, for independent photons; u_K is 1 if all carry the same flux. Noise lets
-the search go on among more photons, bias among fewer. z is 2.576, beyond which one deviation in a
-hundred lies; Schregle instead draws a random number against the probability.
+the K that they are among, for independent photons; u_K is 1 if all carry the same flux. (Exactly
+it has K - 2 and L - 2, for the variance of E_K is E² / (K - 2); but K may be as low as two.) Noise
+lets the search go on among more photons, bias among fewer. z is 2.576, beyond which one deviation
+in a hundred lies; Schregle instead draws a random number against the probability.
 
 Measured with random photons and numbers from 15 to 200, in this order of the two:
 

@@ -37,11 +37,12 @@ from numpy.typing import ArrayLike
 
 from . import _arrays
 from ._arrays import Floats
-from ._bandwidths import Rows, Scale, normal_range, sites_in_chunks
+from ._bandwidths import Rows, Scale, sites_in_chunks
 from ._ext import diffusion as _diffusion
 from ._ext import tangent as _tangent
 from ._facing import FacingTrees
 from ._progress import Progress, Reporter
+from ._sheets import normal_range
 from .estimate import Field, automatic_gather_radius
 from .photonmap import PhotonMap
 
@@ -61,12 +62,12 @@ class DiffusionSettings:
     SSO08 (§7) has a fixed bandwidth, one that "reduces noise to an acceptable level" (``k=None,
     bandwidth=…, normalisation="maximum"``), and q from 0.8 to 0.1.
 
-    The default normalisation and q are measured. Over the largest eigenvalue next to nothing of a
-    caustic with a bright focus is an edge, and kernels stay round: on `ring`, 95,000 random
-    photons, relative L1 is 0.34 with SJ13's q, against 0.13 with the same q and "local", as
-    noise becomes structure, and 0.09 with 0.5 and "local"; the best k-nearest estimate has 0.20. On
-    `prism`, 93,000 Halton photons, it is 0.51, 0.29 and 0.30, and the best k-nearest is ahead with
-    0.21, as 500 photons reach over its shards.
+    The default normalisation and q are neither paper's, but measured. Over the largest eigenvalue
+    next to nothing of a caustic with a bright focus is an edge, and kernels stay round: on `ring`,
+    95,000 random photons, relative L1 is 0.34 with SJ13's q, against 0.13 with the same q and
+    "local", as noise becomes structure, and 0.09 with 0.5 and "local"; the best k-nearest estimate
+    has 0.20. On `prism`, 93,000 Halton photons, it is 0.51, 0.29 and 0.30, and the best k-nearest
+    is ahead with 0.21, as 500 photons reach over its shards.
 
     Attributes
     ----------
@@ -148,10 +149,6 @@ class DiffusionField(Field):
     ----------
     photons, settings
         As given; `settings.bandwidth` holds the one in use, None for an empty map.
-    gradient : (n, 3) float array
-        Of irradiance at the photons, W/m³, in their tangent planes (Eq. 13).
-    largest_eigenvalue : float or None
-        What λ₁ is divided by, (W/m³)²; None where that is local, or no photon has neighbours.
     structure, seconds, used
         As in every field; no structure.
 
@@ -180,16 +177,34 @@ class DiffusionField(Field):
         self._trees.build()
         self._towards = _towards(photons)
         started = perf_counter()
-        self.gradient = self._gradient(progress)
+        self._unit = _arrays.power_of_two(self.settings.bandwidth or 1.0)
+        flux, self._flux_unit = _arrays.in_units(photons.flux.mean(axis=1, keepdims=True))
+        self._carried = np.column_stack([flux, self._slopes(flux, progress)])
         self.seconds = {"gradient": perf_counter() - started}
-        self._carried = np.column_stack([_mean_flux(photons), self.gradient])
         self._photons: dict[int, _tangent.Photons] = {}
-        self.largest_eigenvalue: float | None = None
+        self._largest: float | None = None
         if self.settings.normalisation == "maximum":
             started = perf_counter()
-            self.largest_eigenvalue = self._largest_eigenvalue(progress)
+            self._largest = self._largest_slope(progress)
             self.seconds["normalise"] = perf_counter() - started
         self.used = {"diffusion": asdict(self.settings)}
+
+    @property
+    def gradient(self) -> Floats:
+        """Of irradiance at the photons (n, 3), W/m³, in their tangent planes (Eq. 13)."""
+        return self._in_watts(self._carried[:, 1:])
+
+    @property
+    def largest_eigenvalue(self) -> float | None:
+        """What λ₁ is divided by, (W/m³)²; None where that is local, or nobody has neighbours."""
+        if self._largest is None:
+            return None
+        return float(self._in_watts(self._in_watts(np.full(1, self._largest)))[0])
+
+    def _in_watts(self, slopes: Floats) -> Floats:
+        """Return gradients in W/m³; infinite beyond the range of floats."""
+        with np.errstate(over="ignore"):
+            return slopes * self._flux_unit / self._unit / self._unit / self._unit
 
     def densities(self, values: ArrayLike) -> DiffusionDensities:
         """Return what estimates, per area, anything else that photons carry.
@@ -213,11 +228,24 @@ class DiffusionField(Field):
         return DiffusionDensities(self, array)
 
     def half_axes(self, points: ArrayLike, normals: ArrayLike) -> Floats:
-        """Return the half-axes (m, 2, 3), m, of the kernels' ellipses: along structure and across.
+        """Return the half-axes of the ellipses in which kernels weigh photons.
 
-        Zero where no photon faces the point.
+        Parameters
+        ----------
+        points, normals : (m, 3) array_like
+            m, and directions of any length.
+
+        Returns
+        -------
+        (m, 2, 3) float array
+            m; along the structure, and across. Zero where no photon faces the point.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If a shape is wrong, a value is not finite or a normal is zero.
         """
-        points, normals = _sites(points, normals)
+        points, normals = _sites(points, normals, self._n_threads)
         out = np.zeros((len(points), 2, 3))
         threads, shaping = self._n_threads, self._shaping()
         report = Reporter(None, "axes", len(points))
@@ -240,9 +268,12 @@ class DiffusionField(Field):
             ) from None
         return replace(settings, bandwidth=radius)
 
-    def _gradient(self, progress: Progress | None) -> Floats:
-        """Return the gradients at all photons."""
-        photons, flux = self.photons, _mean_flux(self.photons)
+    def _slopes(self, flux: Floats, progress: Progress | None) -> Floats:
+        """Return the gradients at all photons, in the units of flux and length.
+
+        They keep squares of gradients within the range of floats.
+        """
+        photons = self.photons
         report = Reporter(progress, "gradient", len(photons))
         carrying: dict[int, _tangent.Photons] = {}
         out = np.zeros((len(photons), 3))
@@ -254,8 +285,8 @@ class DiffusionField(Field):
             _diffusion.gradients(carrying[number], sites, rows, out, self._n_threads)
         return out
 
-    def _largest_eigenvalue(self, progress: Progress | None) -> float | None:
-        """Return the largest first eigenvalue of the structure tensors at all photons."""
+    def _largest_slope(self, progress: Progress | None) -> float | None:
+        """Return the largest eigenvalue of the structure tensors at all photons, in units."""
         photons = self.photons
         report = Reporter(progress, "normalise", len(photons))
         found = np.zeros(len(photons))
@@ -298,6 +329,7 @@ class DiffusionField(Field):
             self._towards,
             carried,
             normal_range=normal_range(tree),
+            unit=self._unit,
             n_threads=self._n_threads,
         )
 
@@ -307,7 +339,7 @@ class DiffusionField(Field):
             edge_threshold=settings.edge_threshold,
             exponent=1.0 + settings.edge_steepness,
             least_eigenvalue=settings.least_eigenvalue,
-            largest=self.largest_eigenvalue or 0.0,
+            largest=self._largest or 0.0,
             isotropic=self.isotropic,
         )
 
@@ -324,7 +356,7 @@ class DiffusionDensities:
         self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
     ) -> Floats:
         """Return the estimates (m, c) at points (m, 3) on surfaces with the given normals."""
-        points, normals = _sites(points, normals)
+        points, normals = _sites(points, normals, self._field._n_threads)
         out = np.zeros((len(points), self._values.shape[1]))
         field, shaping = self._field, self._field._shaping()
         report = Reporter(progress, "estimate", len(points))
@@ -349,13 +381,9 @@ class DiffusionDensities:
         return self._placed[number]
 
 
-def _sites(points: ArrayLike, normals: ArrayLike) -> tuple[Floats, Floats]:
+def _sites(points: ArrayLike, normals: ArrayLike, n_threads: int) -> tuple[Floats, Floats]:
     points = _arrays.float_array(points, "points", (None, 3))
-    return points, _arrays.unit_vectors(normals, "normals", points.shape)
-
-
-def _mean_flux(photons: PhotonMap) -> Floats:
-    return photons.flux.mean(axis=1, keepdims=True)
+    return points, _arrays.unit_vectors(normals, "normals", points.shape, n_threads)
 
 
 def _towards(photons: PhotonMap) -> Floats | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from copy import copy
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
@@ -14,9 +15,10 @@ from . import _arrays
 from ._arrays import Floats
 from ._ext import adaptive as _adaptive
 from ._ext import estimate as _estimate
+from ._ext import tangent as _tangent
 from ._facing import FacingTrees
 from ._progress import Progress, Reporter
-from ._sheets import NORMAL_RANGE
+from ._sheets import normal_range
 from .adaptive import REFINEMENTS
 from .kdtree import KDTree
 from .photonmap import PhotonMap
@@ -42,13 +44,14 @@ class GatherSettings:
     ----------
     k : int
         Photons gathered (K = 15, SJ13 §5); the bandwidth is the distance to the k-th. With a
-        refinement these are the most.
+        refinement these are the most, and have to be given: 200, say.
     kernel : {"epanechnikov", "cone", "constant"}
         Each normalised so that a uniform field returns its own value; from well-spaced photons
         within 0.3 % for k of 15 and more.
     gather_radius : float, optional
         Largest distance, m, from which photons are gathered; where it holds fewer than k it is the
-        bandwidth, so that black regions stay black. By default `automatic_gather_radius` takes
+        bandwidth, so that black regions stay black; so it is, for all that it holds, where k are
+        at the very point. By default `automatic_gather_radius` takes
         it from the map: the radius within which 95 % of the photons, and 5 % of the area they
         light, have their k-th nearest. Infinite for no limit. With a refinement it limits the
         first k_min photons, and reaches twice as many; k are gathered from √(k / k_min) times as
@@ -75,10 +78,10 @@ class GatherSettings:
         for name in ("k", "k_min"):
             number = _arrays.count(getattr(self, name), f"GatherSettings.{name}", low=2)
             object.__setattr__(self, name, number)
-        if self.refinement != "none" and self.k < self.k_min:
+        if self.refinement != "none" and self.k <= self.k_min:
             raise ValueError(
-                f"GatherSettings.k should be at least k_min, {self.k_min}, with a refinement, "
-                f"but is {self.k}"
+                f"GatherSettings.k should be more than k_min, {self.k_min}, with a refinement, "
+                f"which chooses between the two, but is {self.k}: try k=200"
             )
         if self.gather_radius is not None:
             radius = _arrays.radius(
@@ -138,7 +141,8 @@ class Field(ABC):
 
     @cached_property
     def _irradiance(self) -> Estimate:
-        return self.densities(self.photons.flux)
+        # Of a copy that shares all else: what holds itself outlives its last user.
+        return copy(self).densities(self.photons.flux)
 
     @abstractmethod
     def densities(self, values: ArrayLike) -> Estimate:
@@ -242,15 +246,9 @@ class Densities:
         points = _arrays.float_array(points, "points", (None, 3))
         normals = _arrays.float_array(normals, "normals", (len(points), 3), finite=False)
         out = np.zeros((len(points), self._values.shape[1]))
-        field, left = self._field, len(points)
-        report = Reporter(progress, "estimate", left)
-        for number, queries, rows in field._trees.parts(points, normals):
-            gather = self._gather(number)
-            for first, end in report.chunks(len(rows)):
-                gather.densities(queries, rows[first:end], out, field._n_threads)
-            left -= len(rows)
-        if left:
-            report.advance(left)
+        field, report = self._field, Reporter(progress, "estimate", len(points))
+        for number, queries, rows in field._trees.chunks(points, normals, report):
+            self._gather(number).densities(queries, rows, out, field._n_threads)
         return out
 
     def _gather(self, number: int) -> _estimate.Gather | _adaptive.Gather:
@@ -279,7 +277,7 @@ class Densities:
         return _adaptive.Gather(
             tree.kernel,
             self._values,
-            photons.flux.mean(axis=1),
+            _arrays.in_units(photons.flux.mean(axis=1))[0],
             rows,
             k_min=settings.k_min,
             k=settings.k,
@@ -293,7 +291,7 @@ class Densities:
         radius = self._field.settings.gather_radius
         return {
             "radius": np.inf if radius is None else radius,
-            "normal_range": NORMAL_RANGE if tree.n_axes > tree.n_metric else -1.0,
+            "normal_range": normal_range(tree),
             "n_threads": self._field._n_threads,
         }
 
@@ -333,9 +331,12 @@ def automatic_gather_radius(tree: KDTree, k: int, *, n_threads: int | None = Non
         If all photons are at one point.
     """
     points = tree.sample(_SAMPLE)
-    facing = NORMAL_RANGE if tree.n_axes > tree.n_metric else None
-    found = tree.query(points, k, range_radius=facing, n_threads=n_threads).distance
-    distance = np.sort(np.where(np.isfinite(found), found, 0.0).max(axis=1))
+    threads = _arrays.thread_count(n_threads)
+    distance = np.sort(
+        _tangent.farthest(
+            tree.kernel, points, k, normal_range=normal_range(tree), n_threads=threads
+        )
+    )
     area = np.cumsum(distance**2)
     lit = distance[np.searchsorted(area, _SHARE_OF_AREA * area[-1])]
     radius = float(max(np.quantile(distance, _SHARE_OF_PHOTONS), lit))

@@ -23,7 +23,7 @@ from . import _arrays, spectrum
 from ._arrays import Floats
 from ._ext.frequency import Bounds
 from ._facing import FacingTrees
-from ._sheets import NORMAL_RANGE
+from ._sheets import normal_range
 from .dealing import ProgressiveField
 from .photonmap import PhotonMap
 from .progressive import ProgressiveSettings
@@ -123,7 +123,7 @@ class FrequencyField(ProgressiveField):
                 # All that diffuse surfaces reflect.
                 np.ascontiguousarray(spectrum.diffused(self._spectra)[:, :1]),
                 rows,
-                normal_range=NORMAL_RANGE if tree.n_axes > tree.n_metric else -1.0,
+                normal_range=normal_range(tree),
                 n_threads=self._n_threads,
             )
         return self._bounded[number]

@@ -9,9 +9,10 @@ field E whose gradient is constant within r,
 
     m = r ∇E / (4 E),
 
-which has no unit, so that a gain suits maps of any brightness. At a straight edge to darkness the
-neighbourhood is a half disc, whose centroid is 4/(3π) of its radius off; the constraint is one
-there:
+if photons carry equal flux, as relaxing assumes anyway: every photon counts for one, whatever it
+carries, and m is that of the density of photons. It has no unit, so that a gain suits maps of any
+brightness. At a straight edge to darkness the neighbourhood is a half disc, whose centroid is
+4/(3π) of its radius off; the constraint is one there:
 
     constraint = min(1, gain · 3π/4 · |m|).
 
@@ -71,6 +72,8 @@ def detect_gradient(
     progress: Progress | None = None,
 ) -> Structure:
     """Find how strongly each photon must be kept from moving along the gradient of flux density.
+
+    That of the density of photons, which is the same where all carry equal flux.
 
     Parameters
     ----------

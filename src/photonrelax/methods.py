@@ -60,8 +60,10 @@ def irradiance_field(
 
     Returns
     -------
-    Field
-        Called as ``field(points, normals)``.
+    photonrelax.estimate.Field
+        Called as ``field(points, normals)``, with (m, 3) arrays each, the points in m; returns
+        irradiance (m, 3), W/m². What photons carry beside their flux, (n, c), has its densities
+        (m, c) per m² by ``field.densities(values)(points, normals)``.
 
     Raises
     ------
@@ -73,7 +75,10 @@ def irradiance_field(
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """The settings of every stage of every method; None for the paper's."""
+    """The settings of every stage of every method; None for the defaults.
+
+    These are the papers', save for diffusion's: see `photonrelax.DiffusionSettings`.
+    """
 
     structure: StructureSettings | None = None
     gradient: GradientSettings | None = None

@@ -24,9 +24,8 @@ from ._arrays import Floats
 from ._ext import progressive as _kernel
 from ._ext.within import Within
 from ._facing import FacingTrees
-from ._sheets import NORMAL_RANGE
+from ._sheets import normal_range
 from .estimate import KERNELS, automatic_gather_radius
-from .kdtree import KDTree
 from .photonmap import PhotonMap
 
 # Radii are at least this fraction of the largest, also where k photons are at the hit point.
@@ -252,14 +251,10 @@ class Pass:
                 self._values,
                 rows,
                 KERNELS["constant"],
-                normal_range=_normal_range(tree),
+                normal_range=normal_range(tree),
                 n_threads=self._n_threads,
             )
         return self._sums[number]
-
-
-def _normal_range(tree: KDTree) -> float:
-    return NORMAL_RANGE if tree.n_axes > tree.n_metric else -1.0
 
 
 def _radii(value: ArrayLike, name: str, m: int) -> Floats:
@@ -330,7 +325,7 @@ class FirstRadius:
                 rows,
                 self._settings.k,
                 radius=self.largest,
-                normal_range=_normal_range(tree),
+                normal_range=normal_range(tree),
                 out=radius,
                 n_threads=self._n_threads,
             )

@@ -54,7 +54,7 @@ def render(
     progress : callable, optional
         Called as ``progress(stage, done, total)``.
     **settings
-        As in `photonrelax.irradiance_field`; defaults are the papers'.
+        As in `photonrelax.irradiance_field`; defaults are the papers', save for diffusion's.
 
     Returns
     -------

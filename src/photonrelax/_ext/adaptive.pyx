@@ -2,18 +2,18 @@
 """Kernel estimates from as many photons as suit each point; the rules are in adaptive.py."""
 
 from cython.parallel cimport prange, threadid
-from libc.math cimport M_PI
+from libc.math cimport M_PI, fabs, sqrt
 from libc.stdint cimport int64_t
 
 import numpy as np
 
 from .batch cimport Batch, Query, limit_radius, limit_range, open_query, scratch
 from .kdtree cimport Tree
-from .lanes cimport BLOCK
+from .lanes cimport BLOCK, Reach
 from .search cimport find
-from .within cimport weight_of
+from .within cimport Sums, sum_within, weight_of
 
-from .columns import copy_rows
+from .columns import in_blocks
 
 cdef enum Rule:
     CHECKING
@@ -63,7 +63,7 @@ cdef class Gather:
     values : (m, c) float64 array
         What is summed.
     flux : (m,) float64 array
-        What numbers of photons are chosen by.
+        What numbers of photons are chosen by, in a unit that leaves its squares finite.
     rows : (n,) intp array
         Row of the photon at each place of the tree.
     k_min, k : int
@@ -81,8 +81,8 @@ cdef class Gather:
     """
 
     cdef Tree tree
-    # By place.
-    cdef const double[:, ::1] values
+    # (n_blocks, c, 16), and by place.
+    cdef const double[:, :, ::1] values
     cdef const double[::1] flux
     # The place of each place, with room for a whole last block.
     cdef const int64_t[::1] places
@@ -101,10 +101,10 @@ cdef class Gather:
         self, tree, values, flux, rows, *, k_min, k, rule, kernel, radius, normal_range, bias,
         n_threads
     ):
-        by_place = np.empty((len(rows), values.shape[1]))
-        copy_rows(by_place, 0, values, rows, 1.0, n_threads)
+        if len(rows) != tree.n_points:
+            raise ValueError("photons should have a row for each point of the tree")
         self.tree = tree
-        self.values = by_place
+        self.values = in_blocks(values, rows, n_threads)
         self.flux = flux[rows]
         self.places = np.arange(BLOCK * tree.n_blocks)
         self.k_min = k_min
@@ -130,6 +130,11 @@ cdef class Gather:
             (n_threads, max(self.k, 1) * sizeof(Near)), dtype=np.uint8
         )
         cdef Py_ssize_t i
+        if not (
+            queries.shape[0] == out.shape[0] and queries.shape[1] >= self.tree.n_axes
+            and out.shape[1] == self.values.shape[1]
+        ):
+            raise ValueError("queries, densities and what photons carry do not fit one another")
         for i in prange(
             n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
         ):
@@ -156,7 +161,9 @@ cdef void gather_batch(
     find(photons.tree, batch)
     for i in range(batch.n_queries):
         count = list_nearest(photons, batch, i, near)
-        gather_one(photons, near, count, &out[order[BLOCK * number + i], 0])
+        gather_one(
+            photons, &batch.queries[i].reach, near, count, &out[order[BLOCK * number + i], 0]
+        )
 
 
 cdef Py_ssize_t list_nearest(
@@ -184,24 +191,38 @@ cdef Py_ssize_t list_nearest(
 
 
 cdef void gather_one(
-    Gather photons, const Near* near, Py_ssize_t count, double* out
+    Gather photons, const Reach* reach, const Near* near, Py_ssize_t count, double* out
 ) noexcept nogil:
     """Estimate the densities at one query from its neighbours.
 
     The bandwidth is the distance to the last of those chosen, or the radius where that holds
-    fewer than k_min, as in estimate.pyx.
+    fewer than k_min, or k_min are at the query itself, as in estimate.pyx.
     """
     cdef Py_ssize_t k_min = photons.k_min, n, channel
     cdef double squared = photons.squared_radius, scale = 1.0
-    if count >= k_min and 0.0 < near[k_min - 1].squared <= squared:
+    if count < k_min or near[k_min - 1].squared > squared:
+        weigh(photons, near, count_within(near, count, squared), squared, out)
+    elif near[k_min - 1].squared == 0.0:
+        sum_all(photons, reach, out)
+    else:
         n = chosen_number(photons, near, count) - 1
         squared = near[n].squared
         scale = 1.0 / (1.0 - photons.bias_factor * (n + 1.0) ** photons.bias_exponent)
-    else:
-        n = count_within(near, count, squared)
-    weigh(photons, near, n, squared, out)
+        weigh(photons, near, n, squared, out)
     for channel in range(photons.values.shape[1]):
         out[channel] *= scale / (M_PI * squared)
+
+
+cdef void sum_all(Gather photons, const Reach* reach, double* out) noexcept nogil:
+    """Write the weighted sums over all within the radius, of which not all may be listed."""
+    cdef Reach wide = reach[0]
+    cdef Sums sums
+    wide.squared_limit = photons.squared_radius
+    sums.values = &photons.values[0, 0, 0]
+    sums.n_channels = photons.values.shape[1]
+    sums.shape = photons.kernel
+    sums.out = out
+    sum_within(photons.tree, &wide, &sums)
 
 
 cdef Py_ssize_t count_within(const Near* near, Py_ssize_t count, double squared) noexcept nogil:
@@ -221,9 +242,9 @@ cdef void weigh(
         out[channel] = 0.0
     for i in range(n):
         weight = weight_of(photons.kernel, near[i].squared / squared)
-        values = &photons.values[near[i].place, 0]
+        values = &photons.values[near[i].place // BLOCK, 0, near[i].place % BLOCK]
         for channel in range(photons.values.shape[1]):
-            out[channel] += weight * values[channel]
+            out[channel] += weight * values[BLOCK * channel]
 
 
 cdef Py_ssize_t chosen_number(
@@ -261,9 +282,7 @@ cdef Py_ssize_t compensate(const Near* near, Py_ssize_t k_min, Py_ssize_t k) noe
     while low < high:
         middle = (low + high + 1) // 2
         now = estimate(near, middle)
-        if (now - mean) * (now - mean) > SIGNIFICANT * SIGNIFICANT * variance(
-            near, mean, low, middle
-        ):
+        if fabs(now - mean) > SIGNIFICANT * fabs(mean) * deviation(near, low, middle):
             high = middle - 1
         else:
             mean = (weight * mean + middle * now) / (weight + middle)
@@ -272,13 +291,11 @@ cdef Py_ssize_t compensate(const Near* near, Py_ssize_t k_min, Py_ssize_t k) noe
     return low
 
 
-cdef inline double variance(
-    const Near* near, double mean, Py_ssize_t low, Py_ssize_t high
-) noexcept nogil:
-    """Return the variance of the difference of estimates of `low` and `high` photons."""
+cdef inline double deviation(const Near* near, Py_ssize_t low, Py_ssize_t high) noexcept nogil:
+    """Return how far estimates of `low` and `high` photons deviate, relative to their mean."""
     cdef const Near* last = &near[high - 1]
     cdef double unevenness
     if last.flux == 0.0:
         return 0.0
     unevenness = (high - 1.0) * last.squared_flux / (last.flux * last.flux)
-    return mean * mean * unevenness * (1.0 / (low - 1.0) - 1.0 / (high - 1.0))
+    return sqrt(unevenness * (1.0 / (low - 1.0) - 1.0 / (high - 1.0)))

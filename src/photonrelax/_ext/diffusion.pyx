@@ -1,7 +1,8 @@
 """Gradients of irradiance at photons, and estimates whose kernel follows the structure (SSO08 §6).
 
 Everything around a point happens in its tangent plane, where photons are put by projecting them
-along the direction they came from (SSO08 Appendix A).
+along the direction they came from (SSO08 Appendix A). Their offsets there are in bandwidths, and
+flux and gradients in units of the photons, so that squares stay in range whatever the scene's.
 """
 
 from cython.parallel cimport prange
@@ -10,7 +11,7 @@ from libc.math cimport M_PI, pow, sqrt
 from .kdtree cimport Tree
 from .lanes cimport BLOCK, lowest_bit
 from .structure cimport Components, decompose
-from .tangent cimport Photons, Plane, Sites, along, open_plane, project
+from .tangent cimport Photons, Plane, Sites, along, fit, open_plane, project
 from .within cimport visit_within
 
 from .columns import in_blocks
@@ -28,8 +29,8 @@ cdef class Shaping:
     least_eigenvalue : float
         Of the diffusion tensor.
     largest : float
-        What eigenvalues of structure tensors are divided by; zero for the square of irradiance
-        over bandwidth at the point.
+        What eigenvalues of structure tensors are divided by, in their unit; zero for the square of
+        irradiance over bandwidth at the point.
     isotropic : bool
         Shrink the kernel in both directions.
     """
@@ -63,9 +64,9 @@ cdef struct Slope:
 def gradients(
     Photons photons, Sites sites, const Py_ssize_t[::1] order, double[:, ::1] out, int n_threads
 ):
-    """Write the gradients of irradiance (m, 3), W/m³, at the sites named by `order`."""
+    """Write the gradients of irradiance (m, 3), unit of flux / unit³, at sites named by `order`."""
     cdef Py_ssize_t i
-    if out.shape[0] != sites.queries.shape[0] or out.shape[1] != 3:
+    if out.shape[0] != sites.queries.shape[0] or out.shape[1] != 3 or not fit(photons, sites, 1):
         raise ValueError("gradients do not fit the sites")
     for i in prange(
         order.shape[0], nogil=True, schedule="dynamic", chunksize=64, num_threads=n_threads
@@ -78,17 +79,18 @@ cdef void write_gradient(
 ) noexcept nogil:
     """Differentiate the Epanechnikov estimate at one site (SSO08 Eq. 13); write its row only.
 
-    ∂/∂x of 2/(π h²) Σ (1 - |x - xᵢ|²/h²) Φᵢ is 4/(π h⁴) Σ (xᵢ - x) Φᵢ.
+    ∂/∂x of 2/(π h²) Σ (1 - |x - xᵢ|²/h²) Φᵢ is 4/(π h³) Σ (xᵢ - x)/h Φᵢ.
     """
     cdef Slope slope
-    cdef double scale
+    cdef double scale, units
     cdef Py_ssize_t axis
     open_plane(&slope.plane, photons, sites, row)
     slope.flux = &photons.carried[0, 0, 0]
     slope.n_columns = photons.carried.shape[1]
     slope.u = slope.v = 0.0
     visit_within(photons.tree, &slope.plane.reach, add_slope, &slope)
-    scale = 4.0 / (M_PI * slope.plane.squared_bandwidth * slope.plane.squared_bandwidth)
+    units = photons.unit / slope.plane.bandwidth
+    scale = 4.0 / M_PI * units * units * units
     for axis in range(3):
         out[axis] = slope.u * slope.plane.frame[axis] + slope.v * slope.plane.frame[3 + axis]
         out[axis] *= scale
@@ -106,7 +108,7 @@ cdef void add_slope(
         lanes &= lanes - 1
         if not project(&slope.plane, tree, block, lane, offset):
             continue
-        if offset[0] * offset[0] + offset[1] * offset[1] < slope.plane.squared_bandwidth:
+        if offset[0] * offset[0] + offset[1] * offset[1] < 1.0:
             slope.u += offset[0] * flux[lane]
             slope.v += offset[1] * flux[lane]
 
@@ -163,8 +165,7 @@ cdef void add_tensor(
         lanes &= lanes - 1
         if not project(&tensor.plane, tree, block, lane, offset):
             continue
-        weight = offset[0] * offset[0] + offset[1] * offset[1]
-        weight = 1.0 - weight / tensor.plane.squared_bandwidth
+        weight = 1.0 - (offset[0] * offset[0] + offset[1] * offset[1])
         if weight <= 0.0:
             continue
         u = along(tensor.plane.frame, carried + BLOCK + lane)
@@ -176,21 +177,22 @@ cdef void add_tensor(
         tensor.vv += weight * v * v
 
 
-cdef void shape(Tensor* tensor, Shaping shaping) noexcept nogil:
+cdef void shape(Tensor* tensor, Photons photons, Shaping shaping) noexcept nogil:
     """Set the eigenvalues of the diffusion tensor (SSO08 Eq. 15–16).
 
     The edge is measured against the map's largest, or against what it would be if irradiance
-    changed by as much as it is over the bandwidth: |∇E|·h/E squared.
+    changed by as much as it is over the bandwidth: |∇E|·h/E squared, where E is 2 ΣwΦ / (π h²).
     """
-    cdef double edge = tensor.edge, irradiance
+    cdef double edge = tensor.edge, units
     tensor.length = tensor.width = 1.0
     if edge <= 0.0 or tensor.flux <= 0.0:
         return
     if shaping.largest > 0.0:
         edge /= shaping.largest
     else:
-        irradiance = 2.0 * tensor.flux / (M_PI * tensor.plane.squared_bandwidth)
-        edge *= tensor.plane.squared_bandwidth / (irradiance * irradiance)
+        units = tensor.plane.bandwidth / photons.unit
+        units *= units * units * M_PI / (2.0 * tensor.flux)
+        edge *= units * units
     tensor.width = 1.0 / (1.0 + pow(edge / shaping.edge_threshold, shaping.exponent))
     tensor.width = max(tensor.width, shaping.least_eigenvalue)
     if shaping.isotropic:
@@ -200,9 +202,12 @@ cdef void shape(Tensor* tensor, Shaping shaping) noexcept nogil:
 def eigenvalues(
     Photons photons, Sites sites, const Py_ssize_t[::1] order, double[::1] out, int n_threads
 ):
-    """Write the first eigenvalues of the structure tensors at the sites named by `order`."""
+    """Write the first eigenvalues of the structure tensors at the sites named by `order`.
+
+    In the square of the unit of gradients.
+    """
     cdef Py_ssize_t i
-    if out.shape[0] != sites.queries.shape[0]:
+    if out.shape[0] != sites.queries.shape[0] or not fit(photons, sites, 4):
         raise ValueError("eigenvalues do not fit the sites")
     for i in prange(
         order.shape[0], nogil=True, schedule="dynamic", chunksize=64, num_threads=n_threads
@@ -223,9 +228,12 @@ def half_axes(
     Photons photons, Sites sites, Shaping shaping, const Py_ssize_t[::1] order,
     double[:, :, ::1] out, *, int n_threads
 ):
-    """Write the half-axes of the kernels' ellipses (m, 2, 3), along the structure and across."""
+    """Write the half-axes of the kernels' ellipses (m, 2, 3), m, along the structure and across."""
     cdef Py_ssize_t i
-    if not (out.shape[0] == sites.queries.shape[0] and out.shape[1] == 2 and out.shape[2] == 3):
+    if not (
+        out.shape[0] == sites.queries.shape[0] and out.shape[1] == 2 and out.shape[2] == 3
+        and fit(photons, sites, 4)
+    ):
         raise ValueError("axes do not fit the sites")
     for i in prange(
         order.shape[0], nogil=True, schedule="dynamic", chunksize=64, num_threads=n_threads
@@ -241,7 +249,7 @@ cdef void write_axes(
     cdef double length, width
     cdef Py_ssize_t axis
     measure(&tensor, photons, sites, row)
-    shape(&tensor, shaping)
+    shape(&tensor, photons, shaping)
     length = sites.bandwidth[row] * sqrt(tensor.length)
     width = sites.bandwidth[row] * sqrt(tensor.width)
     for axis in range(3):
@@ -287,7 +295,7 @@ def densities(
     cdef Py_ssize_t i
     if not (
         out.shape[0] == sites.queries.shape[0] and out.shape[1] == values.blocks.shape[1]
-        and values.blocks.shape[0] == photons.carried.shape[0] and photons.carried.shape[1] == 4
+        and values.blocks.shape[0] == photons.carried.shape[0] and fit(photons, sites, 4)
     ):
         raise ValueError("photons, values, sites and densities do not fit one another")
     for i in prange(
@@ -315,9 +323,10 @@ cdef void gather_one(
     for channel in range(gathered.n_channels):
         gathered.out[channel] = 0.0
     measure(&tensor, photons, sites, row)
-    shape(&tensor, shaping)
+    shape(&tensor, photons, shaping)
     visit_within(photons.tree, &tensor.plane.reach, gather, &gathered)
-    area = M_PI * tensor.plane.squared_bandwidth * sqrt(tensor.length * tensor.width)
+    area = M_PI * tensor.plane.bandwidth * tensor.plane.bandwidth
+    area *= sqrt(tensor.length * tensor.width)
     for channel in range(gathered.n_channels):
         gathered.out[channel] *= 2.0 / area
 
@@ -337,8 +346,7 @@ cdef void gather(void* state, Tree tree, Py_ssize_t block, unsigned int lanes) n
             continue
         across = tensor.cosine * offset[0] + tensor.sine * offset[1]
         forth = tensor.cosine * offset[1] - tensor.sine * offset[0]
-        weight = across * across / tensor.width + forth * forth / tensor.length
-        weight = 1.0 - weight / tensor.plane.squared_bandwidth
+        weight = 1.0 - (across * across / tensor.width + forth * forth / tensor.length)
         if weight > 0.0:
             for channel in range(gathered.n_channels):
                 gathered.out[channel] += weight * values[BLOCK * channel + lane]

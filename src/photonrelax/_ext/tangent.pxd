@@ -21,18 +21,20 @@ cdef class Photons:
     cdef const double[:, :, ::1] towards
     cdef const double[:, :, ::1] carried
     cdef double normal_range
+    cdef double unit
 
 
 cdef struct Plane:
     # A tangent plane: a point of it, two axes and the normal; and how far photons are looked for.
     const double* at
     double[9] frame
-    double squared_bandwidth
+    double bandwidth
     # Of the photons, NULL if they are projected along the normal.
     const double* towards
     Reach reach
 
 
+cdef bint fit(Photons photons, Sites sites, Py_ssize_t n_columns)
 cdef void open_plane(Plane* plane, Photons photons, Sites sites, Py_ssize_t row) noexcept nogil
 
 
@@ -46,15 +48,16 @@ cdef inline bint project(
 ) noexcept nogil:
     """Write where on the plane the light of a photon would have landed (SSO08 Eq. A1–A2).
 
-    Return whether it would: light from behind the plane would not.
+    In bandwidths, so that no square of it leaves the range of floats. Return whether it would land:
+    light from behind the plane would not.
     """
     cdef const double* x = &tree.coords[block, 0, lane]
     cdef const double* towards
     cdef double[3] apart
     cdef double height, cosine
-    apart[0] = x[0] - plane.at[0]
-    apart[1] = x[BLOCK] - plane.at[1]
-    apart[2] = x[2 * BLOCK] - plane.at[2]
+    apart[0] = (x[0] - plane.at[0]) / plane.bandwidth
+    apart[1] = (x[BLOCK] - plane.at[1]) / plane.bandwidth
+    apart[2] = (x[2 * BLOCK] - plane.at[2]) / plane.bandwidth
     offset[0] = dot(plane.frame, apart)
     offset[1] = dot(plane.frame + 3, apart)
     if plane.towards == NULL:

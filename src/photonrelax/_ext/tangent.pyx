@@ -1,9 +1,13 @@
 """The photons and planes of tangent.pxd, and how far sites look around."""
 
 from cython.parallel cimport prange, threadid
-from libc.math cimport sqrt
+from libc.math cimport INFINITY, sqrt
 
-from .batch cimport Batch, Query, limit_radius, limit_range, open_query, scratch
+import numpy as np
+
+from .batch cimport (
+    Batch, Query, limit_radius, limit_range, list_neighbours, open_query, scratch,
+)
 from .core cimport orthonormal_frame
 from .kdtree cimport Tree
 from .lanes cimport BLOCK
@@ -22,7 +26,7 @@ cdef class Sites:
     Parameters
     ----------
     queries : (m, axes) float64 array
-        On all axes of the tree.
+        On all axes of the tree, of which the first three are positions.
     normals : (m, 3) float64 array
         Unit normals.
     bandwidth : (m,) float64 array
@@ -33,7 +37,10 @@ cdef class Sites:
         self.queries = queries
         self.normals = normals
         self.bandwidth = bandwidth
-        if not self.queries.shape[0] == self.normals.shape[0] == self.bandwidth.shape[0]:
+        if not (
+            self.queries.shape[0] == self.normals.shape[0] == self.bandwidth.shape[0]
+            and self.queries.shape[1] >= 3 and self.normals.shape[1] == 3
+        ):
             raise ValueError("queries, normals and bandwidths do not fit one another")
 
 
@@ -52,13 +59,27 @@ cdef class Photons:
         What is looked at of them: mean flux, and gradient (c = 4) if there is one yet.
     normal_range : float
         Radius of the ball over the tree's range axes; negative for none.
+    unit : float
+        Length, m, to the inverse cube of which, times that of flux, gradients are measured.
     """
 
-    def __init__(self, tree, rows, towards, carried, *, normal_range, n_threads):
+    def __init__(self, tree, rows, towards, carried, *, normal_range, unit, n_threads):
+        if len(rows) != tree.n_points or tree.n_metric != 3:
+            raise ValueError("photons should have a row for each point of a tree in space")
+        if towards is not None and towards.shape[1] != 3:
+            raise ValueError(f"towards should have shape (m, 3), but has {towards.shape}")
         self.tree = tree
         self.towards = None if towards is None else in_blocks(towards, rows, n_threads)
         self.carried = in_blocks(carried, rows, n_threads)
         self.normal_range = normal_range
+        self.unit = unit
+
+
+cdef bint fit(Photons photons, Sites sites, Py_ssize_t n_columns):
+    """Tell whether sites are on all axes of the photons' tree, and these carry enough."""
+    return sites.queries.shape[1] >= photons.tree.n_axes and (
+        photons.carried.shape[1] in (n_columns, 4)
+    )
 
 
 cdef void open_plane(Plane* plane, Photons photons, Sites sites, Py_ssize_t row) noexcept nogil:
@@ -69,10 +90,10 @@ cdef void open_plane(Plane* plane, Photons photons, Sites sites, Py_ssize_t row)
     orthonormal_frame(plane.frame, plane.frame + 3, &sites.normals[row, 0])
     for axis in range(3):
         plane.frame[6 + axis] = sites.normals[row, axis]
-    plane.squared_bandwidth = bandwidth * bandwidth
+    plane.bandwidth = bandwidth
     plane.towards = NULL if photons.towards is None else &photons.towards[0, 0, 0]
     plane.reach.low = plane.reach.high = plane.at
-    plane.reach.squared_limit = plane.squared_bandwidth
+    plane.reach.squared_limit = bandwidth * bandwidth
     plane.reach.squared_range = wide * wide if wide >= 0.0 else -1.0
     plane.reach.half_range = NULL
     plane.reach.n_metric = photons.tree.n_metric
@@ -101,6 +122,44 @@ def bandwidths(
             tree, <Batch*> &room[threadid(), 0], queries, order, BLOCK * i, radius, normal_range
         )
         close_batch(tree, <Batch*> &room[threadid(), 0], order, BLOCK * i, radius)
+
+
+def farthest(
+    Tree tree, const double[:, ::1] queries, Py_ssize_t k, *, double normal_range, int n_threads
+):
+    """Return the distance (m,) from each query to the farthest of its k nearest points.
+
+    Of fewer where the tree has, or the ball over its range axes holds, no more; zero without any.
+    Queries that follow each other should be near each other.
+    """
+    cdef Py_ssize_t i, n = queries.shape[0]
+    cdef Py_ssize_t n_batches = (n + BLOCK - 1) // BLOCK
+    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef const Py_ssize_t[::1] order = np.arange(n)
+    cdef double[::1] distance = np.full(n, INFINITY)
+    if queries.shape[1] < tree.n_axes:
+        raise ValueError("queries do not fit the tree")
+    for i in prange(
+        n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
+    ):
+        open_batch(
+            tree, <Batch*> &room[threadid(), 0], queries, order, BLOCK * i, distance, normal_range
+        )
+        write_farthest(tree, <Batch*> &room[threadid(), 0], &distance[BLOCK * i])
+    return distance.base
+
+
+cdef void write_farthest(Tree tree, Batch* batch, double* distance) noexcept nogil:
+    """Search, and write how far the farthest found are."""
+    cdef Py_ssize_t i, j
+    cdef double squared
+    find(tree, batch)
+    list_neighbours(tree, batch)
+    for i in range(batch.n_queries):
+        squared = 0.0
+        for j in range(batch.queries[i].found.count):
+            squared = max(squared, batch.squared[i * batch.stride + j])
+        distance[i] = sqrt(squared)
 
 
 cdef void open_batch(
