@@ -9,6 +9,8 @@ python -m bench shapes            SSO08's Fig. 4: shapes in twelve ways, as a pi
 python -m bench equal-error       SSO08's Table 1: photons for the error of diffusion
 python -m bench frequency         frequency-driven beside progressive photon mapping, on `reflector`
 python -m bench methods           errors and times of every method on the same photons
+python -m bench refinements       refinements of standard estimates beside relaxations
+python -m bench first-discs       progressive photon mapping by how small its discs start
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from . import (
     compare,
     equal_error,
     figure7,
+    first_discs,
     frequency,
     machine,
     memory,
@@ -29,6 +32,7 @@ from . import (
     peers,
     plot,
     progressive,
+    refinements,
     shapes,
     simd,
     table1,
@@ -58,6 +62,8 @@ def parsed(arguments: list[str]) -> argparse.Namespace:
         "shapes": _shapes,
         "equal-error": _equal_error,
         "frequency": _frequency,
+        "refinements": lambda parser: None,
+        "first-discs": lambda parser: None,
     }
     for name, add in added.items():
         add(commands.add_parser(name))
@@ -87,6 +93,8 @@ def _compare(parser: argparse.ArgumentParser) -> None:
 def _table1(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--emitted", type=float, default=20e6, help="default 20e6")
     parser.add_argument("--stored", type=float, default=863e3, help="of the second column")
+    parser.add_argument("--methods", action="store_true", help="all five columns of the paper")
+    parser.add_argument("--passes", type=int, default=50, help="of progressive, default 50")
     parser.add_argument("--threads", type=int, help="default all")
     parser.add_argument("--quick", action="store_true", help="few photons: does it run?")
 
@@ -137,6 +145,15 @@ def run_shapes(options: argparse.Namespace) -> None:
     print(shapes.markdown(options.seeds))
 
 
+def run_table1(options: argparse.Namespace) -> None:
+    """Print our column beside the paper's, or all columns."""
+    stored, emitted = (2e4, 2e5) if options.quick else (options.stored, options.emitted)
+    if options.methods:
+        print(table1.every_method(int(stored), options.passes, options.threads))
+    else:
+        print(table1.markdown(int(emitted), int(stored), options.threads))
+
+
 def run_figure7(options: argparse.Namespace) -> None:
     """Print the table and save the plot."""
     found = figure7.second_eigenvalues(int(options.sets))
@@ -178,8 +195,7 @@ def main(arguments: list[str]) -> None:
     if options.command == "compare":
         run_compare(options)
     elif options.command == "table1":
-        stored, emitted = (2e4, 2e5) if options.quick else (options.stored, options.emitted)
-        print(table1.markdown(int(emitted), int(stored), options.threads))
+        run_table1(options)
     elif options.command == "memory":
         print(memory.markdown(options.photons))
         if options.whole:
@@ -199,6 +215,10 @@ def main(arguments: list[str]) -> None:
             folder=options.out,
         )
         print(methods.markdown(matrix))
+    elif options.command == "refinements":
+        print(refinements.markdown(refinements.Study()))
+    elif options.command == "first-discs":
+        print(first_discs.markdown())
     elif options.command == "shapes":
         run_shapes(options)
     elif options.command == "equal-error":

@@ -206,7 +206,7 @@ STAGES = {
 }
 
 
-def _plain(results: Results) -> dict[str, dict[str, float]]:
+def _plain(results: Results) -> dict[str, dict[str, Any]]:
     return {name: timing.to_dict() for name, timing in results.items()}
 
 

@@ -24,12 +24,14 @@ from .morton import Floats
 
 KS = (1200, 600, 300, 150)
 THRESHOLDS = (0.8, 0.4, 0.2, 0.1)
+# The fewest photons of refinements; by default 15.
+_LEAST_KS = (15, 50, 150, 500)
 SEEDS = 8
 # Within the shapes it holds as many photons as the first of KS; the noise scale is a quarter of it,
 # the width of the thinnest line.
 BANDWIDTH = 0.042
 NOISE_SCALE = 0.0105
-_STANDARD_KS = (2400, 1200, 850, 600, 425, 300, 212, 150, 106, 75, 53, 38, 27)
+_STANDARD_KS = (9600, 4800, 2400, 1200, 850, 600, 425, 300, 212, 150, 106, 75, 53, 38, 27)
 # Deep inside is farther from the edge than any kernel looks; along an edge is next to it.
 _DEEP, _ALONG = 0.06, 0.01
 _POINTS = 600
@@ -105,10 +107,15 @@ def standard_estimates() -> list[Way]:
         for k in _STANDARD_KS
     ]
     ways += [
-        Way(f"{name}, k = {k}", "standard", pr.GatherSettings(k=k, refinement=name))
+        Way(
+            f"{name} from {k_min}, k = {k}",
+            "standard",
+            pr.GatherSettings(k=k, k_min=k_min, refinement=name),
+        )
         for name in ("differential-checking", "bias-compensation")
+        for k_min in _LEAST_KS
         for k in _STANDARD_KS
-        if k > 2 * pr.GatherSettings().k_min
+        if k > 2 * k_min
     ]
     fixed = [
         Way(f"fixed bandwidth {h:.4f} m", "standard", pr.GatherSettings(k=10**6, gather_radius=h))
@@ -167,15 +174,17 @@ def _truth(points: Floats, normals: Floats) -> Floats:
     return distribution(0).irradiance(points)
 
 
-def line_at_equal_noise(found: Sequence[Measures], noise: float) -> float:
+def line_at_equal_noise(found: Sequence[Measures], noise: float) -> float | None:
     """Return what estimates of one kind keep of the line where their noise is so much.
 
-    Interpolated between those that are next to it in noise, logarithmically; of the noisiest if
-    that is more, and nothing if none is as quiet.
+    Interpolated between those that are next to it in noise, logarithmically; None if none is as
+    quiet, or all are quieter.
     """
     order = np.argsort([m.noise for m in found])
-    noises = np.log([found[i].noise for i in order])
-    return float(np.interp(np.log(noise), noises, [found[i].line for i in order], left=0.0))
+    noises = [found[i].noise for i in order]
+    if not noises[0] <= noise <= noises[-1]:
+        return None
+    return float(np.interp(np.log(noise), np.log(noises), [found[i].line for i in order]))
 
 
 # --- tables and pictures -------------------------------------------------------------------------
@@ -194,6 +203,8 @@ def markdown(seeds: int = SEEDS, pixels: int = 200) -> str:
             lines.append(_line(f"{row}, {way.name}", found))
             if way.method == "diffusion":
                 adaptive.append((f"{row}, {way.name}", found))
+    coarse = measured(diffusion(THRESHOLDS[-1], noise_scale=0.5 * BANDWIDTH), seeds, pixels=pixels)
+    lines.append(_line(f"noise scale half the bandwidth, q = {THRESHOLDS[-1]}", coarse))
     return "\n".join([*lines, "", *_comparison(adaptive, seeds), ""])
 
 
@@ -207,15 +218,22 @@ def _line(name: str, m: Measures) -> str:
 def best_standard(
     noise: float, seeds: int = SEEDS, ways: Sequence[Way] | None = None
 ) -> tuple[float, str]:
-    """Return the most of the line that any standard estimate of this noise keeps, and which."""
+    """Return the most of the line that any standard estimate of this noise keeps, and which.
+
+    Kinds that do not reach this noise are named after it.
+    """
     kinds: dict[str, list[Measures]] = {}
     for way in standard_estimates() if ways is None else ways:
         kinds.setdefault(way.name.rsplit(",", 1)[0].split(" 0.")[0], []).append(
             _standard_measured(way, seeds)
         )
     kept = {kind: line_at_equal_noise(found, noise) for kind, found in kinds.items()}
-    kind = max(kept, key=lambda name: kept[name])
-    return kept[kind], kind
+    reached = {kind: line for kind, line in kept.items() if line is not None}
+    if not reached:
+        return float("nan"), "not reached"
+    kind = max(reached, key=lambda name: reached[name])
+    missing = ", ".join(name for name in kept if name not in reached)
+    return reached[kind], f"{kind}; not reached by {missing}" if missing else kind
 
 
 @cache

@@ -51,10 +51,10 @@ class Timing:
             [a - b for a, b in zip(self.cpu, other.cpu, strict=True)],
         )
 
-    def to_dict(self) -> dict[str, float]:
-        seconds = {"wall": self.wall, "cpu": self.cpu}
-        values: dict[str, float] = {"rounds": len(self.wall)}
-        for clock, each in seconds.items():
+    def to_dict(self) -> dict[str, Any]:
+        values: dict[str, Any] = {"rounds": len(self.wall), "wall": self.wall, "cpu": self.cpu}
+        for clock in ("wall", "cpu"):
+            each = values[clock]
             values |= {f"{clock}_median": median(each), f"{clock}_min": min(each)}
         return values
 

@@ -7,12 +7,15 @@ import pytest
 from bench import (
     equal_error,
     figure7,
+    first_discs,
     frequency,
     inputs,
     methods,
     peers,
     plot,
+    refinements,
     report,
+    shapes,
     stages,
     table1,
 )
@@ -20,6 +23,7 @@ from bench.checks import assert_nearest, assert_nearest_in_range
 from bench.timing import Case, Timing, interleave
 
 import photonrelax as pr
+from photonrelax.compare import reference
 
 K = 7
 
@@ -175,6 +179,51 @@ def test_table_1_is_told_stage_by_stage(capsys):
     assert "| photons emitted | 20,000,000 | 20,000 | 9,677 |" in text
     told = [line.split(":")[0] for line in capsys.readouterr().err.splitlines()]
     assert told == 2 * ["... trace", "... structure", "... relax", "... render"]
+
+
+def test_table_1_has_a_column_for_every_method():
+    lines = table1.every_method(1_500, 2, 1).splitlines()
+    assert lines[0].endswith(" | ".join(["", *table1.PAPER_OF, ""]).strip().removeprefix("| "))
+    cells = {row.split(" | ")[0][2:]: row.split(" | ")[1:] for row in lines[2:9]}
+    assert list(cells) == list(table1.PAPER)
+    assert cells["photons emitted"][-1].startswith("9,676 (4,600,000,000)")
+    assert [cell.startswith("–") for cell in cells["relaxation"]] == [
+        True,
+        False,
+        True,
+        False,
+        True,
+    ]
+    assert cells["total"][0].endswith("(14.8 s)")
+
+
+def test_refinements_and_first_discs_are_measured_against_one_reference(tmp_path):
+    effort = reference.Effort(passes=2, photons=3_000)
+    lots = (("shapes", 3_000, "random"), ("ring", 3_000, "halton"))
+    study = refinements.Study(16, effort, tmp_path, lots)
+    lines = refinements.markdown(study).splitlines()
+    assert [row.split(" | ")[0][2:] for row in lines[2:7]] == [
+        *("standard", "differential-checking", "bias-compensation"),
+        *("relaxation", "parameterised"),
+    ]
+    assert ", k = " in lines[2]
+    text = first_discs.markdown(2, 3_000, pixels=16, effort=effort, folder=tmp_path)
+    assert text.count("discs from the photon") == len(first_discs.KS)
+    assert "The reference: its own noise" in text
+
+
+def test_a_best_at_the_border_of_what_was_tried_is_told():
+    floor = equal_error.Floor("ring", 1.0, 4)
+    ways = [(f"k = {k}", "standard", pr.GatherSettings(k=k)) for k in (5, 20)]
+    run = equal_error.best(floor, np.ones((4, 4)), 300, "random", ways)
+    assert run.settings.endswith("(at the border of those tried)")
+
+
+def test_lines_kept_at_a_noise_that_is_not_reached_are_not_made_up():
+    found = [shapes.Measures(line, noise, 0.0, 0.0) for line, noise in ((0.1, 0.02), (0.5, 0.08))]
+    assert shapes.line_at_equal_noise(found, 0.04) == pytest.approx(0.3)
+    assert shapes.line_at_equal_noise(found, 0.01) is None
+    assert shapes.line_at_equal_noise(found, 0.09) is None
 
 
 def test_figure_7_tells_how_far_the_eigenvalues_are_from_a_gaussian(tmp_path):
