@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from . import gallery as gallery
     from .camera import HitPoints as HitPoints
     from .diffusion import DiffusionSettings as DiffusionSettings
+    from .estimate import Field as Field
     from .estimate import GatherSettings as GatherSettings
     from .estimate import IrradianceField as IrradianceField
     from .estimate import estimate_irradiance as estimate_irradiance
@@ -58,6 +59,7 @@ _MODULE_OF = {
     "Diffuse": "scene",
     "DiffusionSettings": "diffusion",
     "EnergyLedger": "photonmap",
+    "Field": "estimate",
     "FrequencySettings": "frequency",
     "GatherSettings": "estimate",
     "GradientSettings": "gradient",

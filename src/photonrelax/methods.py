@@ -60,7 +60,7 @@ def irradiance_field(
 
     Returns
     -------
-    photonrelax.estimate.Field
+    Field
         Called as ``field(points, normals)``, with (m, 3) arrays each, the points in m; returns
         irradiance (m, 3), W/m². What photons carry beside their flux, (n, c), has its densities
         (m, c) per m² by ``field.densities(values)(points, normals)``.
