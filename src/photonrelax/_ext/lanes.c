@@ -31,6 +31,15 @@ static inline int64_t n_chunks(const Found *found)
     return (BLOCK * found->n_blocks + KEYS - 1) / KEYS;
 }
 
+/* Which bytes are not zero, as bits. */
+static ALWAYS_INLINE uint64_t bytes_not_zero(uint64_t x)
+{
+    x |= x >> 4;
+    x |= x >> 2;
+    x |= x >> 1;
+    return (x & 0x0101010101010101u) * 0x0102040810204080u >> 56;
+}
+
 /* Return the number of a rank, counted from one, among n; reorders them. */
 static double of_rank(double *x, int64_t n, int64_t rank)
 {

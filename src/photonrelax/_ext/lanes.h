@@ -123,10 +123,9 @@ typedef struct {
     void (*write)(double *squared, int64_t *id, int64_t count, int past_cache, double *distance,
                   int64_t *to_id);
     /* Second moments uu, uv, vv about the mean, divided by their number, and the mean (u, v) of the
-     * offsets of what was found from a point, along the two directions of `frame`, multiplied by
-     * `scale` first. */
+     * offsets of what was found from a point, along the two vectors of `frame`. */
     void (*moments)(const double *coords, int64_t n_axes, const Found *found, const double *at,
-                    const double *frame, double scale, double *out);
+                    const double *frame, double *out);
     /* The repulsion of SJ13 Eq. 8 on a point by what was listed with its coordinates: the mean of
      * the offsets from it times (radius / distance - 1). */
     void (*repulsion)(double *points, int64_t count, double squared_radius, const double *at,

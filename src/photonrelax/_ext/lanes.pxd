@@ -94,7 +94,7 @@ cdef extern from "lanes.h" nogil:
         ) noexcept nogil
         void (*write)(double*, int64_t*, int64_t, int, double*, int64_t*) noexcept nogil
         void (*moments)(
-            const double*, int64_t, const Found*, const double*, const double*, double, double*
+            const double*, int64_t, const Found*, const double*, const double*, double*
         ) noexcept nogil
         void (*repulsion)(double*, int64_t, double, const double*, double*) noexcept nogil
         void (*weigh)(

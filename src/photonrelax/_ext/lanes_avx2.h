@@ -16,6 +16,7 @@
 #define MAX(a, b) _mm256_max_pd(a, b)
 #define MIN(a, b) _mm256_min_pd(a, b)
 #define SQRT(a) _mm256_sqrt_pd(a)
+#define TOTAL(a) total_of_four(a)
 #define AT_MOST(a, b) _mm256_cmp_pd(a, b, _CMP_LE_OQ)
 #define BOTH(a, b) _mm256_and_pd(a, b)
 #define BITS(m) ((unsigned)_mm256_movemask_pd(m))
@@ -43,6 +44,12 @@
 #define F_PICK(m, a, b) _mm256_blendv_ps(b, a, m)
 #define F_ADD_WHERE(m, a, b) _mm256_add_ps(a, _mm256_and_ps(m, b))
 #define STORE_ROUNDED(to, v) _mm_storeu_ps(to, _mm256_cvtpd_ps(v))
+
+static INLINE double total_of_four(__m256d a)
+{
+    __m128d two = _mm_add_pd(_mm256_castpd256_pd128(a), _mm256_extractf128_pd(a, 1));
+    return _mm_cvtsd_f64(_mm_add_sd(two, _mm_unpackhi_pd(two, two)));
+}
 
 #define LANE(i) 2 * (i), 2 * (i) + 1
 #define ROW(a, b, c, d) {LANE(a), LANE(b), LANE(c), LANE(d)}

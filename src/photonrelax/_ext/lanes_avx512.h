@@ -16,6 +16,8 @@
 #define MAX(a, b) _mm512_max_pd(a, b)
 #define MIN(a, b) _mm512_min_pd(a, b)
 #define SQRT(a) _mm512_sqrt_pd(a)
+#define TOTAL(a) \
+    total_of_four(_mm256_add_pd(_mm512_castpd512_pd256(a), _mm512_extractf64x4_pd(a, 1)))
 #define AT_MOST(a, b) _mm512_cmp_pd_mask(a, b, _CMP_LE_OQ)
 #define BOTH(a, b) ((__mmask8)((a) & (b)))
 #define BITS(m) ((unsigned)(m))

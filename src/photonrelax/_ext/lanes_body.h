@@ -38,6 +38,7 @@ static const Lanes NAME(lanes) = {
 #undef MAX
 #undef MIN
 #undef SQRT
+#undef TOTAL
 #undef AT_MOST
 #undef BOTH
 #undef BITS

@@ -3,35 +3,51 @@
  * It is read eight lanes at a time, those eights of which any were found.
  */
 
-/* Eight lanes of a block, from a lane on, and which of them were found, as bits. */
+/* Eight lanes of a block, from a lane on, and which of them were found, as bits; and which of the
+ * next LANES chunks of keys, from `first` on, have which of their eights found, as bits. */
 typedef struct {
     const Found *found;
-    int64_t chunk, block, lane;
-    uint64_t left;
+    int64_t first, block, lane;
+    uint64_t chunk[LANES], left;
     unsigned bits;
 } NAME(Eights);
 #define Eights NAME(Eights)
 
 static INLINE Eights NAME(eights)(const Found *found)
 {
-    Eights out = {found, -KEYS, 0, 0, 0, 0};
+    Eights out;
+    out.found = found;
+    out.first = -LANES;
+    out.left = 0;
     return out;
 }
 
-/* Go to the next eight; tell whether there is one. */
+/* Look at the next LANES chunks. */
+static INLINE void NAME(look_at_chunks)(Eights *at)
+{
+    const Found *found = at->found;
+    const int64_t n = n_chunks(found) - at->first;
+    for (int64_t i = 0; i < n && i < LANES; ++i) {
+        at->chunk[i] = NAME(keys_at_most)(found->keys + KEYS * (at->first + i), (int)found->key);
+        at->left |= bytes_not_zero(at->chunk[i]) << (LANES * i);
+    }
+}
+
+/* Go to the next eight; tell whether there is one. How many there are is hard to foresee, so all
+ * but very long lists are gone through in one go. */
 static INLINE int NAME(next)(Eights *at)
 {
-    unsigned first;
+    int64_t eight;
     while (!at->left) {
-        at->chunk += KEYS;
-        if (at->chunk >= BLOCK * at->found->n_blocks) return 0;
-        at->left = NAME(keys_at_most)(at->found->keys + at->chunk, (int)at->found->key);
+        at->first += LANES;
+        if (at->first >= n_chunks(at->found)) return 0;
+        NAME(look_at_chunks)(at);
     }
-    first = LOWEST_BIT(at->left) & ~(LANES - 1u);
-    at->bits = at->left >> first & 0xFF;
-    at->left ^= (uint64_t)at->bits << first;
-    at->block = at->found->blocks[at->chunk / BLOCK + first / BLOCK];
-    at->lane = first % BLOCK;
+    eight = LOWEST_BIT(at->left);
+    at->left &= at->left - 1;
+    at->bits = at->chunk[eight / LANES] >> (LANES * (eight % LANES)) & 0xFF;
+    at->block = at->found->blocks[KEYS / BLOCK * at->first + eight / 2];
+    at->lane = LANES * (eight % 2);
     return 1;
 }
 
@@ -153,11 +169,12 @@ static TARGET void NAME(write)(double *squared, int64_t *id, int64_t count, int 
 }
 
 static TARGET void NAME(moments)(const double *coords, int64_t n_axes, const Found *found,
-                                 const double *at, const double *frame, double scale, double *out)
+                                 const double *at, const double *frame, double *out)
 {
     const V8 zero = NAME(all)(0.0);
     V8 sum_u = zero, sum_v = zero, uu = zero, uv = zero, vv = zero;
-    double mean_u, mean_v, n = (double)found->count;
+    const double each = 1.0 / (double)found->count;
+    double mean_u, mean_v;
     for (Eights at_eight = NAME(eights)(found); NAME(next)(&at_eight);) {
         const double *points = NAME(lanes_at)(coords, n_axes, &at_eight);
         const M8 chosen = NAME(chosen)(at_eight.bits);
@@ -167,19 +184,19 @@ static TARGET void NAME(moments)(const double *coords, int64_t n_axes, const Fou
             u = NAME(add)(u, NAME(mul)(x, NAME(all)(frame[axis])));
             v = NAME(add)(v, NAME(mul)(x, NAME(all)(frame[3 + axis])));
         }
-        u = NAME(pick)(chosen, NAME(mul)(u, NAME(all)(scale)), zero);
-        v = NAME(pick)(chosen, NAME(mul)(v, NAME(all)(scale)), zero);
+        u = NAME(pick)(chosen, u, zero);
+        v = NAME(pick)(chosen, v, zero);
         sum_u = NAME(add)(sum_u, u);
         sum_v = NAME(add)(sum_v, v);
         uu = NAME(add)(uu, NAME(mul)(u, u));
         uv = NAME(add)(uv, NAME(mul)(u, v));
         vv = NAME(add)(vv, NAME(mul)(v, v));
     }
-    mean_u = NAME(total)(sum_u) / n;
-    mean_v = NAME(total)(sum_v) / n;
-    out[0] = NAME(total)(uu) / n - mean_u * mean_u;
-    out[1] = NAME(total)(uv) / n - mean_u * mean_v;
-    out[2] = NAME(total)(vv) / n - mean_v * mean_v;
+    mean_u = NAME(total)(sum_u) * each;
+    mean_v = NAME(total)(sum_v) * each;
+    out[0] = NAME(total)(uu) * each - mean_u * mean_u;
+    out[1] = NAME(total)(uv) * each - mean_u * mean_v;
+    out[2] = NAME(total)(vv) * each - mean_v * mean_v;
     out[3] = mean_u;
     out[4] = mean_v;
 }

@@ -16,6 +16,7 @@
 #define MAX(a, b) PICK((TwoMasks)((a) > (b)), a, b)
 #define MIN(a, b) PICK((TwoMasks)((a) < (b)), a, b)
 #define SQRT(a) ((TwoDoubles){sqrt((a)[0]), sqrt((a)[1])})
+#define TOTAL(a) ((a)[0] + (a)[1])
 #define AT_MOST(a, b) ((TwoMasks)((a) <= (b)))
 #define BOTH(a, b) ((a) & (b))
 #define BITS(m) ((unsigned)(((m)[0] & 1) | ((m)[1] & 2)))

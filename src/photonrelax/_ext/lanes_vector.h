@@ -115,11 +115,12 @@ static INLINE V8 NAME(pick)(M8 chosen, V8 a, V8 b)
     return out;
 }
 
+/* The sum of all: upper halves are added to lower ones, whatever the size of vectors. */
 static INLINE double NAME(total)(V8 a)
 {
-    double x[LANES];
-    NAME(store)(x, a);
-    return ((x[0] + x[4]) + (x[2] + x[6])) + ((x[1] + x[5]) + (x[3] + x[7]));
+    for (int n = PARTS / 2; n > 0; n /= 2)
+        for (int i = 0; i < n; ++i) a.part[i] = ADD(a.part[i], a.part[i + n]);
+    return TOTAL(a.part[0]);
 }
 
 static INLINE F16 NAME(f_all)(float x)

@@ -17,6 +17,9 @@ cdef enum:
 
 
 cdef double MARGIN = 1.6
+# The squares of squares of numbers in between are normal.
+cdef double SMALLEST = 1e-75
+cdef double LARGEST = 1e75
 
 
 cpdef double anisotropy_to_gradient(double eigenvalue) noexcept nogil:
@@ -48,14 +51,25 @@ cpdef double isotropic_sd(double k) noexcept nogil:
 
 cpdef double noise_attenuation(double eigenvalue, double k) noexcept nogil:
     """Return Φ of SJ13 Eq. 6: the chance that k isotropic photons have a greater λ₂."""
-    cdef double deviation = (eigenvalue - isotropic_mean(k)) / (sqrt(2.0) * isotropic_sd(k))
-    return 0.5 * (1.0 - erf(deviation))
+    return attenuation(eigenvalue, isotropic_mean(k), isotropic_scale(k))
 
 
 cpdef double constraint(double eigenvalue, double k) noexcept nogil:
     """Return 3π/4 · M(λ₂) · Φ(λ₂) in [0, 1]: one minus the length of v_b in SJ13 Eq. 7."""
+    return constraint_among(eigenvalue, isotropic_mean(k), isotropic_scale(k))
+
+
+cdef double isotropic_scale(double k) noexcept nogil:
+    return 1.0 / (sqrt(2.0) * isotropic_sd(k))
+
+
+cdef inline double attenuation(double eigenvalue, double mean, double scale) noexcept nogil:
+    return 0.5 * (1.0 - erf((eigenvalue - mean) * scale))
+
+
+cdef inline double constraint_among(double eigenvalue, double mean, double scale) noexcept nogil:
     cdef double full = 0.75 * M_PI * anisotropy_to_gradient(eigenvalue)
-    return min(full * noise_attenuation(eigenvalue, k), 1.0)
+    return min(full * attenuation(eigenvalue, mean, scale), 1.0)
 
 
 cpdef double gradient_constraint(double shift, double gain) noexcept nogil:
@@ -89,15 +103,30 @@ cdef class Sheet:
 
 
 cdef class Targets:
-    """Views of the arrays that will make a `photonrelax.Structure`."""
+    """Views of the arrays that will make a `photonrelax.Structure`, and how they are made.
 
+    Photons are constrained along the gradient, times `gain`; if that is negative, as their
+    principal components tell.
+    """
+
+    cdef double gain
+    # By the number of photons, the isotropic mean of λ₂ and what deviations from it are scaled by.
+    cdef double[:, ::1] isotropic
     cdef double[:, ::1] eigenvalues
     cdef double[::1] constraint
     cdef double[:, :, ::1] basis
     cdef double[::1] radius
     cdef int[::1] n_found
 
-    def __init__(self, *, eigenvalues, constraint, basis, radius, n_found):
+    def __init__(
+        self, Py_ssize_t most_found, double gain, *, eigenvalues, constraint, basis, radius, n_found
+    ):
+        cdef Py_ssize_t count
+        self.gain = gain
+        self.isotropic = np.empty((most_found + 1, 2))
+        for count in range(FEWEST, most_found + 1):
+            self.isotropic[count, 0] = isotropic_mean(count)
+            self.isotropic[count, 1] = isotropic_scale(count)
         self.eigenvalues = eigenvalues
         self.constraint = constraint
         self.basis = basis
@@ -117,9 +146,12 @@ cdef Components decompose(double uu, double uv, double vv) noexcept nogil:
     pca.sine = 0.0
     if size == 0.0:
         return pca
-    # Divided by their size the squares stay in range.
-    difference /= size
-    uv /= size
+    if SMALLEST <= size <= LARGEST:
+        size = 1.0
+    else:
+        # Divided by their size the squares stay in range.
+        difference /= size
+        uv /= size
     spread = sqrt(difference * difference + uv * uv)
     # The half of the angle whose cosine is difference / spread, without cancellation.
     if difference >= 0.0:
@@ -128,9 +160,9 @@ cdef Components decompose(double uu, double uv, double vv) noexcept nogil:
     else:
         pca.cosine = fabs(uv)
         pca.sine = spread - difference if uv >= 0.0 else difference - spread
-    length = sqrt(pca.cosine * pca.cosine + pca.sine * pca.sine)
-    pca.cosine /= length
-    pca.sine /= length
+    length = 1.0 / sqrt(pca.cosine * pca.cosine + pca.sine * pca.sine)
+    pca.cosine *= length
+    pca.sine *= length
     pca.first = middle + spread * size
     # Rounding may leave photons on a line a variance just below zero across it.
     pca.second = max(middle - spread * size, 0.0)
@@ -190,18 +222,18 @@ def detect(
     Photons are constrained along the gradient, times `gain`; if that is negative, as their
     principal components tell.
     """
-    cdef Targets targets = Targets(**targets_by_name)
+    cdef Targets targets = Targets(min(k, tree.n_points), gain, **targets_by_name)
     cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
     cdef Py_ssize_t block
     for block in prange(
         first // BLOCK, (end + BLOCK - 1) // BLOCK, nogil=True, schedule="dynamic", chunksize=16,
         num_threads=n_threads
     ):
-        detect_block(tree, <Batch*> &room[threadid(), 0], block, sheet, gain, targets)
+        detect_block(tree, <Batch*> &room[threadid(), 0], block, sheet, targets)
 
 
 cdef void detect_block(
-    Tree tree, Batch* batch, Py_ssize_t block, Sheet sheet, double gain, Targets out
+    Tree tree, Batch* batch, Py_ssize_t block, Sheet sheet, Targets out
 ) noexcept nogil:
     """Detect the structure around the photons of a block; write their rows only.
 
@@ -228,7 +260,7 @@ cdef void detect_block(
     find(tree, batch)
     for lane in range(batch.n_queries):
         row = sheet.rows[BLOCK * block + lane]
-        detect_one(tree, &batch.queries[lane], row, &sheet.normal[row, 0], gain, out)
+        detect_one(tree, &batch.queries[lane], row, &sheet.normal[row, 0], out)
         if sheet.reach is not None and sheet.reach[row] > 0.0:
             squared_reach = sheet.reach[row] * sheet.reach[row]
             if batch.queries[lane].found.count < batch.k:
@@ -258,34 +290,37 @@ cdef inline void prefetch(Targets out, Py_ssize_t row) noexcept nogil:
 
 
 cdef void detect_one(
-    Tree tree, const Query* query, Py_ssize_t row, const double* normal, double gain, Targets out
+    Tree tree, const Query* query, Py_ssize_t row, const double* normal, Targets out
 ) noexcept nogil:
     """Detect the structure around one photon from its neighbours; write its row only."""
-    cdef Py_ssize_t axis
+    cdef Py_ssize_t axis, count = query.found.count
     cdef Components pca
-    cdef double[6] frame
+    cdef double inverse, strength = 0.0, radius = sqrt(query.found.squared_radius)
+    cdef double[6] frame, scaled
     cdef double[5] moments
     orthonormal_frame(frame, frame + 3, normal)
+    pca.first = pca.second = pca.sine = 0.0
     pca.cosine = 1.0
-    pca.sine = 0.0
-    out.n_found[row] = <int> query.found.count
-    out.radius[row] = sqrt(query.found.squared_radius)
-    out.eigenvalues[row, 0] = 0.0
-    out.eigenvalues[row, 1] = 0.0
-    out.constraint[row] = 0.0
-    if query.found.count >= FEWEST and out.radius[row] > 0.0:
+    if count >= FEWEST and radius > 0.0:
         # Dividing lengths, not squares, keeps very small and very large scenes in range.
+        inverse = 1.0 / radius
+        for axis in range(6):
+            scaled[axis] = inverse * frame[axis]
         tree.lanes.moments(
-            &tree.coords[0, 0, 0], tree.n_axes, &query.found, query.reach.low, frame,
-            1.0 / out.radius[row], moments
+            &tree.coords[0, 0, 0], tree.n_axes, &query.found, query.reach.low, scaled, moments
         )
         pca = decompose(moments[0], moments[1], moments[2])
-        out.eigenvalues[row, 0] = pca.first
-        out.eigenvalues[row, 1] = pca.second
-        if gain < 0.0:
-            out.constraint[row] = constraint(pca.second, query.found.count)
+        if out.gain < 0.0:
+            strength = constraint_among(
+                pca.second, out.isotropic[count, 0], out.isotropic[count, 1]
+            )
         else:
-            out.constraint[row] = gradient_constraint(turn(&pca, moments[3], moments[4]), gain)
+            strength = gradient_constraint(turn(&pca, moments[3], moments[4]), out.gain)
+    out.n_found[row] = <int> count
+    out.radius[row] = radius
+    out.constraint[row] = strength
+    out.eigenvalues[row, 0] = pca.first
+    out.eigenvalues[row, 1] = pca.second
     for axis in range(3):
         out.basis[row, 0, axis] = pca.cosine * frame[axis] + pca.sine * frame[3 + axis]
         out.basis[row, 1, axis] = pca.cosine * frame[3 + axis] - pca.sine * frame[axis]
