@@ -40,6 +40,17 @@ static ALWAYS_INLINE uint64_t bytes_not_zero(uint64_t x)
     return (x & 0x0101010101010101u) * 0x0102040810204080u >> 56;
 }
 
+/* The greatest key of what may be within the limit or is just beyond it. */
+static ALWAYS_INLINE int greatest_key(const Found *found)
+{
+    uint8_t greatest = 0;
+    for (int64_t j = 0; j < BLOCK * found->n_blocks; ++j) {
+        uint8_t key = found->keys[j] <= FARTHEST + 1 ? found->keys[j] : 0;
+        greatest = key > greatest ? key : greatest;
+    }
+    return greatest;
+}
+
 /* Return the number of a rank, counted from one, among n; reorders them. */
 static double of_rank(double *x, int64_t n, int64_t rank)
 {

@@ -321,12 +321,24 @@ static INLINE int64_t NAME(note_few)(const double *coords, const Reach *reach, F
     return fewer;
 }
 
-/* The search for the k-th nearest, as far as it goes if fewer than k are in reach. */
+static INLINE int64_t NAME(count_keys)(const Found *found, int most)
+{
+    int64_t count = 0;
+    for (int64_t j = 0; j < n_chunks(found); ++j)
+        count += COUNT_LONG(NAME(keys_at_most)(found->keys + KEYS * j, most));
+    return count;
+}
+
+/* The search for the k-th nearest where fewer than k are in reach: for the farthest of all or, if
+ * some are so close to the limit that they may be beyond it, for these, with k zero. */
 static INLINE Ranked NAME(up_to_limit)(const Found *found)
 {
-    Ranked out = {found->keys, 0, 0, FARTHEST};
-    for (int64_t j = 0; j < n_chunks(found); ++j)
-        out.fewer += COUNT_LONG(NAME(keys_at_most)(found->keys + KEYS * j, FARTHEST - 1));
+    Ranked out = {found->keys, 0, 0, greatest_key(found)};
+    if (out.key < FARTHEST - 1)
+        out.k = NAME(count_keys)(found, out.key);
+    else
+        out.key = FARTHEST;
+    out.fewer = out.key > 0 ? NAME(count_keys)(found, out.key - 1) : 0;
     return out;
 }
 
@@ -335,13 +347,12 @@ static INLINE void NAME(settle)(const double *coords, const Reach *reach, float 
                                 Ranked ranked, const int64_t *ids)
 {
     for (;;) {
-        int within = ranked.key <= FARTHEST;
         int64_t fewer;
-        if (!within) ranked = NAME(up_to_limit)(found);
+        if (ranked.key > FARTHEST) ranked = NAME(up_to_limit)(found);
         fewer = NAME(note_few)(coords, reach, found, ranked.key, ranked.fewer, doubt);
         found->count = ranked.k;
         found->key = ranked.key;
-        if (within && fewer + found->n_few >= ranked.k) {
+        if (ranked.k > 0 && fewer + found->n_few >= ranked.k) {
             if (found->n_few == 1)
                 choose_only(found);
             else
