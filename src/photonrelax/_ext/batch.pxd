@@ -28,6 +28,8 @@ cdef struct Query:
     double squared_most
     # A guess of what it will find, or -1.
     double squared_guess
+    # Whether it finds what the query before it does.
+    bint alike
     # A place that is not to be found, or -1.
     int64_t excluded
     # Once k were found and the rest dropped, the highest id as far away as the farthest; else -1.
@@ -82,10 +84,12 @@ cdef void open_block(Tree tree, Batch* batch, Py_ssize_t block) noexcept nogil
 cdef void open_query(Tree tree, Batch* batch, const double* at) noexcept nogil
 cdef void limit_radius(Query* query, double squared) noexcept nogil
 cdef void limit_range(Query* query, double radius) noexcept nogil
+cdef bint alike(Tree tree, const Query* one, const Query* other) noexcept nogil
+cdef void copy_found(Found* found, const Found* other) noexcept nogil
 cdef void list_neighbours(Tree tree, Batch* batch) noexcept nogil
 cdef void list_points(Tree tree, Batch* batch) noexcept nogil
 
 
 cdef inline Py_ssize_t candidates_before_drop(Py_ssize_t k) noexcept nogil:
     """Return of how many blocks points are candidates before the farthest are dropped."""
-    return k // 4 + BLOCK
+    return 2 * k + BLOCK

@@ -3,6 +3,7 @@
 from libc.float cimport DBL_MAX
 from libc.math cimport INFINITY
 from libc.stdint cimport int32_t, int64_t, uint8_t
+from libc.string cimport memcpy
 
 import numpy as np
 
@@ -157,3 +158,31 @@ cdef void list_points(Tree tree, Batch* batch) noexcept nogil:
             &tree.coords[0, 0, 0], tree.n_axes, &batch.queries[i].found,
             batch.points + 3 * i * batch.stride
         )
+
+
+cdef bint alike(Tree tree, const Query* one, const Query* other) noexcept nogil:
+    """Tell whether two queries find the same, as those from coincident points do."""
+    cdef Py_ssize_t axis
+    for axis in range(tree.n_axes):
+        if one.reach.low[axis] != other.reach.low[axis]:
+            return False
+    return (
+        one.squared_most == other.squared_most
+        and one.reach.squared_range == other.reach.squared_range
+        and one.reach.half_range == NULL and other.reach.half_range == NULL
+        and one.excluded < 0 and other.excluded < 0
+    )
+
+
+cdef void copy_found(Found* found, const Found* other) noexcept nogil:
+    """Copy what was found, for those who read it."""
+    found.n_blocks = other.n_blocks
+    found.count = other.count
+    found.squared_radius = other.squared_radius
+    found.key = other.key
+    found.n_few = other.n_few
+    memcpy(found.blocks, other.blocks, other.n_blocks * sizeof(int32_t))
+    # What lies behind is out of reach, for those who read many keys at a time.
+    memcpy(found.keys, other.keys, BLOCK * other.n_blocks + KEYS)
+    memcpy(found.few, other.few, other.n_few * sizeof(int32_t))
+    memcpy(found.squared, other.squared, other.n_few * sizeof(double))

@@ -1,37 +1,29 @@
 """The search of search.pxd."""
 
+from libc.float cimport DBL_MAX
 from libc.math cimport INFINITY, sqrt
 from libc.stdint cimport int32_t, int64_t
-from libc.string cimport memcpy
 
-from .batch cimport LISTED, LISTED_STRIDE, Query, candidates_before_drop
+from .batch cimport LISTED, LISTED_STRIDE, Query, alike, candidates_before_drop, copy_found
+from .copies cimport copy_listed, set_frame, set_local
 from .kdtree cimport fan_out, first_block, last_kept
 from .lanes cimport (
-    BLOCK, FARTHEST, KEYS, MOST_COPIED_AXES, OUTSIDE, TOGETHER, Found, Local, Reach,
-    count_bits, highest_bit, last_found, lowest_bit, prefetch_row,
+    BLOCK, OUTSIDE, TOGETHER, Found, Reach, count_bits, highest_bit, last_found, lowest_bit,
+    prefetch_row,
 )
 
 cdef enum:
     # A depth-first search leaves at most 15 open groups a kept level, of which there are 7.
     STACK_SIZE = 128
 
-# Queries look as far, squared, as the last batch found on the mean, and so much farther (divided
-# by the root of k, as their radii scatter); if that is not enough, as far as it found at most, and
-# so much farther. What is guessed for a query itself is nearer the truth.
+# Queries look as far, squared, as the last batch found on the mean (of roots of radii, as a few may
+# be much greater than the rest), and so much farther (divided by the root of k, as radii scatter);
+# if that is not enough, as far as it found at most, and so much farther. What is guessed for a
+# query itself is nearer the truth.
 cdef double FIRST = 5.0
 cdef double THEN = 1.3
 cdef double FIRST_GUESSED = 1.3
 cdef double THEN_GUESSED = 1.6
-# Copies are floats, of numbers up to 1: on up to MOST_COPIED_AXES axes two squared distances up to
-# r² among them are off by at most ROUNDING * (r + r²) in all while r is small, which is MOST_DOUBT
-# keys where r is COARSEST. Where r is near 1 the query is near the origin, which rounds nothing:
-# ROUNDING * 2 * FARTHEST_COPIED is enough for all.
-cdef double ROUNDING = 1e-6
-cdef double COARSEST = 1e-3
-cdef double MOST_DOUBT = 0.25
-cdef double FARTHEST_COPIED = 1.1
-# Lesser squares underflow in part.
-cdef double LEAST_COPIED = 1e-280
 # If even that was too little they look farther, squared, by at least and at most so much.
 cdef double LEAST_WIDENING = 1.5
 cdef double MOST_WIDENING = 16.0
@@ -40,10 +32,11 @@ cdef double MOST_WIDENING = 16.0
 cdef void find(Tree tree, Batch* batch) noexcept nogil:
     """Find the k nearest of all queries of the batch, ties by id, each in its `found`."""
     cdef Py_ssize_t i, n_open = batch.n_queries
-    cdef double farthest = 0.0, total = 0.0
+    cdef double farthest = 0.0, mean = 0.0
     for i in range(batch.n_queries):
         start(batch, &batch.queries[i])
-        if i > 0 and alike(tree, &batch.queries[i - 1], &batch.queries[i]):
+        batch.queries[i].alike = i > 0 and alike(tree, &batch.queries[i - 1], &batch.queries[i])
+        if batch.queries[i].alike:
             batch.queries[i].done = True
             n_open -= 1
     while n_open > 0:
@@ -51,40 +44,12 @@ cdef void find(Tree tree, Batch* batch) noexcept nogil:
         traverse(tree, batch)
         n_open = close_queries(tree, batch)
     for i in range(batch.n_queries):
-        if i > 0 and alike(tree, &batch.queries[i - 1], &batch.queries[i]):
+        if batch.queries[i].alike:
             copy_found(&batch.queries[i].found, &batch.queries[i - 1].found)
-        total += batch.queries[i].found.squared_radius
+        mean += sqrt(sqrt(batch.queries[i].found.squared_radius)) / batch.n_queries
         farthest = max(farthest, batch.queries[i].found.squared_radius)
-    batch.squared_first = (1.0 + FIRST / sqrt(batch.k)) * total / batch.n_queries
+    batch.squared_first = (1.0 + FIRST / sqrt(batch.k)) * mean ** 4
     batch.squared_then = THEN * farthest
-
-
-cdef inline bint alike(Tree tree, const Query* one, const Query* other) noexcept nogil:
-    """Tell whether two queries find the same, as those from coincident points do."""
-    cdef Py_ssize_t axis
-    for axis in range(tree.n_axes):
-        if one.reach.low[axis] != other.reach.low[axis]:
-            return False
-    return (
-        one.squared_most == other.squared_most
-        and one.reach.squared_range == other.reach.squared_range
-        and one.reach.half_range == NULL and other.reach.half_range == NULL
-        and one.excluded < 0 and other.excluded < 0
-    )
-
-
-cdef void copy_found(Found* found, const Found* other) noexcept nogil:
-    """Copy what was found, for those who read it."""
-    found.n_blocks = other.n_blocks
-    found.count = other.count
-    found.squared_radius = other.squared_radius
-    found.key = other.key
-    found.n_few = other.n_few
-    memcpy(found.blocks, other.blocks, other.n_blocks * sizeof(int32_t))
-    # What lies behind is out of reach, for those who read many keys at a time.
-    memcpy(found.keys, other.keys, BLOCK * other.n_blocks + KEYS)
-    memcpy(found.few, other.few, other.n_few * sizeof(int32_t))
-    memcpy(found.squared, other.squared, other.n_few * sizeof(double))
 
 
 cdef void start(Batch* batch, Query* query) noexcept nogil:
@@ -132,66 +97,6 @@ cdef void set_outer_reach(Tree tree, Batch* batch) noexcept nogil:
         batch.reach.squared_range = -1.0
 
 
-cdef void set_frame(Tree tree, Batch* batch) noexcept nogil:
-    """Choose where copies have their origin, and their scale: what is in reach lies within 1."""
-    cdef Py_ssize_t axis
-    cdef double half, widest = 0.0, widest_range = 0.0
-    for axis in range(tree.n_axes):
-        half = 0.5 * (batch.high[axis] - batch.low[axis])
-        batch.origin[axis] = batch.low[axis] + half
-        if axis < tree.n_metric:
-            widest = max(widest, half)
-        else:
-            widest_range = max(widest_range, half)
-    batch.frame.scale = 1.0 / (widest + sqrt(batch.reach.squared_limit))
-    batch.frame.range_scale = 1.0 / (widest_range + sqrt(max(batch.reach.squared_range, 0.0)))
-
-
-cdef inline void set_local(Tree tree, Batch* batch, Query* query) noexcept nogil:
-    """Find a query's reach among copies, and whether they are fine enough for it."""
-    cdef Py_ssize_t axis
-    cdef Local* local = &query.local
-    cdef float* at = batch.local_at + tree.n_axes * (query - &batch.queries[0])
-    cdef double limit = local_squared(query.reach.squared_limit, batch.frame.scale)
-    cdef double within = -1.0
-    query.exact = (
-        limit < 0.0 or query.reach.half_range != NULL or tree.n_axes > MOST_COPIED_AXES
-    )
-    for axis in range(tree.n_metric):
-        at[axis] = <float> (batch.frame.scale * (query.reach.low[axis] - batch.origin[axis]))
-    if query.reach.squared_range >= 0.0:
-        within = local_squared(query.reach.squared_range, batch.frame.range_scale)
-        query.exact = query.exact or within < 0.0
-        for axis in range(tree.n_metric, tree.n_axes):
-            at[axis] = <float> (
-                batch.frame.range_scale * (query.reach.low[axis] - batch.origin[axis])
-            )
-    local.at = at
-    local.squared_limit = <float> limit
-    local.squared_range = <float> within
-    local.limit_slack = <float> rounding(limit)
-    local.range_slack = <float> rounding(within)
-    local.doubt = <float> (FARTHEST * rounding(limit) / limit) if limit > 0.0 else MOST_DOUBT
-
-
-cdef inline double local_squared(double squared, double scale) noexcept nogil:
-    """Return a squared radius among copies, -1 where they are too coarse or finer than exact."""
-    cdef double local = squared * (scale * scale)
-    if squared >= LEAST_COPIED and COARSEST * COARSEST <= local <= FARTHEST_COPIED:
-        return local
-    return -1.0
-
-
-cdef inline double rounding(double squared) noexcept nogil:
-    """Return by how much squared distances up to this may be off among copies.
-
-    It is enough for the errors of two of them, by which a farther point may seem nearer.
-    """
-    if squared >= 0.01:
-        return ROUNDING * 2.0 * FARTHEST_COPIED
-    return ROUNDING * (sqrt(max(squared, 0.0)) + squared)
-
-
 cdef void set_half_range(Tree tree, Batch* batch) noexcept nogil:
     cdef Py_ssize_t i, axis
     batch.reach.half_range = NULL
@@ -230,7 +135,59 @@ cdef void traverse(Tree tree, Batch* batch) noexcept nogil:
             open_level[n_open] = level + 1
             open_group[n_open] = g * fan_out(tree, level) + child
             n_open += 1
+    if batch.listed_all:
+        reach_no_farther(tree, batch)
     serve(tree, batch)
+
+
+cdef void reach_no_farther(Tree tree, Batch* batch) noexcept nogil:
+    """Let queries that look as far as they may look no farther than all listed blocks.
+
+    What is in their range is often near: limits far beyond would make for coarse keys.
+    """
+    cdef double farthest = -1.0, limit = 0.0
+    cdef Py_ssize_t i
+    cdef Query* query
+    for i in range(batch.n_queries):
+        query = &batch.queries[i]
+        if query.done:
+            continue
+        if query.squared_wanted == query.squared_most and is_limited(query):
+            if farthest < 0.0:
+                farthest = squared_farthest_listed(tree, batch)
+            query.squared_most = min(query.squared_most, farthest)
+            query.squared_wanted = query.squared_most
+            query.reach.squared_limit = min(query.reach.squared_limit, farthest)
+        limit = max(limit, query.squared_wanted)
+    if limit < batch.reach.squared_limit:
+        batch.reach.squared_limit = limit
+        set_frame(tree, batch)
+
+
+cdef inline bint is_limited(const Query* query) noexcept nogil:
+    """Tell whether a query finds only what is in some range."""
+    return query.reach.squared_range >= 0.0 or query.reach.half_range != NULL
+
+
+cdef double squared_farthest_listed(Tree tree, const Batch* batch) noexcept nogil:
+    """Return a squared distance that no point of a listed block is beyond from any query."""
+    cdef double[LISTED] squared
+    cdef double gap, farthest = 0.0
+    cdef const double* low
+    cdef const double* high
+    cdef Py_ssize_t i, axis
+    for i in range(batch.n_listed):
+        squared[i] = 0.0
+    for axis in range(tree.n_metric):
+        low = batch.boxes + LISTED_STRIDE * axis
+        high = low + LISTED_STRIDE * tree.n_axes
+        for i in range(batch.n_listed):
+            gap = max(high[i] - batch.low[axis], batch.high[axis] - low[i])
+            squared[i] += gap * gap
+    for i in range(batch.n_listed):
+        farthest = max(farthest, squared[i])
+    # By the roundings of these and of the distances themselves.
+    return min(farthest * (1.0 + 1e-14), DBL_MAX)
 
 
 cdef inline unsigned int near_children(Tree tree, Batch* batch, Py_ssize_t group) noexcept nogil:
@@ -311,21 +268,6 @@ cdef void serve(Tree tree, Batch* batch) noexcept nogil:
         batch.reach.squared_limit = max(batch.reach.squared_limit, query.squared_wanted)
     if not all_full:
         batch.highest_id = -1
-
-
-cdef void copy_listed(Tree tree, Batch* batch) noexcept nogil:
-    """Copy the listed blocks and their boxes."""
-    cdef Py_ssize_t highs = LISTED_STRIDE * tree.n_axes
-    tree.lanes.copy_blocks(
-        &tree.coords[0, 0, 0], batch.listed, batch.n_listed, &batch.frame, batch.copied_blocks
-    )
-    tree.lanes.copy_rows(
-        batch.boxes, LISTED_STRIDE, batch.n_listed, &batch.frame, batch.copied_boxes
-    )
-    tree.lanes.copy_rows(
-        batch.boxes + highs, LISTED_STRIDE, batch.n_listed, &batch.frame,
-        batch.copied_boxes + highs
-    )
 
 
 cdef void take_candidates(Tree tree, Batch* batch, Query* query) noexcept nogil:
