@@ -92,4 +92,4 @@ cdef void list_points(Tree tree, Batch* batch) noexcept nogil
 
 cdef inline Py_ssize_t candidates_before_drop(Py_ssize_t k) noexcept nogil:
     """Return of how many blocks points are candidates before the farthest are dropped."""
-    return 2 * k + BLOCK
+    return k + 4 * BLOCK
