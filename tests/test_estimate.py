@@ -7,7 +7,6 @@ import pytest
 from conftest import flat_map, plane, uniform_map, unit_square
 
 import photonrelax as pr
-from photonrelax.adaptive import REFINEMENTS
 
 KERNELS = {
     "constant": lambda t: np.ones_like(t),
@@ -128,21 +127,6 @@ def test_coincident_photons_are_seen():
         photons = flat_map(np.full((n, 2), 0.5), 1)
         found = pr.estimate_irradiance(photons, points, normals, settings)
         np.testing.assert_allclose(found, n * 2 / (np.pi * 0.1**2))
-
-
-@pytest.mark.parametrize("refinement", REFINEMENTS)
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_all_photons_within_the_radius_count_where_k_lie_at_the_point(kernel, refinement):
-    xy = np.concatenate([np.full((250, 2), 0.5), unit_square(10_000, "random")])
-    photons = flat_map(xy, 10_000)
-    points, normals = plane(np.array([[0.5, 0.5]]))
-    k = 15 if refinement == "none" else 200
-    settings = pr.GatherSettings(k=k, kernel=kernel, refinement=refinement, gather_radius=0.3)
-    found = pr.estimate_irradiance(photons, points, normals, settings)
-    ratio = np.linalg.norm(photons.position - points, axis=1) / 0.3
-    weight = np.where(ratio <= 1.0, KERNELS[kernel](ratio), 0.0) / (np.pi * 0.3**2)
-    np.testing.assert_allclose(found, [weight @ photons.flux], rtol=1e-10)
-    assert found.min() > 1.0
 
 
 def test_more_neighbours_than_photons_take_no_more_memory():

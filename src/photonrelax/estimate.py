@@ -50,10 +50,10 @@ class GatherSettings:
         within 0.3 % for k of 15 and more.
     gather_radius : float, optional
         Largest distance, m, from which photons are gathered; where it holds fewer than k it is the
-        bandwidth, so that black regions stay black; so it is, for all that it holds, where k are
-        at the very point. By default `automatic_gather_radius` takes
-        it from the map: the radius within which 95 % of the photons, and 5 % of the area they
-        light, have their k-th nearest. Infinite for no limit. With a refinement it limits the
+        bandwidth, so that black regions stay black; so it is where k photons lie at the very
+        point, of which only these count. By default `automatic_gather_radius` takes it from the
+        map: the radius within which 95 % of the photons, and 5 % of the area they light, have
+        their k-th nearest. Infinite for no limit. With a refinement it limits the
         first k_min photons, and reaches twice as many; k are gathered from √(k / k_min) times as
         far.
     refinement : {"none", "differential-checking", "bias-compensation"}

@@ -9,9 +9,9 @@ import numpy as np
 
 from .batch cimport Batch, Query, limit_radius, limit_range, open_query, scratch
 from .kdtree cimport Tree
-from .lanes cimport BLOCK, Reach
+from .lanes cimport BLOCK
 from .search cimport find
-from .within cimport Sums, sum_within, weight_of
+from .within cimport weight_of
 
 from .columns import in_blocks
 
@@ -161,9 +161,7 @@ cdef void gather_batch(
     find(photons.tree, batch)
     for i in range(batch.n_queries):
         count = list_nearest(photons, batch, i, near)
-        gather_one(
-            photons, &batch.queries[i].reach, near, count, &out[order[BLOCK * number + i], 0]
-        )
+        gather_one(photons, near, count, &out[order[BLOCK * number + i], 0])
 
 
 cdef Py_ssize_t list_nearest(
@@ -191,7 +189,7 @@ cdef Py_ssize_t list_nearest(
 
 
 cdef void gather_one(
-    Gather photons, const Reach* reach, const Near* near, Py_ssize_t count, double* out
+    Gather photons, const Near* near, Py_ssize_t count, double* out
 ) noexcept nogil:
     """Estimate the densities at one query from its neighbours.
 
@@ -200,29 +198,15 @@ cdef void gather_one(
     """
     cdef Py_ssize_t k_min = photons.k_min, n, channel
     cdef double squared = photons.squared_radius, scale = 1.0
-    if count < k_min or near[k_min - 1].squared > squared:
-        weigh(photons, near, count_within(near, count, squared), squared, out)
-    elif near[k_min - 1].squared == 0.0:
-        sum_all(photons, reach, out)
-    else:
+    if count >= k_min and 0.0 < near[k_min - 1].squared <= squared:
         n = chosen_number(photons, near, count) - 1
         squared = near[n].squared
         scale = 1.0 / (1.0 - photons.bias_factor * (n + 1.0) ** photons.bias_exponent)
-        weigh(photons, near, n, squared, out)
+    else:
+        n = count_within(near, count, squared)
+    weigh(photons, near, n, squared, out)
     for channel in range(photons.values.shape[1]):
         out[channel] *= scale / (M_PI * squared)
-
-
-cdef void sum_all(Gather photons, const Reach* reach, double* out) noexcept nogil:
-    """Write the weighted sums over all within the radius, of which not all may be listed."""
-    cdef Reach wide = reach[0]
-    cdef Sums sums
-    wide.squared_limit = photons.squared_radius
-    sums.values = &photons.values[0, 0, 0]
-    sums.n_channels = photons.values.shape[1]
-    sums.shape = photons.kernel
-    sums.out = out
-    sum_within(photons.tree, &wide, &sums)
 
 
 cdef Py_ssize_t count_within(const Near* near, Py_ssize_t count, double squared) noexcept nogil:

@@ -6,11 +6,10 @@ from libc.math cimport M_PI
 from .batch cimport Batch, Query, limit_radius, limit_range, open_query, scratch
 from .kdtree cimport Tree
 from .lanes cimport (
-    BLOCK, CONE_WEIGHTS, CONSTANT_WEIGHTS, EPANECHNIKOV_WEIGHTS, OUTSIDE, Reach, Weights,
-    last_found, prefetch_row,
+    BLOCK, CONE_WEIGHTS, CONSTANT_WEIGHTS, EPANECHNIKOV_WEIGHTS, OUTSIDE, Weights, last_found,
+    prefetch_row,
 )
 from .search cimport find
-from .within cimport Sums, sum_within
 
 from .columns import in_blocks
 
@@ -122,7 +121,8 @@ cdef void gather_one(Gather photons, Query* query, double* out) noexcept nogil:
 
     With k photons in reach the bandwidth is the distance to the k-th, whose own weight is zero;
     that makes the estimate unbiased for independent photons, as the mean of 1/r² is π ρ/(k − 1).
-    With fewer, or k at the query itself, the bandwidth is the gather radius and all within count.
+    With fewer, or k at the query itself, the bandwidth is the gather radius and all found count:
+    of photons that share a place more are not looked for, as there may be any number.
     """
     cdef Py_ssize_t channel, n_channels = photons.values.shape[1]
     cdef double scale = 1.0
@@ -133,24 +133,9 @@ cdef void gather_one(Gather photons, Query* query, double* out) noexcept nogil:
         query.found.keys[last_found(&query.found, &photons.tree.ids[0])] = OUTSIDE
         weights.squared_bandwidth = query.found.squared_radius
         scale = photons.nearest_scale
-    if query.found.count == photons.k and query.found.squared_radius == 0.0:
-        sum_all(photons, query, out)
-    else:
-        photons.tree.lanes.weigh(
-            &photons.tree.coords[0, 0, 0], &query.reach, &query.found, &weights,
-            &photons.values[0, 0, 0], n_channels, out
-        )
+    photons.tree.lanes.weigh(
+        &photons.tree.coords[0, 0, 0], &query.reach, &query.found, &weights,
+        &photons.values[0, 0, 0], n_channels, out
+    )
     for channel in range(n_channels):
         out[channel] *= scale / (M_PI * weights.squared_bandwidth)
-
-
-cdef void sum_all(Gather photons, const Query* query, double* out) noexcept nogil:
-    """Write the weighted sums over all within the gather radius, not only the k found."""
-    cdef Reach reach = query.reach
-    cdef Sums sums
-    reach.squared_limit = photons.radius * photons.radius
-    sums.values = &photons.values[0, 0, 0]
-    sums.n_channels = photons.values.shape[1]
-    sums.shape = photons.kernel
-    sums.out = out
-    sum_within(photons.tree, &reach, &sums)

@@ -1,11 +1,10 @@
 """All points within a radius of a query, block by block.
 
 `visit_within` calls a visitor for every block that holds any, always in the same order, with the
-lanes they are in as bits; `sum_within` sums what they carry.
+lanes they are in as bits.
 """
 
 from libc.math cimport sqrt
-from libc.stdint cimport int64_t
 
 from .kdtree cimport Tree
 from .lanes cimport CONE_WEIGHTS, EPANECHNIKOV_WEIGHTS, Reach
@@ -14,21 +13,9 @@ ctypedef void (*Visitor)(
     void* state, Tree tree, Py_ssize_t block, unsigned int lanes
 ) noexcept nogil
 
-cdef struct Sums:
-    # What is summed, (n_blocks, n_channels, 16), and the kernel, of constants of estimate.pyx.
-    const double* values
-    Py_ssize_t n_channels
-    int shape
-    # Where to, and of how many points.
-    double* out
-    int64_t count
-    const double* at
-    double squared_radius
-
 cdef void visit_within(
     Tree tree, const Reach* reach, Visitor visit, void* state
 ) noexcept nogil
-cdef void sum_within(Tree tree, const Reach* reach, Sums* sums) noexcept nogil
 
 
 cdef inline double weight_of(int shape, double ratio) noexcept nogil:

@@ -90,15 +90,15 @@ cdef inline void squared_gaps(
             squared[lane] += (x[lane] - at[axis]) * (x[lane] - at[axis])
 
 
-cdef void sum_within(Tree tree, const Reach* reach, Sums* sums) noexcept nogil:
-    """Write the weighted sums over the points in reach, and their number."""
-    cdef Py_ssize_t channel
-    sums.at = reach.low
-    sums.squared_radius = reach.squared_limit
-    sums.count = 0
-    for channel in range(sums.n_channels):
-        sums.out[channel] = 0.0
-    visit_within(tree, reach, add, sums)
+cdef struct Sums:
+    # What is summed, (n_blocks, n_channels, 16).
+    const double* values
+    Py_ssize_t n_channels
+    const double* at
+    int shape
+    double squared_radius
+    int64_t count
+    double* out
 
 
 cdef void add(void* state, Tree tree, Py_ssize_t block, unsigned int lanes) noexcept nogil:
@@ -176,8 +176,9 @@ cdef void sum_one(
     """Sum around one query; write its row only."""
     cdef Sums sums
     cdef Reach reach
-    reach.low = reach.high = &queries[row, 0]
-    reach.squared_limit = radius[row] * radius[row]
+    cdef Py_ssize_t channel
+    reach.low = reach.high = sums.at = &queries[row, 0]
+    reach.squared_limit = sums.squared_radius = radius[row] * radius[row]
     reach.squared_range = photons.squared_range
     reach.half_range = NULL
     reach.n_metric = photons.tree.n_metric
@@ -186,6 +187,9 @@ cdef void sum_one(
     sums.values = &photons.values[0, 0, 0] if photons.values.shape[0] > 0 else NULL
     sums.n_channels = photons.values.shape[1]
     sums.shape = photons.kernel
+    sums.count = 0
     sums.out = &out[row, 0]
-    sum_within(photons.tree, &reach, &sums)
+    for channel in range(sums.n_channels):
+        out[row, channel] = 0.0
+    visit_within(photons.tree, &reach, add, &sums)
     counts[row] = sums.count
