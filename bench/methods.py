@@ -36,6 +36,7 @@ VARIANTS = {
 _SAMPLES = 2
 _ROUNDS = 3
 _OWN_SEED = 2
+_BRIGHTEST = 50
 # Discs of fresh photons start as small as those of references.
 _FRESH = pr.ProgressiveSettings(k=reference.Effort().k)
 
@@ -50,6 +51,8 @@ class Row:
         Scene, photons emitted and sampler.
     entries : dict
         By method or variant.
+    brightest : str
+        What of the squared error of the parameterised relaxation the brightest pixels have.
     doubt : Doubt or None
         How far the reference may be off; None for an exact one.
     known : float or None
@@ -60,6 +63,7 @@ class Row:
 
     label: str
     entries: dict[str, Entry]
+    brightest: str
     doubt: reference.Doubt | None
     known: float | None
     progressive: str
@@ -125,7 +129,18 @@ class Matrix:
             longer = as_near(plan, truth, found["parameterised"].errors.relative_l1, self.longest)
         label = f"{plan.subject.name}, {plan.n_emitted:,} {plan.sampler}"
         known = made.truth.known_errors.get("relative_l1")
-        return Row(label, found, reference.doubt(truth), known, longer)
+        brightest = at_the_brightest(found["parameterised"].image, truth)
+        return Row(label, found, brightest, reference.doubt(truth), known, longer)
+
+
+def at_the_brightest(image: pr.Image, truth: pr.Image, n: int = _BRIGHTEST) -> str:
+    """Return the share of the squared error in the brightest pixels, and how bright they are."""
+    found, exact = (np.asarray(each.layers["caustic"]).sum(axis=2) for each in (image, truth))
+    squares = (found - exact) ** 2
+    pixels = np.argsort(exact, axis=None)[-n:]
+    share = squares.ravel()[pixels].sum() / squares.sum()
+    light = found.ravel()[pixels].sum() / exact.ravel()[pixels].sum()
+    return f"{share:.0%} of it is in the {n} brightest pixels, which it shows at {light:.0%}"
 
 
 def as_near(plan: Plan, truth: pr.Image, error: float, longest: int) -> str:
@@ -177,8 +192,13 @@ def markdown(matrix: Matrix) -> str:
         for row in timed
         if row.known is not None
     ]
+    bright = [
+        f"Squared error of parameterised, {row.label}: {row.brightest}."
+        for row in timed
+        if row.doubt is not None
+    ]
     rounds = f"Medians of {_ROUNDS} interleaved rounds; camera rays count."
-    tables = (_table(errors), note, *known, "Relative L2:", _table(squares), _table(times))
+    tables = (_table(errors), note, *known, "Relative L2:", _table(squares), *bright, _table(times))
     return "\n\n".join([*tables, f"{rounds} {machine.description()}."]) + "\n"
 
 

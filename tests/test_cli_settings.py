@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import photonrelax as pr
 from photonrelax import _settings, cli, gallery
 from photonrelax.image import read_exr
 from photonrelax.methods import KINDS, METHODS, STAGES, Settings, Task, prepare
+from photonrelax.picture import resized
 
 PICTURE = ("--width", 12, "--height", 12, "--supersampling", 1)
 SMALL = ("--photons", 3000, "--quiet", *PICTURE)
@@ -113,6 +115,19 @@ def test_k_is_of_the_first_discs_where_passes_are(tmp_path):
         assert run(*arguments, *more, *SMALL) == 0
     assert settings_of(tmp_path / "dealt.exr")["progressive"]["k"] == 6
     assert settings_of(tmp_path / "fresh.exr")["k"] == 6
+
+
+def test_one_side_alone_keeps_the_proportions():
+    scene = gallery.scene("ring")
+    scene = replace(scene, camera=replace(scene.camera, width=400, height=300))
+    for given, expected in (
+        ((200, None), (200, 150)),
+        ((None, 30), (40, 30)),
+        ((50, 60), (50, 60)),
+        ((None, None), (400, 300)),
+    ):
+        camera = resized(scene, *given).camera
+        assert (camera.width, camera.height) == expected
 
 
 def test_render_takes_random_photons(tmp_path):

@@ -251,6 +251,11 @@ def test_differences_are_orange_where_too_bright_and_blue_where_too_dark():
     assert colours[2, 2] > colours[2, 0]
 
 
+def test_colours_that_cancel_are_a_difference_all_the_same():
+    found = pictures._largest(np.array([[[0.2, -0.1, -0.1], [0.1, 0.0, -0.3]]]))
+    np.testing.assert_array_equal(found, [[0.2, -0.3]])
+
+
 def test_path_edges_are_one_more_than_bounces(comparison):
     """Light off a ring once has come along two edges, and a few photons along more."""
     bounces = comparison.photon_layers["photons.bounces"]

@@ -79,6 +79,21 @@ def test_spectra_are_paid_for_by_the_method_that_needs_them(plan, truth, monkeyp
     assert tables.by_row(frequency.seconds)["photon cast"] == 10.0
 
 
+def test_preparing_that_no_stage_claims_is_part_of_gathering(plan, truth, monkeypatch):
+    clock, prepare = Clock(monkeypatch), run.prepare
+
+    def slow(method, task):
+        clock.now += 5.0
+        field = prepare(method, task)
+        field.seconds = {"structure": 2.0}
+        return field
+
+    monkeypatch.setattr(run, "prepare", slow)
+    (entry,) = compare(plan, truth).entries
+    assert entry.seconds["structure"] == 2.0
+    assert entry.seconds["gather"] == 3.0
+
+
 def test_times_are_medians_of_rounds(plan, truth, monkeypatch):
     clock, turns = Clock(monkeypatch), count()
     clock.slow(monkeypatch, lambda share: (9.0, 2.0, 1.0)[next(turns)])

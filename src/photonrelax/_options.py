@@ -215,7 +215,12 @@ def _add_iterations(parser: argparse.ArgumentParser) -> None:
 
 def _add_picture(parser: argparse.ArgumentParser) -> None:
     for name in ("width", "height"):
-        parser.add_argument(f"--{name}", type=positive, metavar="PIXELS", help="of the picture")
+        parser.add_argument(
+            f"--{name}",
+            type=positive,
+            metavar="PIXELS",
+            help="of the picture; one alone keeps its proportions",
+        )
     parser.add_argument(
         "--supersampling",
         type=positive,

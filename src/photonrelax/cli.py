@@ -22,7 +22,6 @@ from ._options import PHOTONS, PHOTONS_PER_PASS, SAMPLER, parser
 if TYPE_CHECKING:
     from .compare import Plan
     from .methods import Settings
-    from .scene import Scene
 
 INTERRUPTED = 130
 _MAGIC_EXR, _MAGIC_NPZ = b"v/1\x01", b"PK\x03\x04"
@@ -112,13 +111,15 @@ def _check_photons(options: argparse.Namespace) -> None:
 
 
 def _in_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
+    from .picture import resized
+
     settings = _chosen(options)
 
     def write(image: pr.Image) -> None:
         with ExitStack() as files:
             _place(files, image, options)
 
-    scene = _resized(gallery.scene(options.scene), options.width, options.height)
+    scene = resized(gallery.scene(options.scene), options.width, options.height)
     with Bars(options.quiet, interrupts) as bars:
         return pr.render_progressive(
             scene,
@@ -136,9 +137,11 @@ def _in_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
 
 
 def _image(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
+    from .picture import resized
+
     settings = _chosen(options)
     photons = None if options.photon_map is None else pr.PhotonMap.load(options.photon_map)
-    scene = _resized(gallery.scene(options.scene), options.width, options.height)
+    scene = resized(gallery.scene(options.scene), options.width, options.height)
     with Bars(options.quiet, interrupts) as bars:
         return pr.render(
             scene,
@@ -298,15 +301,6 @@ def _partial(files: ExitStack, path: Path) -> Path:
 
 def _photons(options: argparse.Namespace) -> int:
     return options.photons or PHOTONS
-
-
-def _resized(scene: Scene, width: int | None, height: int | None) -> Scene:
-    from dataclasses import replace
-
-    camera = scene.camera
-    assert camera is not None, "every built-in scene has a camera"
-    camera = replace(camera, width=width or camera.width, height=height or camera.height)
-    return replace(scene, camera=camera)
 
 
 def _timed(work: Callable[[], Result]) -> tuple[Result, float]:

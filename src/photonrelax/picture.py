@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -94,6 +94,20 @@ def bands(
         )
         direct = direct_irradiance(scene, caster, hits.position, hits.normal, n_threads=n_threads)
         yield Band(rows, camera.width, hits, first, direct)
+
+
+def resized(scene: Scene, width: int | None, height: int | None) -> Scene:
+    """Return a scene with pictures of another size; in proportion if one side alone is given."""
+    camera = scene.camera
+    if camera is None:
+        raise ValueError("scene should have a camera to be resized")
+    if width is None and height is None:
+        return scene
+    if width is None or height is None:
+        scale = (width or camera.width) / camera.width * (height or camera.height) / camera.height
+        width = max(round(scale * camera.width), 1)
+        height = max(round(scale * camera.height), 1)
+    return replace(scene, camera=replace(camera, width=width, height=height))
 
 
 def joined(parts: list[dict[str, Floats]]) -> dict[str, Floats]:

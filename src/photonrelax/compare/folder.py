@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import io
 from contextlib import ExitStack
 from pathlib import Path
 
 from .._files import check_writable, whole_file, write_json
 from ..methods import METHODS
-from .page import page, png
+from .page import page
 from .pictures import Bytes, method_pictures, photon_pictures
 from .run import Comparison, Entry
 from .sheet import Panel, contact_sheet
@@ -53,8 +54,8 @@ def write(comparison: Comparison, folder: Path) -> Table:
     about, shown = comparison.to_dict(), table(comparison)
     flat = {name: made["picture"] for name, made in photons.items()}
     for method, kinds in pictures.items():
-        flat[method] = kinds["picture"]
-        flat |= {f"{method}-{kind}": kinds[kind] for kind in kinds if kind != "picture"}
+        flat |= {_file_name(method, kind): picture for kind, picture in kinds.items()}
+    encoded = {name: _png(picture) for name, picture in flat.items()}
     placed: set[str] = set()
     with ExitStack() as files:
 
@@ -64,16 +65,41 @@ def write(comparison: Comparison, folder: Path) -> Table:
 
         for entry in comparison.entries:
             entry.image.write_exr(place(f"{entry.name}.exr"))
-        for name, picture in flat.items():
-            place(f"{name}.png").write_bytes(png(picture))
+        for name, content in encoded.items():
+            place(f"{name}.png").write_bytes(content)
         sheet = contact_sheet(_panels(comparison, flat), shown.title)
         sheet.save(place(SHEET), "PNG")
         write_json(place(NUMBERS), about)
-        html = page(about, shown.to_dict(), pictures, photons)
+        html = page(
+            about,
+            shown.to_dict(),
+            {
+                method: {kind: encoded[_file_name(method, kind)] for kind in kinds}
+                for method, kinds in pictures.items()
+            },
+            [
+                {"name": name, "picture": encoded[name], "about": made["about"]}
+                for name, made in photons.items()
+            ],
+        )
         place(PAGE).write_text(html, encoding="utf-8")
     for name in _known_names() - placed:
         (folder / name).unlink(missing_ok=True)
     return shown
+
+
+def _file_name(method: str, kind: str) -> str:
+    """Return what the file of a picture is called, but for its suffix."""
+    return method if kind == "picture" else f"{method}-{kind}"
+
+
+def _png(picture: Bytes) -> bytes:
+    """Return a picture (height, width, 3) as a PNG file."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, "PNG", optimize=True)
+    return file.getvalue()
 
 
 def _known_names() -> set[str]:

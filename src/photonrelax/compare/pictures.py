@@ -41,7 +41,7 @@ def method_pictures(comparison: Comparison) -> dict[str, dict[str, Bytes]]:
         pictures[entry.name] = {
             "picture": _bytes(shown),
             "flip": _bytes(_ramp(np.asarray(entry.image.layers["flip"]), _HEAT)),
-            "difference": _bytes(_signed((shown - truth).mean(axis=2))),
+            "difference": _bytes(_signed(_largest(shown - truth))),
         }
     return {**pictures, "reference": {"picture": _bytes(truth)}}
 
@@ -89,6 +89,15 @@ def _constraint_colours(constraint: Floats) -> Floats:
 def _shade(caustic: Floats, exposure: float) -> Floats:
     """Return how bright a picture of attributes is, (height, width, 1): dim light still shows."""
     return np.sqrt(displayed(caustic, exposure).mean(axis=2, keepdims=True))
+
+
+def _largest(difference: Floats) -> Floats:
+    """Return of differences (height, width, 3) those of the channel that differs most.
+
+    Their mean would show nothing where one channel is too bright and another too dark.
+    """
+    channel = np.abs(difference).argmax(axis=2)[..., np.newaxis]
+    return np.take_along_axis(difference, channel, axis=2)[..., 0]
 
 
 def _signed(difference: Floats) -> Floats:

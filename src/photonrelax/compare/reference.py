@@ -193,8 +193,8 @@ def _computed(path: Path, plan: Plan, effort: Effort, progress: Progress | None)
     }
     about = (
         f"progressive photon mapping, two runs of {effort.passes_each:,} passes of "
-        f"{effort.photons:,} photons ({cost['stored']:,} absorbed), discs from the "
-        f"{effort.k}th photon; {estimated.text()}"
+        f"{effort.photons:,} photons ({cost['stored']:,} absorbed), discs of "
+        f"{effort.k} photons at first; {estimated.text()}"
     )
     told = {
         ABOUT: about,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -13,7 +13,7 @@ from .._progress import Progress
 from ..camera import FirstSurfaces, HitPoints
 from ..gallery.known import KnownLight, known_light
 from ..photonmap import PhotonMap
-from ..picture import Band, joined
+from ..picture import Band, joined, resized
 from ..scene import Scene
 from ..trace import trace_photons
 from .view import Known, View, look
@@ -246,9 +246,6 @@ def _band_of_plane(points: Floats, rows: range, width: int, samples: int) -> Ban
 def named(name: str, width: int | None = None, height: int | None = None) -> Subject:
     """Return what the gallery knows by a name, its pictures of a size of their own if not given."""
     if name in gallery.distribution_names():
-        return DistributionSubject(name, (width or 600, height or width or 600))
-    scene = gallery.scene(name)
-    camera = scene.camera
-    assert camera is not None, "every built-in scene has a camera"
-    camera = replace(camera, width=width or camera.width, height=height or camera.height)
-    return SceneSubject(replace(scene, camera=camera), known_light(name))
+        side = width or height or 600
+        return DistributionSubject(name, (width or side, height or side))
+    return SceneSubject(resized(gallery.scene(name), width, height), known_light(name))

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from .run import Comparison, Entry, reference_cost
+from .. import _arrays
+from .run import Comparison, Entry, machine, reference_cost
 
 # Stages by the rows of the table; every other stage of a method's own finds features.
 _ROWS_OF = {
@@ -180,6 +181,8 @@ def _notes(comparison: Comparison) -> list[str]:
         f"SSIM and FLIP see nothing of what a display cuts off: {truth.clipped:.1%} of the "
         "reference's pixels.",
     ]
+    threads = _arrays.thread_count(comparison.plan.n_threads)
+    notes.append(f"times are of {threads} threads; {machine()}.")
     if any(entry.method in _DEALT for entry in comparison.entries):
         notes.append("dealt: the photons of the same map, not fresh ones in every pass.")
     if truth.known_errors:
