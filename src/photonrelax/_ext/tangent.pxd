@@ -25,10 +25,12 @@ cdef class Photons:
 
 
 cdef struct Plane:
-    # A tangent plane: a point of it, two axes and the normal; and how far photons are looked for.
+    # A tangent plane: a point of it, two axes and the normal.
     const double* at
     double[9] frame
+    # How far, m, and one over it.
     double bandwidth
+    double scale
     # Of the photons, NULL if they are projected along the normal.
     const double* towards
     Reach reach
@@ -55,9 +57,9 @@ cdef inline bint project(
     cdef const double* towards
     cdef double[3] apart
     cdef double height, cosine
-    apart[0] = (x[0] - plane.at[0]) / plane.bandwidth
-    apart[1] = (x[BLOCK] - plane.at[1]) / plane.bandwidth
-    apart[2] = (x[2 * BLOCK] - plane.at[2]) / plane.bandwidth
+    apart[0] = (x[0] - plane.at[0]) * plane.scale
+    apart[1] = (x[BLOCK] - plane.at[1]) * plane.scale
+    apart[2] = (x[2 * BLOCK] - plane.at[2]) * plane.scale
     offset[0] = dot(plane.frame, apart)
     offset[1] = dot(plane.frame + 3, apart)
     if plane.towards == NULL:

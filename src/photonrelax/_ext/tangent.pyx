@@ -91,6 +91,7 @@ cdef void open_plane(Plane* plane, Photons photons, Sites sites, Py_ssize_t row)
     for axis in range(3):
         plane.frame[6 + axis] = sites.normals[row, axis]
     plane.bandwidth = bandwidth
+    plane.scale = 1.0 / bandwidth
     plane.towards = NULL if photons.towards is None else &photons.towards[0, 0, 0]
     plane.reach.low = plane.reach.high = plane.at
     plane.reach.squared_limit = bandwidth * bandwidth
@@ -98,6 +99,28 @@ cdef void open_plane(Plane* plane, Photons photons, Sites sites, Py_ssize_t row)
     plane.reach.half_range = NULL
     plane.reach.n_metric = photons.tree.n_metric
     plane.reach.n_axes = photons.tree.n_axes
+
+
+cdef class Search:
+    """Queries of a tree, those of them named by `order`, and how far each looks.
+
+    Queries that follow each other there should be near each other.
+    """
+
+    cdef Tree tree
+    cdef const double[:, ::1] queries
+    cdef const Py_ssize_t[::1] order
+    cdef double[::1] radius
+    cdef double normal_range
+
+    def __init__(self, Tree tree, queries, order, radius, *, normal_range):
+        self.tree = tree
+        self.queries = queries
+        self.order = order
+        self.radius = radius
+        self.normal_range = normal_range
+        if self.queries.shape[0] != self.radius.shape[0] or self.queries.shape[1] < tree.n_axes:
+            raise ValueError("queries do not fit the tree and the radii")
 
 
 def bandwidths(
@@ -109,19 +132,17 @@ def bandwidths(
     Where fewer than k are within the radius, or all are at the query, it stays.
     """
     cdef Py_ssize_t n_batches = (order.shape[0] + BLOCK - 1) // BLOCK
-    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef Search search = Search(tree, queries, order, radius, normal_range=normal_range)
+    cdef unsigned char[:, ::1] room
     cdef Py_ssize_t i
-    if queries.shape[0] != radius.shape[0] or queries.shape[1] < tree.n_axes:
-        raise ValueError("queries do not fit the tree and the radii")
     if k > tree.n_points:
         return
+    room = scratch(tree, k, n_threads)
     for i in prange(
         n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
     ):
-        open_batch(
-            tree, <Batch*> &room[threadid(), 0], queries, order, BLOCK * i, radius, normal_range
-        )
-        close_batch(tree, <Batch*> &room[threadid(), 0], order, BLOCK * i, radius)
+        search_batch(search, <Batch*> &room[threadid(), 0], BLOCK * i)
+        lower_radii(search, <Batch*> &room[threadid(), 0], BLOCK * i)
 
 
 def farthest(
@@ -135,57 +156,48 @@ def farthest(
     cdef Py_ssize_t i, n = queries.shape[0]
     cdef Py_ssize_t n_batches = (n + BLOCK - 1) // BLOCK
     cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
-    cdef const Py_ssize_t[::1] order = np.arange(n)
     cdef double[::1] distance = np.full(n, INFINITY)
-    if queries.shape[1] < tree.n_axes:
-        raise ValueError("queries do not fit the tree")
+    cdef Search search = Search(tree, queries, np.arange(n), distance, normal_range=normal_range)
     for i in prange(
         n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
     ):
-        open_batch(
-            tree, <Batch*> &room[threadid(), 0], queries, order, BLOCK * i, distance, normal_range
-        )
-        write_farthest(tree, <Batch*> &room[threadid(), 0], &distance[BLOCK * i])
+        search_batch(search, <Batch*> &room[threadid(), 0], BLOCK * i)
+        write_farthest(search, <Batch*> &room[threadid(), 0], BLOCK * i)
     return distance.base
 
 
-cdef void write_farthest(Tree tree, Batch* batch, double* distance) noexcept nogil:
-    """Search, and write how far the farthest found are."""
+cdef void write_farthest(Search search, Batch* batch, Py_ssize_t first) noexcept nogil:
+    """Write how far the farthest found are; write their rows only."""
     cdef Py_ssize_t i, j
     cdef double squared
-    find(tree, batch)
-    list_neighbours(tree, batch)
+    list_neighbours(search.tree, batch)
     for i in range(batch.n_queries):
         squared = 0.0
         for j in range(batch.queries[i].found.count):
             squared = max(squared, batch.squared[i * batch.stride + j])
-        distance[i] = sqrt(squared)
+        search.radius[search.order[first + i]] = sqrt(squared)
 
 
-cdef void open_batch(
-    Tree tree, Batch* batch, const double[:, ::1] queries, const Py_ssize_t[::1] order,
-    Py_ssize_t first, const double[::1] radius, double normal_range
-) noexcept nogil:
-    """Open 16 queries that follow each other, from `first` on."""
-    cdef Py_ssize_t i
+cdef void search_batch(Search search, Batch* batch, Py_ssize_t first) noexcept nogil:
+    """Find the neighbours of 16 queries that follow each other, from `first` on."""
+    cdef Py_ssize_t i, row
     cdef Query* query
     batch.n_queries = 0
-    for i in range(first, min(first + BLOCK, order.shape[0])):
+    for i in range(first, min(first + BLOCK, search.order.shape[0])):
+        row = search.order[i]
         query = &batch.queries[batch.n_queries]
-        open_query(tree, batch, &queries[order[i], 0])
-        limit_radius(query, radius[order[i]] * radius[order[i]])
-        if normal_range >= 0.0:
-            limit_range(query, normal_range)
+        open_query(search.tree, batch, &search.queries[row, 0])
+        limit_radius(query, search.radius[row] * search.radius[row])
+        if search.normal_range >= 0.0:
+            limit_range(query, search.normal_range)
+    find(search.tree, batch)
 
 
-cdef void close_batch(
-    Tree tree, Batch* batch, const Py_ssize_t[::1] order, Py_ssize_t first, double[::1] radius
-) noexcept nogil:
-    """Search, and write how far the queries reach; write their rows only."""
+cdef void lower_radii(Search search, Batch* batch, Py_ssize_t first) noexcept nogil:
+    """Lower the radii of queries that have found k, to the distance of the k-th."""
     cdef Py_ssize_t i
     cdef const Query* query
-    find(tree, batch)
     for i in range(batch.n_queries):
         query = &batch.queries[i]
         if query.found.count == batch.k and query.found.squared_radius > 0.0:
-            radius[order[first + i]] = WITHOUT_LAST * sqrt(query.found.squared_radius)
+            search.radius[search.order[first + i]] = WITHOUT_LAST * sqrt(query.found.squared_radius)
