@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from photonrelax._ext import adaptive, diffusion, estimate, tangent
 
+from photonrelax._ext import adaptive, diffusion, estimate, tangent
 from photonrelax.kdtree import KDTree
 
 N = 40
