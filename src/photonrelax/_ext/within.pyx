@@ -166,19 +166,20 @@ cdef class Within:
         for i in prange(
             order.shape[0], nogil=True, schedule="dynamic", chunksize=256, num_threads=n_threads
         ):
-            sum_one(self, queries, order[i], radius, out, counts)
+            counts[order[i]] = sum_one(
+                self, &queries[order[i], 0], radius[order[i]], &out[order[i], 0]
+            )
 
 
-cdef void sum_one(
-    Within photons, const double[:, ::1] queries, Py_ssize_t row, const double[::1] radius,
-    double[:, ::1] out, int64_t[::1] counts
+cdef int64_t sum_one(
+    Within photons, const double* at, double radius, double* out
 ) noexcept nogil:
-    """Sum around one query; write its row only."""
+    """Write the sums around one query; return how many photons they are of."""
     cdef Sums sums
     cdef Reach reach
     cdef Py_ssize_t channel
-    reach.low = reach.high = sums.at = &queries[row, 0]
-    reach.squared_limit = sums.squared_radius = radius[row] * radius[row]
+    reach.low = reach.high = sums.at = at
+    reach.squared_limit = sums.squared_radius = radius * radius
     reach.squared_range = photons.squared_range
     reach.half_range = NULL
     reach.n_metric = photons.tree.n_metric
@@ -188,8 +189,8 @@ cdef void sum_one(
     sums.n_channels = photons.values.shape[1]
     sums.shape = photons.kernel
     sums.count = 0
-    sums.out = &out[row, 0]
+    sums.out = out
     for channel in range(sums.n_channels):
-        out[row, channel] = 0.0
+        out[channel] = 0.0
     visit_within(photons.tree, &reach, add, &sums)
-    counts[row] = sums.count
+    return sums.count
