@@ -188,8 +188,9 @@ def markdown(matrix: Matrix) -> str:
         f"{matrix.reference_photons:,} photons in two runs. Dealt: the photons of the same map."
     )
     known = [
-        f"Reference of {row.label.split(',')[0]} where its light is known: off by {row.known:.1%}."
-        for row in timed
+        f"Reference of {row.label} where its light is known: off by {row.known:.1%}; "
+        + ", ".join(f"{e.name} {e.known_errors['relative_l1']:.1%}" for e in row.entries.values())
+        for row in rows
         if row.known is not None
     ]
     bright = [

@@ -285,7 +285,11 @@ def test_methods_stand_side_by_side_on_every_scene(tmp_path):
         assert row.count(" · ") == head.count("|") - 3
     squares = lines[lines.index("Relative L2:") + 4 :][:4]
     assert [row.split(" | ")[0] for row in squares] == [row.split(" | ")[0] for row in rows]
-    assert any(line.startswith("Reference of ring where its light is known") for line in lines)
+    known = [line for line in lines if "where its light is known: off by" in line]
+    assert [line.split(" where")[0] for line in known] == [
+        f"Reference of ring, 3,000 {sampler}" for sampler in methods.SAMPLERS
+    ]
+    assert all(", parameterised " in line for line in known)
     first = next(i for i, line in enumerate(lines) if line.startswith("| seconds"))
     times = lines[first + 2 : first + 4]
     assert [row.split(" | ")[0] for row in times] == [f"| {s}, 3,000 halton" for s in scenes]
