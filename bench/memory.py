@@ -120,8 +120,15 @@ def _prepared(name: str, photons: pr.PhotonMap) -> Callable[[], Any]:
         structure = pr.detect_structure(photons)
         scene = inputs.scene() if "scene" in name else None
         return lambda: pr.relax(photons, structure, pr.RelaxSettings((1, 1)), scene=scene)
-    points, normals = inputs.hit_points(100).position, inputs.hit_points(100).normal
-    return lambda: pr.irradiance_field(photons, method="standard")(points, normals)
+    return partial(_gathered, photons)
+
+
+def _gathered(photons: pr.PhotonMap) -> pr.Field:
+    """Gather at some points; return what is kept for others."""
+    hits = inputs.hit_points(100)
+    field = pr.irradiance_field(photons, method="standard")
+    field(hits.position, hits.normal)
+    return field
 
 
 def _whole(photons: pr.PhotonMap) -> dict[str, dict[str, float]]:
