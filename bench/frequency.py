@@ -27,6 +27,8 @@ _CELL, _LOW, _HIGH = 0.015, (-1.9, -1.6), (0.0, 1.6)
 # Where the reference ranges over so much of itself within this distance, m.
 _WITHIN = 0.15
 REGIONS = {"smooth: < 10 %": 0.10, "10 % to 25 %": 0.25, "25 % to 100 %": 1.0, "more": np.inf}
+# Photons of the first pass that discs start with: the smoothest light has the largest.
+_K = 15
 # Blocks of cells a side that are looked at one by one.
 _BLOCK = 10
 _LEAST_LIGHT = 0.05
@@ -85,7 +87,7 @@ def errors(
     squared: dict[str, list[Floats]] = {method: [] for method in METHODS}
     seconds = dict.fromkeys(("trace", "trace with spectra", *METHODS), 0.0)
     scene = gallery.scene("reflector")
-    how: dict[str, Any] = {"progressive": pr.ProgressiveSettings(n_passes=passes)}
+    how: dict[str, Any] = {"progressive": pr.ProgressiveSettings(k=_K, n_passes=passes)}
     for seed in seeds:
         began = perf_counter()
         pr.trace_photons(scene, n_emitted, seed=seed, sampler=sampler)

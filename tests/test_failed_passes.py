@@ -1,5 +1,7 @@
 """Runs that are broken off keep the passes done; passes may store nothing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -118,3 +120,19 @@ def test_passes_of_a_single_photon_need_a_radius(ring):
     given = pr.ProgressiveSettings(radius=0.5)
     image = pr.render_progressive(ring, n_passes=40, photons_per_pass=1, settings=given)
     assert 0 < image.stats["stages"]["passes"]["stored"] < 40
+
+
+def test_a_run_that_another_process_works_on_is_left_alone(ring, tmp_path):
+    state = pr.Checkpoints(state=tmp_path / "run.npz", interval=1e-9)
+    refused = []
+
+    def meanwhile(image):
+        other = pr.Checkpoints(state=tmp_path / "run.npz")
+        with pytest.raises(BlockingIOError, match=r"run\.npz is in use by another run"):
+            pr.render_progressive(ring, n_passes=9, checkpoints=other, **FEW)
+        refused.append(image)
+
+    pr.render_progressive(ring, n_passes=2, checkpoints=replace(state, on_image=meanwhile), **FEW)
+    assert len(refused) == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["run.npz"]
+    pr.render_progressive(ring, n_passes=3, checkpoints=state, **FEW)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from bench import frequency as bench
 from conftest import flat_map, plane, unit_square
 
 import photonrelax as pr
@@ -92,27 +93,66 @@ def test_threads_change_no_bit(interior):
     assert one.tobytes() == many.tobytes()
 
 
+PEAKS = 4
+AMPLITUDE = {
+    "egg box": lambda x, y: 1.0 + np.cos(2 * np.pi * PEAKS * x) * np.cos(2 * np.pi * PEAKS * y),
+    "Gaussians": lambda x, y: np.exp(-(offset(x) ** 2 + offset(y) ** 2) / (2 * 0.04**2)),
+}
+VARIANCE = {"egg box": PEAKS**2, "Gaussians": 1 / (2 * np.pi * 0.04) ** 2}
+
+
+def offset(x):
+    """From the next of the peaks at (i + 1/2) / PEAKS."""
+    return x - (np.floor(PEAKS * x) + 0.5) / PEAKS
+
+
+@pytest.mark.parametrize("light", AMPLITUDE)
+@pytest.mark.parametrize(("start", "low", "high"), [(0.9, 0.03, 0.05), (1.6, 0.05, 0.05 / 0.7)])
+def test_estimates_of_known_light_keep_the_bias_stated(light, start, low, high):
+    """On its peaks, of amplitude one: 5 % of discs that stay, 5 %/α of those that shrank.
+
+    Discs start with so many times the radius allowed. Estimates of uniform light from the same
+    photons, whose mean is one, tell how many there are in the discs by chance.
+    """
+    allowed = kernel_radius(np.array([VARIANCE[light]]))[0]
+    xy = unit_square(200_000, "random")
+    spectra = np.full((len(xy), 3), np.nan)
+    spectra[::5] = [VARIANCE[light], 0.0, 0.0]
+    passes = pr.ProgressiveSettings(n_passes=32, radius=start * allowed)
+    field = FrequencyField(flat_map(xy, len(xy), spectrum=spectra), passes)
+    values = np.column_stack([AMPLITUDE[light](*xy.T), np.ones(len(xy))]) / len(xy)
+    i = (np.arange(PEAKS) + 0.5) / PEAKS
+    at = np.stack(np.meshgrid(i, i), axis=-1).reshape(-1, 2)
+    found, uniform = field.densities(values)(*plane(at)).T
+    bias = AMPLITUDE[light](*at.T) - found / uniform
+    assert bias.std() / np.sqrt(len(at)) < 0.002
+    assert low < bias.mean() < high
+
+
 @pytest.fixture(scope="module")
 def reflector():
-    """Photons of the scene, and points in the middle of its floor with their irradiance."""
-    scene = gallery.scene("reflector")
-    photons = pr.trace_photons(scene, 600_000, sampler="random", frequency_share=0.02)
-    rng = np.random.default_rng(5)
-    points, normals = plane(rng.uniform((-1.0, -0.3), (-0.6, 0.3), (2_000, 2)))
-    many = pr.trace_photons(scene, 2_000_000, seed=1)
-    reference = pr.estimate_irradiance(many, points, normals, pr.GatherSettings(k=300))
-    return photons, (points, normals), reference[:, 0]
+    """Squared errors (1, points) of 1,000,000 photons on the scene's floor, by method."""
+    on = bench.floor(2_000_000)
+    return on, bench.errors(on, 1_000_000, "halton", range(1), 48, 0.02)[0]
 
 
 def test_smooth_light_of_the_reflector_is_less_noisy_than_progressive(reflector):
-    """`python -m bench frequency` measures it at length, and elsewhere."""
-    photons, points, reference = reflector
-    passes = pr.ProgressiveSettings(n_passes=48)
-    error = {}
-    for method in ("progressive", "frequency"):
-        estimate = irradiance(photons, points, method, progressive=passes)[:, 0]
-        error[method] = np.sqrt(np.mean((estimate / reference - 1.0) ** 2))
-    assert error["frequency"] < error["progressive"] / 1.2
+    """`python -m bench frequency` measures it at length."""
+    on, squared = reflector
+    progressive, frequency = (
+        np.sqrt(squared[method][:, on.region == 0].mean()) for method in bench.METHODS
+    )
+    assert (on.region == 0).mean() > 0.05
+    assert frequency < progressive / 1.5
+
+
+def test_errors_are_significantly_higher_nowhere(reflector):
+    """In blocks of 0.15 m, edges and folds among them."""
+    on, squared = reflector
+    progressive, frequency = (bench.blocks(on, squared[method]) for method in bench.METHODS)
+    known = np.isfinite(progressive)
+    assert known.sum() > 100
+    assert (frequency[known] < 1.1 * progressive[known]).all()
 
 
 def test_rendering_traces_spectra_when_they_are_needed():

@@ -134,6 +134,46 @@ def test_kernels_stay_off_the_edge_of_a_shadow_and_grow_with_the_distance_from_i
     assert (radius > 0.15 * x[beside]).all()
 
 
+def test_plates_are_seen_that_are_as_narrow_as_two_thirds_of_their_distance():
+    plate = pr.SceneObject(box([0.3, 20.0, 0.01], [-0.15, 0.0, 1.0]), pr.Diffuse())
+    scene = pr.Scene([floor(9.0), plate], [DOWN])
+    photons = carriers(pr.trace_photons(scene, 20_000, paths="all", frequency_share=1.0))
+    x, y, z = photons.position.T
+    distance = np.where(x > 0.0, x, -0.3 - x)
+    # The emitter reaches some 11 m, and the first probes a 64th of it.
+    beside = (z == 0.0) & (distance > 0.2) & (distance < 0.45) & (np.abs(y) < 6.0)
+    assert beside.sum() > 200
+    assert (allowed(photons.subset(beside)) < 0.33 * distance[beside]).all()
+
+
+def test_kernels_stay_off_the_edge_of_total_reflection():
+    """A lamp in glass, mirrored by its upper face; a plate below, in the glass."""
+    glass = pr.SceneObject(box([20.0, 20.0, 2.0]), pr.Dielectric(1.5))
+    scene = pr.Scene([floor(8.0), glass], [pr.PointEmitter([0.0, 0.0, 0.5])])
+    photons = carriers(pr.trace_photons(scene, 12_000, frequency_share=0.5))
+    edge = 1.5 / np.sqrt(1.5**2 - 1.0)
+    photons = photons.subset(photons.n_bounces == 1)
+    outside = np.linalg.norm(photons.position, axis=1) - edge
+    bright = (outside > 0.02) & (outside < 0.3)
+    dim = (outside < -0.02) & (outside > -0.3)
+    radius = allowed(photons)
+    assert min(bright.sum(), dim.sum()) > 30
+    assert (radius[bright] < outside[bright]).all()
+    assert (radius[dim] < -outside[dim]).all()
+
+
+@pytest.mark.parametrize("kappa", [0.0, 3.0])
+def test_throughput_is_that_of_fresnel_and_of_beer_and_lambert(kappa):
+    """Straight down through a slab, as if nothing were reflected within."""
+    glass = pr.SceneObject(box([4, 4, 0.5], [0, 0, 1]), pr.Dielectric(1.5, absorption=kappa))
+    scene = pr.Scene([floor(), glass], [DOWN])
+    aim = plan_emission(scene, 10).aims[0]
+    ways = Ways(np.array([[1, 1, 0]]), np.zeros((1, 3), dtype=bool), np.array([3]))
+    follower = Follower(scene, RayCaster(scene.objects))
+    landings = follower.follow(bundle_at(aim, np.array([[0.1, 0.2]])).beams(), ways)
+    np.testing.assert_allclose(landings.throughput, 0.96**2 * np.exp(-0.5 * kappa), rtol=1e-9)
+
+
 @pytest.mark.parametrize("lamp", [pr.PointEmitter, pr.LambertianEmitter])
 def test_radii_bound_the_bias_below_a_lamp(lamp):
     """Irradiance under a point at height h is known; a disc's mean is by quadrature."""

@@ -22,6 +22,12 @@ Order = NDArray[np.intp]
 _MOST_COPIES = 3
 
 
+def near_order(points: Floats, n_threads: int) -> Order:
+    """Return an order (m,) of points (m, 3) in which near ones follow each other."""
+    order: Order = curve_order(points, 3, n_threads)
+    return order
+
+
 class FacingTrees:
     """Photons for points that face one way or another.
 
@@ -82,11 +88,14 @@ class FacingTrees:
         tree = KDTree(points, n_metric=3, n_threads=self._n_threads)
         return tree, placed_rows(tree, rows)
 
-    def parts(self, points: Floats, normals: Floats) -> Iterator[tuple[int, Floats, Order]]:
+    def parts(
+        self, points: Floats, normals: Floats, order: Order | None = None
+    ) -> Iterator[tuple[int, Floats, Order]]:
         """Divide points (m, 3) by the tree that serves them; those that see no face are left out.
 
-        Yields the tree's number, queries of which some rows are to be searched for, and these
-        rows in an order in which near points follow each other.
+        Points that are asked about again and again may bring their `near_order`. Yields the
+        tree's number, queries of which some rows are to be searched for, and these rows in an
+        order in which near points follow each other.
 
         Raises
         ------
@@ -94,7 +103,8 @@ class FacingTrees:
             If a normal is zero or not finite.
         """
         number = self._numbers(normals)
-        order = curve_order(points, 3, self._n_threads)
+        if order is None:
+            order = near_order(points, self._n_threads)
         for one, rows in _divided(number, order):
             yield one, self._queries(one, points, normals), rows
 

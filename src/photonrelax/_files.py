@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import glob
 import json
 import os
@@ -38,6 +39,46 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def alone(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Keep other processes that ask for it away from `path`, which need not exist.
+
+    A file beside it is locked, which ends with the process whatever ends that.
+
+    Raises
+    ------
+    BlockingIOError
+        If another has it.
+    """
+    path = Path(path)
+    lock = path.with_name(f"{_partials(path)}.lock")
+    held = _locked(lock)
+    if held is None:
+        raise BlockingIOError(f"{path} is in use by another run")
+    try:
+        yield
+    finally:
+        lock.unlink(missing_ok=True)
+        os.close(held)
+
+
+def _locked(lock: Path) -> int | None:
+    """Return the open file that was locked, None if another process has it."""
+    while True:
+        held = os.open(lock, os.O_RDWR | os.O_CREAT)
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # Who had it before may have removed it in between.
+            if os.path.samestat(os.fstat(held), os.stat(lock)):
+                return held
+        except BlockingIOError:
+            os.close(held)
+            return None
+        except FileNotFoundError:
+            pass
+        os.close(held)
 
 
 def remove_leftovers(path: Path) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from . import spectrum
 from ._arrays import Floats, thread_count
 from ._curvature import NormalGradients
-from .optics import reflect, refract
+from .optics import beer_lambert, fresnel, reflect, refract
 from .raycast import Intersections, RayCaster
 from .scene import DIELECTRIC, Scene
 
@@ -62,6 +62,10 @@ class Beams:
         On the frequencies of the light as it left the emitter.
     leaving : (n, 3)
         Normal of the surface left, NaN at the emitter.
+    throughput : (n, 3)
+        Share of the light that has come this far on this way.
+    medium : (n,) int32
+        Object that the ray is in, -1 in none.
     """
 
     origin: Floats
@@ -69,6 +73,8 @@ class Beams:
     across: Floats
     operator: Floats
     leaving: Floats
+    throughput: Floats
+    medium: NDArray[np.int32]
 
     def __getitem__(self, rows: NDArray) -> Beams:
         return Beams(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
@@ -86,12 +92,15 @@ class Landings:
         Unit vectors along the surface: in the plane of incidence and across it.
     operator : (n, 4, 4)
         From the frequencies of the light as it left the emitter to those along `axes`.
+    throughput : (n, 3)
+        Share of the light that has come this way.
     """
 
     position: Floats
     normal: Floats
     axes: Floats
     operator: Floats
+    throughput: Floats
 
     def __getitem__(self, rows: NDArray | slice) -> Landings:
         return Landings(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
@@ -101,7 +110,8 @@ def started(origin: Floats, direction: Floats, across: Floats, travelled: float)
     """Return beams that have travelled freely from their emitter, m."""
     n = len(origin)
     operator = spectrum.travel(np.full(n, travelled), 2)
-    return Beams(origin, direction, across, operator, np.full((n, 3), np.nan))
+    nowhere, medium = np.full((n, 3), np.nan), np.full(n, -1, dtype=np.int32)
+    return Beams(origin, direction, across, operator, nowhere, np.ones((n, 3)), medium)
 
 
 class Follower:
@@ -116,9 +126,8 @@ class Follower:
     def follow(self, beams: Beams, ways: Ways) -> Landings:
         """Return where beams come along the given ways, a row each."""
         n = len(ways)
-        out = Landings(
-            *(np.full(shape, np.nan) for shape in ((n, 3), (n, 3), (n, 2, 3), (n, 4, 4)))
-        )
+        shapes = ((n, 3), (n, 3), (n, 2, 3), (n, 4, 4), (n, 3))
+        out = Landings(*(np.full(shape, np.nan) for shape in shapes))
         rows = np.arange(n)
         for event in range(int(ways.length.max(initial=0))):
             hits = self._caster.intersect(
@@ -126,7 +135,7 @@ class Follower:
             )
             true = hits.object_id == ways.objects[rows, event]
             rows, beams, hits = rows[true], beams[true], hits[true]
-            beams = _moved(beams, hits)
+            beams = self._moved(beams, hits)
             ends = ways.length[rows] == event + 1
             _land(out, rows[ends], beams[ends], hits[ends])
             rows, beams, hits = rows[~ends], beams[~ends], hits[~ends]
@@ -148,18 +157,42 @@ class Follower:
             spectrum.reflect(incidence.cosine, shape),
             spectrum.refract(incidence.cosine, cosine_out, here / beyond, shape),
         )
+        kept = fresnel(incidence.cosine, here, beyond, n_threads=1)
+        kept = np.where(reflected, kept, 1.0 - kept)
         return Beams(
             beams.origin,
             direction,
             incidence.across(direction),
             operator @ incidence.operator,
             hits.geometric_normal,
+            np.where(self._is_glass(hits), kept, 1.0)[:, np.newaxis] * beams.throughput,
+            self._medium_past(beams.direction, hits, reflected),
         )
+
+    def _moved(self, beams: Beams, hits: Intersections) -> Beams:
+        operator = spectrum.travel(hits.distance, 2) @ beams.operator
+        inside = (beams.medium >= 0)[:, np.newaxis]
+        absorption = np.where(inside, self._materials.absorption[beams.medium], 0.0)
+        left = beer_lambert(absorption, hits.distance, n_threads=1)
+        throughput = left * beams.throughput
+        return replace(beams, origin=hits.position, operator=operator, throughput=throughput)
+
+    def _is_glass(self, hits: Intersections) -> NDArray[np.bool_]:
+        glass: NDArray[np.bool_] = self._materials.kind[hits.object_id] == DIELECTRIC
+        return glass
+
+    def _medium_past(
+        self, direction: Floats, hits: Intersections, reflected: NDArray[np.bool_]
+    ) -> NDArray[np.int32]:
+        """Return the object that rays are in when they have passed a smooth surface."""
+        from_inside = _dot(direction, hits.geometric_normal) > 0.0
+        inside = self._is_glass(hits) & (from_inside == reflected)
+        return np.where(inside, hits.object_id, -1).astype(np.int32)
 
     def _indices(self, direction: Floats, hits: Intersections) -> tuple[Floats, Floats]:
         """Return the index of refraction on the side of the light and beyond; mirrors have 1."""
         table, object_id = self._materials, hits.object_id
-        glass = table.kind[object_id] == DIELECTRIC
+        glass = self._is_glass(hits)
         inner = np.where(glass, table.ior[object_id], 1.0)
         outer = np.where(glass, table.exterior_ior[object_id], 1.0)
         inside = _dot(direction, hits.geometric_normal) > 0.0
@@ -208,11 +241,6 @@ class _Incidence:
         return np.stack([first, self.sagittal], axis=1)
 
 
-def _moved(beams: Beams, hits: Intersections) -> Beams:
-    operator = spectrum.travel(hits.distance, 2) @ beams.operator
-    return replace(beams, origin=hits.position, operator=operator)
-
-
 def _land(out: Landings, rows: NDArray, beams: Beams, hits: Intersections) -> None:
     normal = _side(beams.direction, hits)[:, np.newaxis] * hits.geometric_normal
     incidence = _Incidence.of(beams, normal)
@@ -220,6 +248,7 @@ def _land(out: Landings, rows: NDArray, beams: Beams, hits: Intersections) -> No
     out.normal[rows] = normal
     out.axes[rows] = incidence.axes
     out.operator[rows] = spectrum.project(incidence.cosine, 2) @ incidence.operator
+    out.throughput[rows] = beams.throughput
 
 
 def _facing_normal(

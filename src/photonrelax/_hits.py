@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._arrays import Floats
-from ._facing import FacingTrees
+from ._facing import FacingTrees, near_order
 from .photonmap import PhotonMap
 from .picture import Band, bands, joined
 from .progressive import Discs, FirstRadius, Pass, ProgressiveSettings
@@ -158,6 +158,7 @@ class FixedPoints:
             np.concatenate(column) for column in zip(*hits, strict=True)
         )
         self._points = position, normal
+        self._order = near_order(position, view.n_threads)
         self._scale = np.concatenate(scale)
 
     def after(self, kept: Kept, photons: PhotonMap, number: int) -> Kept:
@@ -167,7 +168,7 @@ class FixedPoints:
                 return kept
             discs = self._view.discs(look.first_radius()(*self._points), number)
         discs = discs.copy()
-        discs.narrow(*look.found(self._points, discs.radius), look.weight)
+        discs.narrow(*look.found(self._points, discs.radius, self._order), look.weight)
         return Kept(discs)
 
     def layers(self, kept: Kept, n_passes: int) -> dict[str, Floats]:

@@ -40,7 +40,8 @@ _SPOKES = 8
 # Of the distance at which probes still find nothing: an edge, or a fold, may be nearest between
 # two of them, where an edge is nearer by the cosine of half the angle, a fold by its square.
 _BETWEEN_SPOKES = np.cos(np.pi / _SPOKES) ** 2
-# How far the second order may carry a probe from where the first expects it, over its offset.
+# How far the second order may carry a probe from where the first expects it, over its offset; and
+# by how much of itself the light there may differ: as roughness, both are alike.
 _STRAY = 0.5
 # Probes that land on a face turned by more than 60° see another one.
 _LEAST_ALIKE = 0.5
@@ -251,7 +252,12 @@ def clear_distance(follower: Follower, bundle: _Bundle, ways: Ways, landings: La
     In the units of the emitter's coordinates, m or rad. Probes around a ray at an offset must meet
     the same surfaces and land, to half of the offset, where the first order expects them. Next to a
     fold that is the offset to the fold, and in general that over which light changes its stretch
-    by as much as that is.
+    by as much as that is. Nor may they lose or gain half as much light on the way: where Fresnel
+    reflectance or absorption change, as at the angle of total reflection.
+
+    Probes are few. What is narrower than two thirds of its distance from the ray may be missed
+    between them, and nearer than a 64th of the emitter's reach anything that the first probes, at
+    that distance, do not meet.
     """
     clear = np.full(len(bundle), bundle.reach * 0.5**_RUNGS)
 
@@ -284,7 +290,10 @@ def _known(landings: Landings) -> NDArray[np.bool_]:
 def _stray(
     follower: Follower, bundle: _Bundle, ways: Ways, landings: Landings, scale: Floats
 ) -> Floats:
-    """Return how far, over the offset, probes land from where they should; inf if elsewhere."""
+    """Return how far, over the offset, probes land from where they should; inf if elsewhere.
+
+    Or by how much of itself the light changes that comes with them, if that is more.
+    """
     stretch = bundle.stretch(landings)
     determinant = np.abs(stretch[:, 0, 0] * stretch[:, 1, 1] - stretch[:, 0, 1] * stretch[:, 1, 0])
     worst = np.zeros(len(bundle))
@@ -302,6 +311,8 @@ def _stray(
         )
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.linalg.norm(back, axis=1) / (scale * determinant)
+            change = np.abs(probes.throughput / landings.throughput - 1.0).max(axis=1)
+        ratio = np.maximum(ratio, change)
         alike = np.einsum("ni,ni->n", probes.normal, landings.normal) > _LEAST_ALIKE
         worst = np.maximum(worst, np.where(alike & ~np.isnan(ratio), ratio, np.inf))
     return worst

@@ -1,8 +1,9 @@
 """Frequency-driven progressive photon mapping (FPPM).
 
 Progressive photon mapping shrinks every disc for ever, at the expense of noise. Here a disc is left
-as it is while the local spectra of the light (see `spectrum`) say that its mean is within 5 % of
-the irradiance at its middle, so that smooth regions keep large discs and all their photons.
+as it is while the local spectra of the light (see `spectrum`) say that its mean is off by no more
+than 5 % of the amplitude of the light, so that smooth regions keep large discs and all their
+photons.
 
 Some of the photons carry spectra (see `trace_photons`). At every pass a hit point takes the largest
 of each coefficient among those in and around its disc, as diffuse surfaces reflect them, and the
@@ -10,6 +11,14 @@ disc shrinks, by the rule of progressive photon mapping, no farther than this bo
 keeps the largest of all that were ever seen; here the bound is that of the disc as it is, so that
 an edge the disc no longer reaches is forgotten, and it is taken from the photons of all passes, not
 of those gone by. Where none of the photons carries a spectrum it shrinks as ever.
+
+The 5 % are those of a disc. An estimate is the mean over passes of discs as they were: of one that
+stays at its first size it has the bias, at most 5 %; of one that shrank all the way to the size
+allowed, R² ~ i^(α - 1), that of a disc of R²/α, at most 5 %/α = 7 %; and of one that has not come
+down to it yet, what progressive photon mapping has.
+
+One map of photons is dealt to passes. Passes of fresh photons, as of `render_progressive`, do not
+carry spectra.
 """
 
 from __future__ import annotations
@@ -38,7 +47,8 @@ class FrequencySettings:
     share : float
         Of the photons that carry spectra, in (0, 1], where `render` traces them.
     bias : float
-        Largest bias of a disc over the amplitude of the light it averages, in (0, 1) (5 %).
+        Largest bias of a disc over the amplitude of the light it averages, in (0, 1) (5 %); that
+        of an estimate is up to 1/α times as large.
     reach : float
         Spectra are looked for within so many radii of a disc. FPPM looks within the disc; but few
         photons carry spectra, and none of these may be among the first of brighter light that a

@@ -9,7 +9,8 @@ that is stopped and resumed is the run that was never stopped.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Any
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from . import __version__, _arrays
 from ._checkpoint import Checkpoint, scene_digests
-from ._files import check_writable
+from ._files import alone, check_writable
 from ._hits import FixedPoints, Kept, MovingPoints, Points, Recipe, View
 from ._progress import Progress
 from .camera import MAX_DEPTH
@@ -106,6 +107,8 @@ def render_progressive(
     ------
     TypeError, ValueError
         If an argument is invalid, no photon is stored in any pass, or the file is of another run.
+    BlockingIOError
+        If another process works on the file.
     KeyboardInterrupt
         On Ctrl-C, after the run was saved, as it is before any other error leaves.
     """
@@ -160,8 +163,26 @@ class _End:
 
 def _follow(run: _Run, end: _End, checkpoints: Checkpoints, progress: Progress | None) -> None:
     """Do passes until the end, and leave behind what is asked for."""
-    keeper = _Keeper(run, checkpoints)
-    keeper.resume(end)
+    with _kept_alone(checkpoints.state):
+        keeper = _Keeper(run, checkpoints)
+        keeper.resume(end)
+        _go_on(run, end, keeper, checkpoints.interval, progress)
+
+
+@contextmanager
+def _kept_alone(state: str | os.PathLike[str] | None) -> Iterator[None]:
+    """Let no other process work on the file of a run."""
+    if state is None:
+        yield
+        return
+    check_writable(state)
+    with alone(state):
+        yield
+
+
+def _go_on(
+    run: _Run, end: _End, keeper: _Keeper, interval: float, progress: Progress | None
+) -> None:
     started = saved = perf_counter()
     try:
         # However short the time, one pass is done in it.
@@ -169,7 +190,7 @@ def _follow(run: _Run, end: _End, checkpoints: Checkpoints, progress: Progress |
             run.advance()
             run.seconds = perf_counter() - started
             end.tell(progress, run.n_passes, run.seconds)
-            if perf_counter() - saved >= checkpoints.interval:
+            if perf_counter() - saved >= interval:
                 keeper.save()
                 saved = perf_counter()
         keeper.save()
@@ -190,7 +211,6 @@ class _Keeper:
         self._file: Checkpoint | None = None
         self._n_saved = 0
         if checkpoints.state is not None:
-            check_writable(checkpoints.state)
             self._file = Checkpoint(checkpoints.state, run.identity())
 
     def resume(self, end: _End) -> None:

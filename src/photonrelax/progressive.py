@@ -23,7 +23,7 @@ from . import _arrays
 from ._arrays import Floats
 from ._ext import progressive as _kernel
 from ._ext.within import Within
-from ._facing import FacingTrees
+from ._facing import FacingTrees, Order
 from ._sheets import normal_range
 from .estimate import KERNELS, automatic_gather_radius
 from .photonmap import PhotonMap
@@ -46,15 +46,46 @@ class ProgressiveSettings:
     k : int
         Unless `radius` is given, a disc starts just short of the k-th nearest photon of the first
         pass, but no larger than `automatic_gather_radius` of that pass.
-        Estimates keep some k · n_passes^α photons: for fine filaments, or a map dealt to passes,
-        less than the default is better, for smooth light more.
+        Estimates keep some k · n_passes^α photons.
     radius : float, optional
         Of all discs at the start, m.
+
+    Notes
+    -----
+    What the defaults weigh: small discs keep filaments, large ones are less noisy where light is
+    smooth or photons are random. Relative L1 errors of the caustic, 128 x 128 pixels of 2 x 2
+    samples, from 8 million other photons gathered by 40. By k, passes that photons are dealt to:
+
+    =========================== ============ ============ ============ ============
+    photons, Halton if not said 15, 16       8, 8         5, 8         5, 4
+    =========================== ============ ============ ============ ============
+    prism, 100,000 dealt        45.9 %       35.0 %       31.4 %       29.0 %
+    ring                        20.2 %       15.1 %       14.6 %       14.9 %
+    ripples                     44.2 %       29.3 %       25.7 %       23.4 %
+    reflector                   11.8 %       10.0 %       10.3 %       11.6 %
+    prism, random               46.3 %       36.2 %       33.2 %       32.3 %
+    ring, random                22.8 %       20.7 %       21.6 %       23.5 %
+    ripples, random             44.6 %       32.3 %       30.1 %       30.0 %
+    reflector, random           14.1 %       16.2 %       18.4 %       21.2 %
+    prism, 1,000,000 dealt      22.6 %       16.5 %       15.1 %       15.2 %
+    ring, 1,000,000 dealt       10.2 %       8.6 %        8.9 %        9.2 %
+    reflector, 1,000,000        6.2 %        6.2 %        6.9 %        8.2 %
+    =========================== ============ ============ ============ ============
+
+    Of 32 passes of 125,000 fresh photons, from 8 million gathered by 30; by k:
+
+    =========================== ============ ============ ============ ============
+    scene                       15           8            5            3
+    =========================== ============ ============ ============ ============
+    prism                       17.3 %       14.6 %       13.2 %       12.7 %
+    ring                        9.1 %        8.1 %        7.9 %        8.5 %
+    ripples                     15.7 %       13.0 %       11.7 %       11.7 %
+    =========================== ============ ============ ============ ============
     """
 
     alpha: float = 0.7
-    n_passes: int = 16
-    k: int = 15
+    n_passes: int = 8
+    k: int = 5
     radius: float | None = None
 
     def __post_init__(self) -> None:
@@ -232,12 +263,15 @@ class Pass:
         self._sums: dict[int, Within] = {}
 
     def within(
-        self, hits: tuple[Floats, Floats], radius: Floats
+        self, hits: tuple[Floats, Floats], radius: Floats, order: Order | None = None
     ) -> tuple[NDArray[np.int64], Floats]:
-        """Return numbers (m,) and sums (m, c) of photons within radii of positions and normals."""
+        """Return numbers (m,) and sums (m, c) of photons within radii of positions and normals.
+
+        Hit points that are the same in every pass may bring their `near_order`.
+        """
         counts = np.zeros(len(radius), dtype=np.int64)
         sums = np.zeros((len(radius), self._values.shape[1]))
-        for number, queries, rows in self._trees.parts(*hits):
+        for number, queries, rows in self._trees.parts(*hits, order):
             self._within(number).sums(
                 queries, rows, radius, out=sums, counts=counts, n_threads=self._n_threads
             )

@@ -41,7 +41,8 @@ exp(-x²/s²); spectra convolve, and those of Gaussians add: Σ' = Σ + diag(1 /
 is for light whose sheet is stretched by A, with s = |A / A'| the distance at which the stretch
 would vanish, in a fold: its irradiance 1/A has E''/E = 3 / (As)², which the bound below takes for
 8π² a, or a = 3 / (8π²s²) before the stretch; a third more keeps the bias at a fold, with all its
-orders, at 5 %. Next to a shadow's edge kernels then stay off the edge.
+orders, at 5 %. Next to a shadow's edge kernels then stay off the edge. Light that is not cut off
+but changes by half of itself at that distance, as at the angle of total reflection, counts as if.
 
 **Deposit.** A Lambertian surface keeps E(x) = ∫ L cos θ dθ. The cosine, as the Gaussian of its
 variance σ² = π²/4 - 2, widens the spectrum over angle; the integral is its slice Ω_θ = 0, of
@@ -256,7 +257,7 @@ def diffused(spectrum: Floats) -> Floats:
 
 
 def kernel_radius(variance: Floats, bias: float = BIAS) -> Floats:
-    """Return the radius, m, of a disc whose mean is within 5 % of the irradiance at its centre.
+    """Return the radius, m, of a disc whose mean is off by 5 % of the light's amplitude at most.
 
     `variance` is that of the irradiance's spectrum, cycles²/m²: the first coefficient of what
     `diffused` returns. Infinite where it is zero. Another `bias` stands for other than 5 %.

@@ -20,6 +20,12 @@ def kth_distance(
     be near each other; a negative `normal_range` leaves the tree's range axes open.
     """
     cdef Py_ssize_t n_batches = (order.shape[0] + BLOCK - 1) // BLOCK
+    if not (
+        queries.shape[0] == out.shape[0] >= order.shape[0]
+        and queries.shape[1] >= tree.n_metric
+        and (normal_range < 0.0 or queries.shape[1] == tree.n_axes)
+    ):
+        raise ValueError("queries, their order and distances do not fit one another")
     cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
     cdef Py_ssize_t i
     for i in prange(
