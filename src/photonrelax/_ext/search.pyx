@@ -16,10 +16,9 @@ cdef enum:
     # A depth-first search leaves at most 15 open groups a kept level, of which there are 7.
     STACK_SIZE = 128
 
-# Queries look as far, squared, as the last batch found on the mean (of roots of radii, as a few may
-# be much greater than the rest), and so much farther (divided by the root of k, as radii scatter);
-# if that is not enough, as far as it found at most, and so much farther. What is guessed for a
-# query itself is nearer the truth.
+# Queries look as far, squared, as the last batch found on the mean (of roots: a few radii may be
+# much greater), and so much farther (over the root of k, as they scatter); if that is not enough,
+# as far as it found at most, and so much farther. A query's own guess is nearer the truth.
 cdef double FIRST = 5.0
 cdef double THEN = 1.3
 cdef double FIRST_GUESSED = 1.3
