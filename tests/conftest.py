@@ -1,10 +1,11 @@
-"""Photon maps whose irradiance is known."""
+"""Photon maps whose irradiance is known, and a small scene."""
 
 import numpy as np
 import pytest
 from scipy.stats import qmc
 
 import photonrelax as pr
+from photonrelax import gallery
 
 
 def unit_square(n, kind, seed=0):
@@ -43,3 +44,8 @@ def plane(xy):
 def interior():
     """20,000 points of the unit square away from its border."""
     return plane(np.random.default_rng(99).uniform(0.15, 0.85, (20_000, 2)))
+
+
+@pytest.fixture(scope="session")
+def ring():
+    return gallery.scene("ring", pixels=16, sections=64)

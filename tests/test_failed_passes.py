@@ -4,23 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from short_runs import FEW, layers_bytes
 
 import photonrelax as pr
-from photonrelax import _hits, gallery, passes, progressive
+from photonrelax import _hits, passes, progressive
 from photonrelax.passes import pass_seed
 from photonrelax.photonmap import NothingStoredError
-
-FEW = {"photons_per_pass": 2000, "seed": 3}
-
-
-@pytest.fixture(scope="module")
-def ring():
-    return gallery.scene("ring", pixels=16, sections=64)
-
-
-def layers_bytes(image):
-    return {name: layer.tobytes() for name, layer in image.layers.items()}
-
 
 PLACES = {"trace_photons": passes, "Pass": _hits, "narrow": progressive.Discs, "Kept": _hits}
 

@@ -11,22 +11,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from short_runs import FEW, layers_bytes
 
 import photonrelax as pr
 from photonrelax import gallery
 from photonrelax._checkpoint import scene_digest
 from photonrelax.passes import pass_seed
-
-FEW = {"photons_per_pass": 2000, "seed": 3}
-
-
-@pytest.fixture(scope="module")
-def ring():
-    return gallery.scene("ring", pixels=16, sections=64)
-
-
-def layers_bytes(image):
-    return {name: layer.tobytes() for name, layer in image.layers.items()}
 
 
 def test_layers_are_those_of_render(ring):

@@ -3,6 +3,17 @@
  * It is read eight lanes at a time, those eights of which any were found.
  */
 
+static TARGET void NAME(compact)(Found *found)
+{
+    int64_t kept = 0;
+    for (int64_t i = 0; i < found->n_blocks; ++i) {
+        uint64_t here = NAME(keys_at_most)(found->keys + BLOCK * i, (int)found->key);
+        found->blocks[kept] = found->blocks[i];
+        kept += (here & 0xFFFF) != 0;
+    }
+    found->n_blocks = kept;
+}
+
 /* Eight lanes of a block, from a lane on, and which of them were found, as bits; and which of the
  * next LANES chunks of keys, from `first` on, have which of their eights found, as bits. */
 typedef struct {

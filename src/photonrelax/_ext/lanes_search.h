@@ -392,14 +392,3 @@ static TARGET void NAME(nearest)(const double *coords, const Reach *const *reach
         for (int i = 0; i < n; ++i) NAME(keys_of)(&ranked[i], 1, n_chunks(found[i]));
     for (int i = 0; i < n; ++i) NAME(settle)(coords, reach[i], doubt[i], found[i], ranked[i], ids);
 }
-
-static TARGET void NAME(compact)(Found *found)
-{
-    int64_t kept = 0;
-    for (int64_t i = 0; i < found->n_blocks; ++i) {
-        uint64_t here = NAME(keys_at_most)(found->keys + BLOCK * i, (int)found->key);
-        found->blocks[kept] = found->blocks[i];
-        kept += (here & 0xFFFF) != 0;
-    }
-    found->n_blocks = kept;
-}

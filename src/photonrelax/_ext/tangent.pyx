@@ -5,9 +5,7 @@ from libc.math cimport INFINITY, sqrt
 
 import numpy as np
 
-from .batch cimport (
-    Batch, Query, limit_radius, limit_range, list_neighbours, open_query, scratch,
-)
+from .batch cimport Batch, Query, limit_radius, limit_range, open_query, scratch
 from .core cimport orthonormal_frame
 from .kdtree cimport Tree
 from .lanes cimport BLOCK
@@ -168,14 +166,9 @@ def farthest(
 
 cdef void write_farthest(Search search, Batch* batch, Py_ssize_t first) noexcept nogil:
     """Write how far the farthest found are; write their rows only."""
-    cdef Py_ssize_t i, j
-    cdef double squared
-    list_neighbours(search.tree, batch)
+    cdef Py_ssize_t i
     for i in range(batch.n_queries):
-        squared = 0.0
-        for j in range(batch.queries[i].found.count):
-            squared = max(squared, batch.squared[i * batch.stride + j])
-        search.radius[search.order[first + i]] = sqrt(squared)
+        search.radius[search.order[first + i]] = sqrt(batch.queries[i].found.squared_radius)
 
 
 cdef void search_batch(Search search, Batch* batch, Py_ssize_t first) noexcept nogil:
