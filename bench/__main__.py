@@ -20,6 +20,8 @@ import json
 import sys
 from pathlib import Path
 
+from photonrelax.compare import reference
+
 from . import (
     compare,
     equal_error,
@@ -119,8 +121,12 @@ def _methods(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--photons", type=numbers, default=[100_000, 1_000_000])
     parser.add_argument("--scenes", nargs="+", default=methods.SCENES, metavar="SCENE")
     parser.add_argument("--pixels", type=int, default=256, help="default 256")
-    parser.add_argument("--passes", type=int, default=100, help="of the references, default 100")
-    parser.add_argument("--out", type=Path, default=Path("build/bench/methods"))
+    effort = methods.REFERENCES
+    parser.add_argument(
+        "--passes", type=int, default=effort.passes, help="of references, default 200"
+    )
+    parser.add_argument("--reference-photons", type=float, default=effort.photons, help="in each")
+    parser.add_argument("--out", type=Path, default=methods.FOLDER)
 
 
 def _figure7(parser: argparse.ArgumentParser) -> None:
@@ -211,7 +217,7 @@ def main(arguments: list[str]) -> None:
             photons=tuple(options.photons),
             scenes=tuple(options.scenes),
             pixels=options.pixels,
-            passes=options.passes,
+            effort=reference.Effort(options.passes, int(options.reference_photons)),
             folder=options.out,
         )
         print(methods.markdown(matrix))

@@ -8,9 +8,10 @@ nearest photons is the best for each map; so is the bandwidth of diffusion.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from statistics import median
 from time import perf_counter
 
 import numpy as np
@@ -31,11 +32,14 @@ _BANDWIDTH_COUNTS = (6, 12, 25, 50, 100, 200, 400)
 # Noise scales over the bandwidth.
 _NOISE_SHARES = (0.25, 0.5)
 _TIMES_AS_MANY = (1, 2, 4, 8, 16, 32)
+_ROUNDS = 3
+# Text, method and settings.
+Way = tuple[str, str, object]
 
 
 @dataclass(frozen=True)
 class Run:
-    """A picture of the floor."""
+    """A picture of the floor; seconds from emission to picture, the median of some rounds."""
 
     settings: str
     n: int
@@ -83,48 +87,49 @@ def truth(floor: Floor, passes: int, n_emitted: int) -> Floats:
     return total / passes
 
 
-def traced(scene: str, n: int, sampler: str, seed: int = 0) -> tuple[pr.PhotonMap, float]:
-    """Return about n photons, and how long they took."""
+def tracing(scene: str, n: int, sampler: str, seed: int = 0) -> Callable[[], pr.PhotonMap]:
+    """Return what traces about n photons."""
     built = gallery.scene(scene)
     share = len(pr.trace_photons(built, 20_000)) / 20_000
-    started = perf_counter()
-    photons = pr.trace_photons(built, int(n / share), seed=seed, sampler=sampler)
-    return photons, perf_counter() - started
+    return partial(pr.trace_photons, built, int(n / share), seed=seed, sampler=sampler)
 
 
-def best(
-    floor: Floor, expected: Floats, n: int, sampler: str, ways: Sequence[tuple[str, str, object]]
-) -> Run:
-    """Return the run of the least error among ways: text, method, settings."""
-    photons, cast = traced(floor.scene, n, sampler)
-    runs = []
-    for text, method, settings in ways:
+def best(floor: Floor, expected: Floats, n: int, sampler: str, ways: Sequence[Way]) -> Run:
+    """Return the run of the least error among ways."""
+    trace = tracing(floor.scene, n, sampler)
+    photons = trace()
+    errors = [
+        float(np.abs(shown(floor, photons, way) - expected).sum() / expected.sum()) for way in ways
+    ]
+    found = int(np.argmin(errors))
+    border = " (at the border of those tried)" if found in (0, len(ways) - 1) else ""
+    seconds = []
+    for _ in range(_ROUNDS):
         started = perf_counter()
-        name = "gather" if method == "standard" else "diffusion"
-        field = pr.irradiance_field(photons, method=method, **{name: settings})
-        shown = floor.picture(field)
-        seconds = cast + perf_counter() - started
-        error = float(np.abs(shown - expected).sum() / expected.sum())
-        runs.append(Run(text, len(photons), error, seconds))
-    found = min(runs, key=lambda run: run.error)
-    if found in (runs[0], runs[-1]):
-        found = replace(found, settings=f"{found.settings} (at the border of those tried)")
-    return found
+        shown(floor, trace(), ways[found])
+        seconds.append(perf_counter() - started)
+    return Run(f"{ways[found][0]}{border}", len(photons), errors[found], median(seconds))
 
 
-def nearest() -> list[tuple[str, str, object]]:
+def shown(floor: Floor, photons: pr.PhotonMap, way: Way) -> Floats:
+    _, method, settings = way
+    name = "gather" if method == "standard" else "diffusion"
+    return floor.picture(pr.irradiance_field(photons, method=method, **{name: settings}))
+
+
+def nearest() -> list[Way]:
     return [(f"k = {k}", "standard", pr.GatherSettings(k=k)) for k in _KS]
 
 
-def adaptive() -> list[tuple[str, str, object]]:
+def adaptive() -> list[Way]:
     return [(f"k = {k}", "diffusion", pr.DiffusionSettings(k=k)) for k in _DIFFUSION_KS]
 
 
-def published(n: int, half: float, share: float) -> list[tuple[str, str, object]]:
+def published(n: int, half: float, share: float) -> list[Way]:
     """Return SSO08's: fixed bandwidths, a noise scale of a share of each, q = 0.2, λ₁ over its
     largest.
     """
-    ways: list[tuple[str, str, object]] = []
+    ways: list[Way] = []
     for count in _BANDWIDTH_COUNTS:
         bandwidth = 2 * half * np.sqrt(count / (np.pi * n))
         settings = pr.DiffusionSettings(

@@ -9,6 +9,8 @@ import photonrelax as pr
 from photonrelax.compare import Plan, named, reference
 from photonrelax.measures import relative_l1
 
+from .methods import FOLDER, REFERENCES
+
 KS = (30, 15, 8, 4, 2)
 K_STANDARD = 30
 _OWN_SEED = 3
@@ -19,13 +21,13 @@ def markdown(
     photons: int = 125_000,
     *,
     pixels: int = 256,
-    effort: reference.Effort | None = None,
-    folder: Path = Path("build/bench/methods"),
+    effort: reference.Effort = REFERENCES,
+    folder: Path = FOLDER,
 ) -> str:
     """Return the relative L1 of passes by k, and of standard estimates from as many photons."""
     plan = Plan(subject=named("prism", pixels, pixels), n_emitted=passes * photons)
     folder.mkdir(parents=True, exist_ok=True)
-    truth = reference.kept(folder / "prism.exr", plan, effort or reference.Effort(passes=100))
+    truth = reference.kept(folder / "prism.exr", plan, effort)
     scene = plan.subject.scene
     assert scene is not None, "the prism is a scene"
     lines = [f"| prism, {passes} passes of {photons:,} photons | L1 |", "| --- | --- |"]

@@ -37,8 +37,11 @@ _SAMPLES = 2
 _ROUNDS = 3
 _OWN_SEED = 2
 _BRIGHTEST = 50
+REFERENCES = reference.Effort(passes=200, photons=2_000_000)
+"""What scenes are measured against here; `refinements` and `first_discs` share the files."""
+FOLDER = Path("build/bench/methods")
 # Discs of fresh photons start as small as those of references.
-_FRESH = pr.ProgressiveSettings(k=reference.Effort().k)
+_FRESH = pr.ProgressiveSettings(k=REFERENCES.k)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +84,8 @@ class Matrix:
         Of the gallery, and of the photons.
     pixels : int
         Width and height of pictures, of 2 x 2 samples.
-    passes : int
+    effort : reference.Effort
         Of the references.
-    reference_photons : int
-        In each of these.
     folder : Path
         Where references are kept.
     longest : int
@@ -95,16 +96,14 @@ class Matrix:
     scenes: tuple[str, ...] = SCENES
     samplers: tuple[str, ...] = SAMPLERS
     pixels: int = 256
-    passes: int = 100
-    reference_photons: int = 1_000_000
-    folder: Path = Path("build/bench/methods")
+    effort: reference.Effort = REFERENCES
+    folder: Path = FOLDER
     longest: int = 64
 
     def rows(self) -> Iterator[Row]:
         """Measure."""
         for name in self.scenes:
             on = named(name, self.pixels, self.pixels)
-            effort = reference.Effort(self.passes, self.reference_photons)
             for n, sampler in product(self.photons, self.samplers):
                 plan = Plan(
                     subject=on,
@@ -115,7 +114,7 @@ class Matrix:
                     rounds=_ROUNDS if self._timed(n, sampler) else 1,
                 )
                 self.folder.mkdir(parents=True, exist_ok=True)
-                truth = reference.kept(self.folder / f"{on.name}.exr", plan, effort)
+                truth = reference.kept(self.folder / f"{on.name}.exr", plan, self.effort)
                 yield self._row(plan, truth)
 
     def _timed(self, n: int, sampler: str) -> bool:
@@ -184,8 +183,8 @@ def markdown(matrix: Matrix) -> str:
     note = (
         f"Relative L1 of the caustic · SSIM, {matrix.pixels} x {matrix.pixels} pixels of "
         f"{_SAMPLES} x {_SAMPLES} samples. References: the exact irradiance of shapes at the same "
-        f"samples; otherwise progressive photon mapping, {matrix.passes} passes of "
-        f"{matrix.reference_photons:,} photons in two runs. Dealt: the photons of the same map."
+        f"samples; otherwise progressive photon mapping, {matrix.effort.passes} passes of "
+        f"{matrix.effort.photons:,} photons in two runs. Dealt: the photons of the same map."
     )
     known = [
         f"Reference of {row.label} where its light is known: off by {row.known:.1%}; "

@@ -11,9 +11,10 @@ import photonrelax as pr
 from photonrelax.compare import Plan, compare, named, reference
 from photonrelax.methods import METHODS, Settings
 
+from .methods import FOLDER, REFERENCES
+
 KS = (15, 50, 100, 200)
 MOST_KS = (100, 200, 500)
-_EFFORT = reference.Effort(passes=100)
 # What is compared on: scene, photons emitted, sampler.
 LOTS = (("shapes", 48_000, "random"), ("ring", 200_000, "random"), ("ring", 200_000, "halton"))
 
@@ -23,8 +24,8 @@ class Study:
     """What is measured on pictures of so many pixels, and the references of scenes."""
 
     pixels: int = 256
-    effort: reference.Effort = _EFFORT
-    folder: Path = Path("build/bench/methods")
+    effort: reference.Effort = REFERENCES
+    folder: Path = FOLDER
     lots: tuple[tuple[str, int, str], ...] = LOTS
 
     def columns(self) -> Iterator[dict[str, tuple[float, str]]]:

@@ -267,8 +267,7 @@ def test_methods_stand_side_by_side_on_every_scene(tmp_path):
         (3_000,),
         scenes=scenes,
         pixels=16,
-        passes=1,
-        reference_photons=3_000,
+        effort=reference.Effort(passes=1, photons=3_000),
         folder=tmp_path,
         longest=2,
     )

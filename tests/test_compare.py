@@ -183,6 +183,22 @@ def test_the_folder_holds_what_is_promised(written):
             assert path.name == "sheet.png" or picture.size == (SIZE, SIZE)
 
 
+def test_the_contact_sheet_says_whose_photons_were_dealt_to_passes(
+    comparison, tmp_path, monkeypatch
+):
+    shown = []
+
+    def sheet(groups, title):
+        shown.extend(caption for _, caption, _ in groups[0])
+        return contact_sheet(groups, title)
+
+    monkeypatch.setattr(folder, "contact_sheet", sheet)
+    first, second = comparison.entries
+    other = replace(second, name="progressive", method="progressive")
+    folder.write(replace(comparison, entries=(first, other)), tmp_path)
+    assert shown == ["standard", "progressive, dealt"]
+
+
 def test_pictures_are_written_as_they_are(written, comparison):
     for entry in comparison.entries:
         layers = read_exr(written / f"{entry.method}.exr").layers

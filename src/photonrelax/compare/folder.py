@@ -12,7 +12,7 @@ from .page import page
 from .pictures import Bytes, method_pictures, photon_pictures
 from .run import Comparison, Entry
 from .sheet import Panel, contact_sheet
-from .table import Table, table
+from .table import Table, heads, table
 
 PAGE, SHEET, NUMBERS, REFERENCE = "index.html", "sheet.png", "comparison.json", "reference.exr"
 # What SJ13 Fig. 6 calls its panels.
@@ -110,7 +110,11 @@ def _known_names() -> set[str]:
 
 def _panels(comparison: Comparison, pictures: dict[str, Bytes]) -> list[list[Panel]]:
     """Return the panels of the contact sheet: methods; what photons carry, and the reference."""
-    of_methods = [(pictures[e.name], e.name, _detail(e)) for e in comparison.entries]
+    entries = comparison.entries
+    of_methods = [
+        (pictures[e.name], head, _detail(e))
+        for e, head in zip(entries, heads(entries), strict=True)
+    ]
     of_photons = [
         (pictures[name], caption, "") for name, caption in _CAPTIONS.items() if name in pictures
     ]

@@ -73,9 +73,13 @@ def table(comparison: Comparison) -> Table:
         *(_measured(entries, *row) for row in _ERRORS),
         *_known(entries),
     ]
-    head = [f"{e.name}, dealt" if e.method in _DEALT else e.name for e in entries]
-    made = Table(_title(comparison), head, rows, _notes(comparison))
+    made = Table(_title(comparison), heads(entries), rows, _notes(comparison))
     return _with_reference(made, comparison)
+
+
+def heads(entries: tuple[Entry, ...]) -> list[str]:
+    """Return what entries are called; marked are those whose photons were dealt to passes."""
+    return [f"{e.name}, dealt" if e.method in _DEALT else e.name for e in entries]
 
 
 def _with_reference(shown: Table, comparison: Comparison) -> Table:
