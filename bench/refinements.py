@@ -1,4 +1,4 @@
-"""Refinements of standard estimates beside what moves photons: relative L2, best of several."""
+"""Refinements of standard estimates beside what moves photons: relative L1, best of several."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Study:
     lots: tuple[tuple[str, int, str], ...] = LOTS
 
     def columns(self) -> Iterator[dict[str, tuple[float, str]]]:
-        """Yield relative L2, and the number of photons it is of, by row."""
+        """Yield relative L1, and the number of photons it is of, by row."""
         self.folder.mkdir(parents=True, exist_ok=True)
         for name, n, sampler in self.lots:
             print(f"... {name}, {n:,} {sampler}", file=sys.stderr, flush=True)
@@ -41,7 +41,9 @@ class Study:
                 sampler=sampler,
             )
             truth = reference.kept(self.folder / f"{name}.exr", plan, self.effort)
-            yield _least({e.name: e.errors.relative_l2 for e in compare(plan, truth).entries})
+            if (doubt := reference.doubt(truth)) is not None:
+                print(f"... its reference: {doubt.text()}", file=sys.stderr, flush=True)
+            yield _least({e.name: e.errors.relative_l1 for e in compare(plan, truth).entries})
 
 
 def variants() -> dict[str, tuple[str, Settings]]:
@@ -74,7 +76,7 @@ def markdown(study: Study) -> str:
     """Return the table."""
     columns = list(study.columns())
     heads = (f"{name}, {n:,} {sampler}" for name, n, sampler in study.lots)
-    lines = [f"| relative L2 | {' | '.join(heads)} |", "| --- |" + len(columns) * " --- |"]
+    lines = [f"| relative L1 | {' | '.join(heads)} |", "| --- |" + len(columns) * " --- |"]
     for row in sorted(columns[0], key=lambda row: row in METHODS[1:]):
         cells = [_cell(*column[row]) for column in columns]
         lines.append(f"| {row} | {' | '.join(cells)} |")
