@@ -198,6 +198,13 @@ def test_table_1_has_a_column_for_every_method(monkeypatch):
         False,
         True,
     ]
+    assert [cell.startswith("–") for cell in cells["structure (feature detect)"]] == [
+        True,
+        False,
+        False,
+        False,
+        True,
+    ]
     assert cells["total"][0].endswith("(14.8 s)")
 
 
