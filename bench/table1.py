@@ -163,4 +163,6 @@ def _line(row: str, columns: list[dict[str, float]]) -> str:
 def _cell(row: str, column: dict[str, float]) -> str:
     if row not in column:
         return "–"
-    return ("{:,}" if row.startswith("photons") else "{:.3g} s").format(column[row])
+    if row.startswith("photons"):
+        return f"{column[row]:,}"
+    return f"{column[row]:,.0f} s" if column[row] >= 100.0 else f"{column[row]:.3g} s"
