@@ -1,6 +1,8 @@
 """Ray casting against brute force in NumPy, at every size and place."""
 
+import gc
 import sys
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -310,6 +312,23 @@ def test_leaving_must_match_the_rays():
     caster = RayCaster([diffuse(trimesh.creation.box())])
     with pytest.raises(ValueError, match="leaving"):
         caster.intersect([[0, 0, 0]], [[0, 0, 1]], leaving=[[0, 0, 1], [0, 0, 1]])
+
+
+def test_what_it_was_made_from_is_freed_with_it_not_later():
+    """Meshes hold themselves: without care their arrays wait for the garbage collector."""
+    mesh = trimesh.creation.icosphere(subdivisions=5, radius=2.0)
+    objects = [pr.SceneObject(mesh, pr.Mirror(), smooth=True)]
+    RayCaster(objects)
+    gc.collect()
+    gc.disable()
+    tracemalloc.start()
+    try:
+        RayCaster(objects)
+        left, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+        gc.enable()
+    assert left < mesh.vertices.nbytes / 4
 
 
 def test_without_embree_the_error_says_what_to_do(monkeypatch):

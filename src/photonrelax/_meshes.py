@@ -72,6 +72,15 @@ def check_winding(mesh: trimesh.Trimesh) -> None:
         )
 
 
+def empty(mesh: trimesh.Trimesh) -> None:
+    """Free the arrays of a mesh that is not needed any more.
+
+    Meshes refer to themselves: these would stay until garbage is collected.
+    """
+    mesh._data.clear()
+    mesh._cache.clear()
+
+
 def _is_closed(vertices: Floats, faces: NDArray) -> bool:
     """Return whether faces run along every edge as often one way as the other.
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import Floats, float_array, thread_count
 from ._ext.raycast import Found, Frame, Triangles
-from ._meshes import hittable_faces, vertices_of
+from ._meshes import empty, hittable_faces, vertices_of
 from .scene import SceneObject
 
 if TYPE_CHECKING:
@@ -267,7 +267,10 @@ def vertex_normals(mesh: trimesh.Trimesh) -> Floats:
 
 
 def _own_normals(mesh: trimesh.Trimesh, vertices: Floats) -> Floats:
-    return np.asarray(type(mesh)(vertices, mesh.faces, process=False).vertex_normals)
+    own = type(mesh)(vertices, mesh.faces, process=False)
+    normals = np.asarray(own.vertex_normals)
+    empty(own)
+    return normals
 
 
 def _embree(vertices: Floats, faces: NDArray[np.int32]) -> Any:
@@ -283,7 +286,10 @@ def _embree(vertices: Floats, faces: NDArray[np.int32]) -> Any:
     import trimesh
 
     mesh = trimesh.Trimesh(vertices, faces, process=False)
-    embree = RayMeshIntersector(mesh)._scene
+    intersector = RayMeshIntersector(mesh)
+    embree = intersector._scene
+    intersector._cache.clear()
+    empty(mesh)
     # The first run completes the scene, which must not happen in two threads at once.
     one_ray = np.ones((1, 3), dtype=np.float32)
     embree.scene.run(one_ray, one_ray)
