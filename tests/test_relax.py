@@ -173,6 +173,18 @@ def test_photons_stay_on_a_curved_surface(side):
     assert spacing[1].std() / spacing[1].mean() < 0.5 * spacing[0].std() / spacing[0].mean()
 
 
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 15, 16, 17, 32, 33])
+def test_however_few_photons_are_put_back_on_a_floor_as_if_it_were_not_there(n):
+    photons = uniform_map(n, "random").replace(object_id=np.zeros(n, dtype=int))
+    floor = square()
+    floor.apply_scale(100.0)
+    floor.apply_translation([-50.0, -50.0, 0.0])
+    found, expected = relaxed(photons, scene_of(floor)), relaxed(photons)
+    assert (found.position != photons.position).any() == (n > 3)
+    np.testing.assert_allclose(found.position, expected.position, atol=1e-5)
+    np.testing.assert_array_equal(found.normal, expected.normal)
+
+
 @pytest.mark.parametrize("gap", [1e-3, 1e-4])
 @pytest.mark.parametrize("same_object", [True, False])
 def test_a_sheet_close_above_neither_takes_nor_blocks_photons(gap, same_object):

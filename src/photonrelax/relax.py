@@ -246,7 +246,8 @@ class _Stage:
         lanes = np.asarray(self._tree.coords)
         block = lanes.shape[2]
         position = lanes[part.start // block : part.stop // block, :3].transpose(0, 2, 1)
-        return position.reshape(-1, 3)[: len(self._position) - part.start]
+        # Of a single block that would be a view.
+        return np.ascontiguousarray(position.reshape(-1, 3)[: len(self._position) - part.start])
 
     def _refit(self) -> None:
         n_threads = self._sheets.n_threads
