@@ -27,11 +27,30 @@ def irradiance(photons, points, method="frequency", **settings):
     return pr.irradiance_field(photons, method=method, **settings)(*points)
 
 
-def test_photons_need_spectra():
+def test_photons_traced_without_spectra_are_refused():
     photons = flat_map(unit_square(100, "random"), 100)
-    for spectra in (None, np.full((100, 3), np.nan)):
-        with pytest.raises(ValueError, match=r"none of them does: trace_photons\(…, frequency_sh"):
-            pr.irradiance_field(photons.replace(spectrum=spectra), method="frequency")
+    with pytest.raises(ValueError, match=r"none of them does: trace_photons\(…, frequency_sh"):
+        pr.irradiance_field(photons, method="frequency")
+
+
+def test_where_none_of_the_photons_was_chosen_discs_shrink_as_ever(interior):
+    photons = flat_map(unit_square(2_000, "random"), 2_000, spectrum=np.full((2_000, 3), np.nan))
+    found, expected = (irradiance(photons, interior, m) for m in ("frequency", "progressive"))
+    assert found.any()
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("n_emitted", [30, 300])
+def test_few_photons_of_which_none_is_chosen_are_rendered(ring, n_emitted):
+    photons = pr.trace_photons(ring, n_emitted, frequency_share=pr.FrequencySettings().share)
+    assert len(photons) > 5
+    assert np.isnan(photons.spectrum).all()
+    frequency, progressive = (
+        pr.render(ring, method=method, n_emitted=n_emitted, supersampling=1)
+        for method in ("frequency", "progressive")
+    )
+    assert frequency.layers["caustic"].any()
+    np.testing.assert_array_equal(frequency.layers["caustic"], progressive.layers["caustic"])
 
 
 def test_an_empty_map_is_dark(interior):

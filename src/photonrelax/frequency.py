@@ -10,7 +10,9 @@ of each coefficient among those in and around its disc, as diffuse surfaces refl
 disc shrinks, by the rule of progressive photon mapping, no farther than this bound allows. FPPM
 keeps the largest of all that were ever seen; here the bound is that of the disc as it is, so that
 an edge the disc no longer reaches is forgotten, and it is taken from the photons of all passes, not
-of those gone by. Where none of the photons carries a spectrum it shrinks as ever.
+of those gone by. Where none of the photons carries a spectrum it shrinks as ever. So do all discs
+of a map so small that none was chosen to carry one, whose estimates are those of progressive photon
+mapping.
 
 The 5 % are those of a disc. An estimate is the mean over passes of discs as they were: of one that
 stays at its first size it has the bias, at most 5 %; of one that shrank all the way to the size
@@ -45,7 +47,8 @@ class FrequencySettings:
     Attributes
     ----------
     share : float
-        Of the photons that carry spectra, in (0, 1], where `render` traces them.
+        Of the photons that carry spectra, in (0, 1], where `render` traces them. Each is chosen
+        or not by itself, so that of few photons perhaps none is.
     bias : float
         Largest bias of a disc over the amplitude of the light it averages, in (0, 1) (5 %); that
         of an estimate is up to 1/α times as large.
@@ -78,7 +81,7 @@ class FrequencyField(ProgressiveField):
     Parameters
     ----------
     photons : PhotonMap
-        Some of them with spectra; an empty map needs none.
+        Traced with a `frequency_share`, whichever were chosen; an empty map needs none.
     settings : ProgressiveSettings, optional
         Of the passes, first radii and the rule by which these shrink.
     frequency : FrequencySettings, optional
@@ -88,7 +91,7 @@ class FrequencyField(ProgressiveField):
     Raises
     ------
     ValueError
-        If no photon carries a spectrum, or radii are left open and all photons are at one point.
+        If the photons were traced without spectra, or radii are left open and all are at one point.
     """
 
     def __init__(
@@ -145,14 +148,13 @@ class FrequencyField(ProgressiveField):
 
 
 def _carriers(photons: PhotonMap) -> PhotonMap:
-    """Return the photons that carry spectra; raise ValueError if none of them does."""
+    """Return the photons that carry spectra; raise ValueError if the map knows of none."""
     spectra = photons.spectrum
     if spectra is None:
-        spectra = np.full((len(photons), 3), np.nan)
-    known = ~np.isnan(spectra[:, 0])
-    if len(photons) and not known.any():
-        raise ValueError(
-            'photons should carry spectra for method="frequency", but none of them does: '
-            "trace_photons(…, frequency_share=0.02) gives them"
-        )
-    return photons.replace(spectrum=spectra).subset(known)
+        if len(photons):
+            raise ValueError(
+                'photons should carry spectra for method="frequency", but none of them does: '
+                "trace_photons(…, frequency_share=0.02) gives them"
+            )
+        spectra = np.empty((0, 3))
+    return photons.replace(spectrum=spectra).subset(~np.isnan(spectra[:, 0]))

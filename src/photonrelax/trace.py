@@ -89,9 +89,9 @@ def trace_photons(
     max_bounces : int
         Events (specular or diffuse) after which a path is cut; at most 10,000.
     frequency_share : float
-        Share of the photons, in [0, 1], that get a spectrum: those, chosen by their indices, that
-        no diffuse surface has scattered yet. Each takes a fifth of a millisecond: its neighbours
-        are traced as well (see `photonrelax.frequency`).
+        Share of the photons, in [0, 1], that get a spectrum, if no diffuse surface has scattered
+        them yet: each is chosen by its index, of few perhaps none. One takes a fifth of a
+        millisecond: its neighbours are traced as well (see `photonrelax.frequency`).
     n_threads : int, optional
         Threads to use; None for all cores.
     progress : callable, optional
