@@ -201,6 +201,8 @@ def test_radii_bound_the_bias_below_a_lamp(lamp):
     [
         ({"frequency_share": 1.5}, r"frequency_share should lie in \[0, 1\], but is 1.5"),
         ({"frequency_share": -0.1}, "frequency_share should lie in"),
+        ({"frequency_share": np.nan}, r"frequency_share should lie in \[0, 1\], but is nan"),
+        ({"frequency_share": np.inf}, r"frequency_share should lie in \[0, 1\], but is inf"),
         ({"frequency_share": 0.1, "paths": "global"}, "have no spectra"),
     ],
 )

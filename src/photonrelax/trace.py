@@ -152,7 +152,7 @@ def _checked(seed: int, paths: str, sampler: str, max_bounces: int, share: float
     check_choice(paths, "paths", PATHS)
     check_choice(sampler, "sampler", SAMPLERS)
     max_bounces = count(max_bounces, "max_bounces", high=MAX_BOUNCES)
-    share = float(float_array(share, "frequency_share", ()))
+    share = float(float_array(share, "frequency_share", (), finite=False))
     if not 0.0 <= share <= 1.0:
         raise ValueError(f"frequency_share should lie in [0, 1], but is {share}")
     if share and paths == "global":
