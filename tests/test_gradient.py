@@ -6,6 +6,7 @@ from conftest import flat_map, plane, uniform_map, unit_square
 from scipy.spatial.transform import Rotation
 
 import photonrelax as pr
+from photonrelax._sheets import MOST_FACES
 from photonrelax.gradient import gradient_constraint
 
 
@@ -105,6 +106,29 @@ def test_photons_of_other_emitters_and_faces_are_no_neighbours():
     )
     alone = np.concatenate([pr.detect_gradient(m).constraint for m in apart])
     np.testing.assert_array_equal(pr.detect_gradient(together).constraint, alone[order])
+
+
+def bent(xy, radius, side):
+    """Photons on one side of a cylinder about the y axis, each with a normal of its own."""
+    angle = 0.5 * (xy[:, 0] - 0.5)
+    across = np.column_stack([np.sin(angle), np.zeros(len(xy)), np.cos(angle)])
+    along = xy[:, 1:] * [[0.0, 1.0, 0.0]]
+    return pr.PhotonMap(radius * across + along, side * across, np.ones(len(xy)))
+
+
+def test_photons_on_the_two_sides_of_a_curved_sheet_are_no_neighbours():
+    """Light on one side ends at an edge, that on the other does not."""
+    one = bent(unit_square(3000, "random", 0), 2.0, 1.0)
+    other = bent(unit_square(3000, "random", 1) * [1.0, 0.5], 2.0 - 1e-3, -1.0)
+    both = pr.PhotonMap(
+        **{
+            field: np.concatenate([getattr(one, field), getattr(other, field)])
+            for field in ("position", "normal", "flux")
+        }
+    )
+    assert len(np.unique(one.normal, axis=0)) > MOST_FACES
+    alone = [found_gradient(side)[0] for side in (one, other)]
+    np.testing.assert_allclose(found_gradient(both)[0], np.concatenate(alone), atol=1e-12)
 
 
 def test_coincident_and_lonely_photons_are_free():

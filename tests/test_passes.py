@@ -16,7 +16,9 @@ from short_runs import FEW, layers_bytes
 import photonrelax as pr
 from photonrelax import gallery
 from photonrelax._checkpoint import scene_digest
+from photonrelax._hits import Kept, MovingPoints, Recipe, View
 from photonrelax.passes import pass_seed
+from photonrelax.progressive import first_radius
 
 
 def test_layers_are_those_of_render(ring):
@@ -68,10 +70,27 @@ def test_moving_points_smooth_what_fixed_ones_see_as_steps():
     for stochastic in (False, True):
         image = pr.render_progressive(scene, stochastic=stochastic, **how)
         covered[stochastic] = image.layers["albedo"][..., 0] / 0.8
+        # Straight down: of all samples the nearest, however many passes there were.
+        seen = covered[stochastic] > 0.0
+        np.testing.assert_allclose(image.layers["Z"][seen], 50.0, rtol=1e-6)
     exact = pr.render(scene, n_emitted=500, method="standard", supersampling=32)
     exact = exact.layers["albedo"][..., 0] / 0.8
     assert set(np.unique(covered[False])) == {0.0, 1.0}
     assert np.abs(covered[True] - exact).max() < 0.1 < np.abs(covered[False] - exact).max()
+
+
+def test_discs_of_moving_points_start_with_the_least_radius_in_their_pixel(ring):
+    lasting = pr.ProgressiveSettings(alpha=1.0)
+    recipe = Recipe(lasting, 4000, seed=3, supersampling=2, stochastic=True, max_depth=8)
+    view, photons = View(ring, recipe, 1), pr.trace_photons(ring, 4000)
+    discs = MovingPoints(view).after(Kept(), photons, 0).discs
+    hits = next(view.bands(view.offset(0))).hits
+    radius = first_radius(photons, hits.position, hits.normal, lasting)
+    pixels = np.unique(hits.pixel)
+    expected = [radius[hits.pixel == pixel].min() for pixel in pixels]
+    np.testing.assert_allclose(discs.radius[pixels], expected, rtol=1e-12)
+    last = radius[len(radius) - 1 - np.unique(hits.pixel[::-1], return_index=True)[1]]
+    assert (last > 1.01 * np.array(expected)).sum() > 20
 
 
 def test_a_pass_has_a_seed_of_its_own():
