@@ -180,6 +180,51 @@ def test_photons_traced_before_are_used(prism, image):
     assert "trace" not in again.stats["stages"]
 
 
+def under_glass(*emitters, size=2.0):
+    pane = trimesh.creation.box([size, size, 0.1]).apply_translation([0, 0, 1])
+    camera = pr.Camera((0, -3, 6), (0, 0, 0), up=(0, 1, 0), width=4, height=4)
+    scene = floor_under(emitters[0], camera, [pr.SceneObject(pane, pr.Dielectric())])
+    return replace(scene, emitters=emitters)
+
+
+SUN = pr.CollimatedEmitter((0, 0, -1))
+# Over the circle around the pane, m² times 1 W/m².
+AIMED = np.pi * (1.0 + 1.0 + 0.05**2)
+YELLOWER = pr.CollimatedEmitter((0, 0, -1), irradiance=(1, 1, 0.9))
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        (under_glass(YELLOWER), rf"whose emitter 0 sends out .*, but it sent out \[{AIMED:.4f}"),
+        (under_glass(SUN, size=2.1), "whose emitter 0 sends out"),
+        (under_glass(pr.PointEmitter((0, 0, 3))), "whose emitter 0 sends out"),
+        (small("ring"), "whose emitter 0 sends out"),
+        (under_glass(SUN, YELLOWER), "which has 2 emitters, but are of one with 1"),
+        (
+            floor_under(SUN, small("ring").camera),
+            "in which they cannot have been traced: .* none of the 1 objects is a Mirror",
+        ),
+    ],
+)
+def test_photons_whose_ledger_tells_of_another_scene_are_refused(other, message):
+    photons = pr.trace_photons(under_glass(SUN), 1000)
+    with pytest.raises(ValueError, match=f"photons should be of the scene rendered, {message}"):
+        pr.render(other, photons=photons)
+    unchecked = pr.render(other, photons=photons.replace(ledger=None), method="standard")
+    assert unchecked.layers["radiance"].shape[2] == 3
+
+
+@pytest.mark.parametrize("paths", ["caustic", "all"])
+def test_photons_of_the_scene_with_another_camera_albedo_or_mesh_as_good_are_taken(paths):
+    photons = pr.trace_photons(gallery.scene("sphere", subdivisions=4), 3000, paths=paths)
+    scene = small("sphere", subdivisions=3)
+    floor = replace(scene.objects[0], material=pr.Diffuse(0.1))
+    scene = replace(scene, objects=[floor, *scene.objects[1:]])
+    image = pr.render(scene, photons=photons.subset(slice(0, None, 2)), method="standard")
+    assert image.layers["caustic"].any()
+
+
 def test_an_empty_map_is_rendered_black(prism):
     empty = pr.trace_photons(prism, 5000).subset(slice(0, 0))
     image = pr.render(prism, photons=empty)

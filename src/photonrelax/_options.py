@@ -40,7 +40,8 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
         "--photon-map",
         type=Path,
         metavar="FILE.npz",
-        help="photons traced before, in place of new ones; with relaxed ones: --method standard",
+        help="photons traced before, in this scene, in place of new ones; with relaxed ones: "
+        "--method standard",
     )
     _add_sampler(parser)
     _add_settings(parser)

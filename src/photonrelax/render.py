@@ -6,10 +6,13 @@ import json
 from time import perf_counter
 from typing import Any
 
+import numpy as np
+
 from . import __version__, _arrays
 from ._arrays import Floats
 from ._progress import Progress, Reporter
 from .camera import MAX_DEPTH
+from .emit import PATHS, plan_emission
 from .estimate import Field
 from .image import Image
 from .methods import Settings, Task, check_method, frequency_share, prepare
@@ -48,7 +51,9 @@ def render(
     supersampling, max_depth : int
         s·s samples a pixel; smooth surfaces a camera ray may meet.
     photons : PhotonMap, optional
-        Traced before; then nothing is emitted.
+        Traced before in this scene; then nothing is emitted. They are not looked for on its
+        surfaces, but those whose ledger says that other flux was emitted are refused; without a
+        ledger, as after ``photons.replace(ledger=None)``, nothing is checked.
     n_threads : int, optional
         Threads; all available by default. The picture does not depend on it.
     progress : callable, optional
@@ -65,7 +70,8 @@ def render(
     Raises
     ------
     TypeError, ValueError
-        If the scene has no camera, an argument is invalid, or no photon is stored.
+        If the scene has no camera, an argument is invalid, no photon is stored, or those given
+        are of another scene.
     """
     if scene.camera is None:
         raise ValueError("scene should have a camera to be rendered")
@@ -74,7 +80,9 @@ def render(
     check_method(method)
     chosen = Settings(**settings)
     pipeline = _Pipeline(scene, n_threads, progress)
-    if photons is None:
+    if photons is not None:
+        _check_scene(photons, scene)
+    else:
         photons = pipeline.trace(
             n_emitted,
             seed=seed,
@@ -88,6 +96,9 @@ def render(
     return Image(layers, metadata, pipeline.stats(photons))
 
 
+# Emitters are aimed at spheres around objects, to which finer meshes come a little nearer.
+_SAME_FLUX = 0.01
+
 LAYERS = {
     "radiance": "caustic + direct, W/(m² sr)",
     "caustic": "radiance from photons",
@@ -100,6 +111,27 @@ LAYERS = {
     "photons.bounces": "mean of their specular events",
 }
 """What a picture holds; means over photons are weighted with their flux."""
+
+
+def _check_scene(photons: PhotonMap, scene: Scene) -> None:
+    """Raise ValueError if the scene's emitters do not send out what the photons' ledger says."""
+    if photons.ledger is None or photons.paths not in PATHS:
+        return
+    should, emitted = "photons should be of the scene rendered,", photons.ledger.emitted
+    if len(emitted) != len(scene.emitters):
+        raise ValueError(
+            f"{should} which has {len(scene.emitters)} emitters, but are of one with {len(emitted)}"
+        )
+    try:
+        aims = plan_emission(scene, len(emitted), photons.paths).aims
+    except ValueError as error:
+        raise ValueError(f"{should} in which they cannot have been traced: {error}") from None
+    for number, (aim, flux) in enumerate(zip(aims, emitted, strict=True)):
+        if not np.allclose(aim.flux, flux, rtol=_SAME_FLUX, atol=0.0):
+            raise ValueError(
+                f"{should} whose emitter {number} sends out {aim.flux.tolist()} W, "
+                f"but it sent out {flux.tolist()} W for them"
+            )
 
 
 class _Pipeline:
