@@ -225,6 +225,7 @@ def main(arguments: list[str]) -> None:
         print(refinements.markdown(refinements.Study()))
     elif options.command == "first-discs":
         print(first_discs.markdown())
+        print(first_discs.dealt())
     elif options.command == "shapes":
         run_shapes(options)
     elif options.command == "equal-error":

@@ -1,18 +1,28 @@
-"""Where light is sharp: progressive photon mapping by how small its discs start, on the prism."""
+"""How small discs start: progressive photon mapping of fresh photons, and of photons dealt out."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import photonrelax as pr
-from photonrelax.compare import Plan, named, reference
+from photonrelax.compare import Plan, compare, named, reference
 from photonrelax.measures import relative_l1
+from photonrelax.methods import Settings
 
 from .methods import FOLDER, REFERENCES
 
-KS = (30, 15, 8, 4, 2)
+KS = (30, 15, 8, 5, 4, 2)
 K_STANDARD = 30
+# Photons that discs start short of, and passes that photons of one map are dealt to.
+DEALT = ((15, 16), (8, 8), (5, 8), (5, 4))
+LOTS = tuple(
+    (scene, n, sampler)
+    for n, samplers in ((100_000, ("halton", "random")), (1_000_000, ("halton",)))
+    for sampler in samplers
+    for scene in ("prism", "ring", "ripples", "reflector")
+)
 _OWN_SEED = 3
 
 
@@ -26,8 +36,7 @@ def markdown(
 ) -> str:
     """Return the relative L1 of passes by k, and of standard estimates from as many photons."""
     plan = Plan(subject=named("prism", pixels, pixels), n_emitted=passes * photons)
-    folder.mkdir(parents=True, exist_ok=True)
-    truth = reference.kept(folder / "prism.exr", plan, effort)
+    truth = _truth(plan, effort, folder)
     scene = plan.subject.scene
     assert scene is not None, "the prism is a scene"
     lines = [f"| prism, {passes} passes of {photons:,} photons | L1 |", "| --- | --- |"]
@@ -54,3 +63,39 @@ def markdown(
     doubt = reference.doubt(truth)
     note = "" if doubt is None else f"The reference: {doubt.text()}."
     return "\n".join([*lines, "", note, ""])
+
+
+def dealt(
+    lots: Sequence[tuple[str, int, str]] = LOTS,
+    *,
+    pixels: int = 256,
+    effort: reference.Effort = REFERENCES,
+    folder: Path = FOLDER,
+) -> str:
+    """Return the relative L1 of photons dealt to passes, by k and passes."""
+    names = {f"k = {k}, {n} passes": pr.ProgressiveSettings(k=k, n_passes=n) for k, n in DEALT}
+    head = ["dealt", *names, "reference: noise, bias"]
+    lines = [f"| {' | '.join(head)} |", f"|{' --- |' * len(head)}"]
+    for scene, n, sampler in lots:
+        plan = Plan(
+            subject=named(scene, pixels, pixels),
+            methods=("progressive",),
+            variants={
+                name: ("progressive", Settings(progressive=how)) for name, how in names.items()
+            },
+            n_emitted=n,
+            sampler=sampler,
+        )
+        truth = _truth(plan, effort, folder)
+        found = {entry.name: entry.errors.relative_l1 for entry in compare(plan, truth).entries}
+        cells = [f"{found[name]:.1%}" for name in names]
+        if (doubt := reference.doubt(truth)) is not None:
+            cells.append(f"{doubt.noise_l1:.1%}, {doubt.bias_l1:.1%}")
+        lines.append(f"| {scene}, {n:,} {sampler} | {' | '.join(cells)} |")
+        print(f"... {scene}, {n:,} {sampler}", file=sys.stderr, flush=True)
+    return "\n".join([*lines, ""])
+
+
+def _truth(plan: Plan, effort: reference.Effort, folder: Path) -> pr.Image:
+    folder.mkdir(parents=True, exist_ok=True)
+    return reference.kept(folder / f"{plan.subject.name}.exr", plan, effort)

@@ -234,6 +234,11 @@ def test_refinements_and_first_discs_are_measured_against_references(tmp_path, m
     text = first_discs.markdown(1, 1_000, pixels=16, effort=effort, folder=tmp_path)
     assert text.count("discs from the photon") == 2
     assert "The reference: its own noise" in text
+    lots = (("ring", 3_000, "halton"), ("ring", 3_000, "random"))
+    head, _, *rows = first_discs.dealt(lots, pixels=16, effort=effort, folder=tmp_path).splitlines()
+    assert [row.split(" | ")[0] for row in rows] == ["| ring, 3,000 halton", "| ring, 3,000 random"]
+    assert all(row.count("%") == len(first_discs.DEALT) + 2 for row in rows)
+    assert head.count(" passes |") == len(first_discs.DEALT)
 
 
 def test_a_best_at_the_border_of_what_was_tried_is_told():
