@@ -107,7 +107,7 @@ def _memory(parser: argparse.ArgumentParser) -> None:
 
 
 def _frequency(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--photons", type=numbers, default=[2_000_000, 6_000_000])
+    parser.add_argument("--photons", type=numbers, default=[1_000_000, 2_000_000, 6_000_000])
     parser.add_argument("--seeds", type=int, default=3, help="default 3")
     parser.add_argument("--passes", type=int, default=64, help="default 64")
 
