@@ -299,19 +299,6 @@ def test_constrained_photons_are_red(comparison):
     assert colours[1, 0] > 10 * colours[1, 1]
 
 
-def test_groups_of_the_contact_sheet_begin_rows():
-    """Six panels of one group are five and one; captions leave the pictures alone."""
-    grey = [np.full((30, 40, 3), 40 * i, dtype=np.uint8) for i in range(7)]
-    words = "what is told of a picture " * 4
-    groups = [[(picture, "name", words) for picture in grey[:6]], [(grey[6], "name", words)]]
-    made = np.asarray(contact_sheet(groups, "title"))
-    assert made.shape[1] == 5 * (480 + 12) + 12
-    for i, (row, column) in enumerate([*((0, c) for c in range(5)), (1, 0), (2, 0)]):
-        left, top = 12 + column * (480 + 12), 12 + row * (360 + 80)
-        assert (made[top : top + 360, left : left + 480] == 40 * i).all()
-    assert (made[12:372, -12:] == 255).all()
-
-
 # --- the table ------------------------------------------------------------------------------------
 
 
