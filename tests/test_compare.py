@@ -267,6 +267,16 @@ def test_differences_are_orange_where_too_bright_and_blue_where_too_dark():
     assert colours[2, 2] > colours[2, 0]
 
 
+def test_a_picture_that_is_too_bright_is_orange_and_one_too_dark_blue(comparison):
+    """What is shown is the picture less the reference, not the reverse."""
+    entry = comparison.entries[0]
+    for factor, much, little in ((0.5, 0, 2), (2.0, 2, 0)):
+        scaled = pr.Image({"radiance": factor * np.asarray(entry.image.layers["radiance"])})
+        made = pictures.method_pictures(replace(comparison, reference=scaled))
+        colour = made[entry.name]["difference"].astype(float).mean(axis=(0, 1))
+        assert colour[much] > colour[little]
+
+
 def test_colours_that_cancel_are_a_difference_all_the_same():
     found = pictures._largest(np.array([[[0.2, -0.1, -0.1], [0.1, 0.0, -0.3]]]))
     np.testing.assert_array_equal(found, [[0.2, -0.3]])

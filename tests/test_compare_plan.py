@@ -79,6 +79,21 @@ def test_spectra_are_paid_for_by_the_method_that_needs_them(plan, truth, monkeyp
     assert tables.by_row(frequency.seconds)["photon cast"] == 10.0
 
 
+def test_camera_rays_count_in_every_total(plan, truth, monkeypatch):
+    look, turns = SceneSubject.view, count()
+
+    def slow(*a, **k):
+        return replace(look(*a, **k), seconds=(500.0, 300.0, 100.0)[next(turns)])
+
+    monkeypatch.setattr(SceneSubject, "view", slow)
+    made = compare(replace(plan, methods=("standard", "diffusion"), rounds=3), truth)
+    rows = {name: cells for name, cells, _ in tables.table(made).rows}
+    for entry, total in zip(made.entries, rows["total"], strict=True):
+        assert entry.seconds["camera"] == 300.0
+        assert tables.by_row(entry.seconds)["render"] >= 300.0
+        assert float(total.removesuffix(" s")) >= 300.0
+
+
 def test_preparing_that_no_stage_claims_is_part_of_gathering(plan, truth, monkeypatch):
     clock, prepare = Clock(monkeypatch), run.prepare
 
