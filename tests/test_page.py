@@ -162,6 +162,7 @@ def test_two_pictures_are_seen_at_first_whatever_was_compared(browser, compariso
     browser.get((tmp_path / "index.html").as_uri())
     assert find(browser, "#left-method").get_attribute("value") == "reference"
     assert source(browser, "left") != source(browser, "right")
+    assert find(browser, "h1").text == "ring: 1 method and the reference side by side"
 
 
 def test_words_that_look_like_the_end_of_the_data_do_no_harm(browser, comparison, tmp_path):
