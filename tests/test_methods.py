@@ -252,3 +252,13 @@ def test_an_empty_map_is_dark(method):
     made = field(method, empty)
     assert made(points, normals).tolist() == [[0.0, 0.0, 0.0]] * 2
     assert made.densities(np.empty((0, 5)))(points, normals).tolist() == [[0.0] * 5] * 2
+
+
+def test_arguments_that_are_none_are_named_with_those_that_would_do():
+    expected = (
+        "irradiance_field has no argument gatherr, n_thread; settings are structure, gradient, "
+        "relax, gather, diffusion, progressive, frequency"
+    )
+    with pytest.raises(TypeError) as caught:
+        pr.irradiance_field(uniform_map(100, "halton"), gatherr=pr.GatherSettings(), n_thread=1)
+    assert str(caught.value) == expected

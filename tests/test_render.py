@@ -259,6 +259,7 @@ def test_bad_input_is_refused(prism):
         ({"max_depth": 1.5}, TypeError, "max_depth should be an integer"),
         ({"gather": {"k": 10}}, TypeError, "gather should be GatherSettings"),
         ({"relax": 3}, TypeError, "relax should be RelaxSettings"),
+        ({"gatherr": None}, TypeError, "render has no argument gatherr; settings are structure, "),
     ],
 )
 def test_bad_arguments_are_refused_before_any_work(prism, argument, error, message):

@@ -70,7 +70,8 @@ def irradiance_field(
     TypeError, ValueError
         If the method is not known, or a setting.
     """
-    return prepare(method, Task(photons, Settings(**settings), scene, n_threads, progress))
+    chosen = settings_of("irradiance_field", settings)
+    return prepare(method, Task(photons, chosen, scene, n_threads, progress))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,6 +105,16 @@ KINDS: dict[str, type] = {
     "progressive": ProgressiveSettings,
     "frequency": FrequencySettings,
 }
+
+
+def settings_of(function: str, arguments: dict[str, Any]) -> Settings:
+    """Return the settings among a function's arguments; raise TypeError if others are left."""
+    unknown = [name for name in arguments if name not in KINDS]
+    if unknown:
+        raise TypeError(
+            f"{function} has no argument {', '.join(unknown)}; settings are {', '.join(KINDS)}"
+        )
+    return Settings(**arguments)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from .camera import MAX_DEPTH
 from .emit import PATHS, plan_emission
 from .estimate import Field
 from .image import Image
-from .methods import Settings, Task, check_method, frequency_share, prepare
+from .methods import Settings, Task, check_method, frequency_share, prepare, settings_of
 from .photonmap import PhotonMap
 from .picture import Band, PhotonLayers, bands, joined
 from .scene import Camera, Scene
@@ -78,7 +78,7 @@ def render(
     supersampling = _arrays.count(supersampling, "supersampling")
     max_depth = _arrays.count(max_depth, "max_depth", low=0, high=MAX_DEPTH)
     check_method(method)
-    chosen = Settings(**settings)
+    chosen = settings_of("render", settings)
     pipeline = _Pipeline(scene, n_threads, progress)
     if photons is not None:
         _check_scene(photons, scene)
