@@ -12,7 +12,8 @@ from photonrelax.image import read_exr
 SIZE = 32
 N = 10_000
 PICTURES = ("--width", SIZE, "--height", SIZE, "--supersampling", 1)
-ARGUMENTS = ("--photons", N, "--reference-photons", N, *PICTURES)
+ARGUMENTS = ("--photons", N, *PICTURES)
+FEW = ("--reference-photons", N, "--reference-passes")
 PAIR = ("standard", "parameterised")
 
 
@@ -29,7 +30,7 @@ def no_photons(monkeypatch):
 def test_compare_does_it_all_in_one_command(tmp_path, capsys):
     output = tmp_path / "ring"
     arguments = ("compare", "ring", "-o", output, "--methods", *PAIR, *ARGUMENTS)
-    assert run_cli(*arguments, "--reference-passes", 2) == 0
+    assert run_cli(*arguments, *FEW, 2) == 0
     out = capsys.readouterr().out
     assert out.endswith(f"wrote {output / 'index.html'}\n")
     assert "SSIM" in out
@@ -89,6 +90,25 @@ def test_what_cannot_be_leaves_no_folder(arguments, complaint, tmp_path, capsys,
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("shapes", "--reference-passes", 5), "--reference-passes is of a reference that is comp"),
+        (("shapes", "--reference-photons", 5), "the light of shapes is known exactly: leave it"),
+        (("ring", "--reference", "none.exr", "--reference-passes", 50), "--reference brings one"),
+        (("ring", "--reference", "none.exr", "--reference-photons", 3), "--reference brings one"),
+    ],
+)
+def test_options_of_a_reference_that_is_not_computed_are_wrong_usage(
+    arguments, complaint, tmp_path, capsys, no_photons
+):
+    with pytest.raises(SystemExit) as caught:
+        run_cli("compare", *arguments, "-o", tmp_path / "new")
+    assert caught.value.code == 2
+    assert complaint in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_ctrl_c_leaves_the_reference_alone(tmp_path, monkeypatch, capsys):
     """It took longest, and the next run goes on from it."""
 
@@ -98,6 +118,6 @@ def test_ctrl_c_leaves_the_reference_alone(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(folder, "table", interrupted)
     output = tmp_path / "ring"
     arguments = ("compare", "ring", "-o", output, "--methods", *PAIR, *ARGUMENTS)
-    assert run_cli(*arguments, "--reference-passes", 1, "--quiet") == 130
+    assert run_cli(*arguments, *FEW, 1, "--quiet") == 130
     assert [path.name for path in output.iterdir()] == ["reference.exr"]
     assert capsys.readouterr().err == "photonrelax: interrupted\n"

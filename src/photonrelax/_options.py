@@ -10,6 +10,7 @@ from . import __version__, gallery
 
 PHOTONS = 1_000_000
 PHOTONS_PER_PASS = 100_000
+REFERENCE_PASSES, REFERENCE_PHOTONS = 50, 1_000_000
 SAMPLER = "halton"
 
 
@@ -126,19 +127,18 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
         help="a picture of the same view to measure errors against; default: one is computed, "
         "kept in FOLDER and used again",
     )
+    # No defaults here: they are refused if they were given where no reference is computed.
     parser.add_argument(
         "--reference-passes",
         type=positive,
-        default=50,
         metavar="N",
-        help="progressive passes that the reference takes (%(default)s)",
+        help=f"progressive passes that a computed reference takes ({REFERENCE_PASSES})",
     )
     parser.add_argument(
         "--reference-photons",
         type=positive,
-        default=1_000_000,
         metavar="N",
-        help="in each of these, whatever --photons is (%(default)s)",
+        help=f"in each of these, whatever --photons is ({REFERENCE_PHOTONS})",
     )
     _add_common(parser)
 

@@ -16,7 +16,14 @@ from . import gallery
 from ._bars import Bars
 from ._files import check_distinct, output_path, whole_file, write_json
 from ._interrupts import Interrupts
-from ._options import PHOTONS, PHOTONS_PER_PASS, SAMPLER, parser
+from ._options import (
+    PHOTONS,
+    PHOTONS_PER_PASS,
+    REFERENCE_PASSES,
+    REFERENCE_PHOTONS,
+    SAMPLER,
+    parser,
+)
 
 # Everything else is imported where it is used: an interrupt meanwhile is then caught in `main`.
 if TYPE_CHECKING:
@@ -221,6 +228,7 @@ def _compare(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from . import measures
     from .compare import compare, folder, reference
 
+    _check_reference(options)
     measures.check_installed()
     plan = _plan(options)
     given = None if options.reference is None else reference.given(options.reference, plan)
@@ -230,6 +238,25 @@ def _compare(options: argparse.Namespace, interrupts: Interrupts) -> None:
         comparison = compare(plan, truth, progress=bars)
     shown = folder.write(comparison, options.output)
     _report(options, shown.text(), f"wrote {options.output / folder.PAGE}")
+
+
+def _check_reference(options: argparse.Namespace) -> None:
+    """End with wrong usage if options of a computed reference are given where none is."""
+    if _computes_reference(options):
+        return
+    brought = f"the light of {options.scene} is known exactly"
+    if options.reference is not None:
+        brought = "--reference brings one"
+    for name in ("passes", "photons"):
+        if getattr(options, f"reference_{name}") is not None:
+            options.wrong_usage(
+                f"--reference-{name} is of a reference that is computed, but {brought}: "
+                "leave it out"
+            )
+
+
+def _computes_reference(options: argparse.Namespace) -> bool:
+    return options.reference is None and options.scene in gallery.names()
 
 
 def _plan(options: argparse.Namespace) -> Plan:
@@ -253,7 +280,10 @@ def _plan(options: argparse.Namespace) -> Plan:
 def _kept_reference(options: argparse.Namespace, plan: Plan, bars: Bars) -> pr.Image:
     from .compare import folder, reference
 
-    effort = reference.Effort(options.reference_passes, options.reference_photons)
+    effort = reference.Effort(
+        options.reference_passes or REFERENCE_PASSES,
+        options.reference_photons or REFERENCE_PHOTONS,
+    )
     return reference.kept(options.output / folder.REFERENCE, plan, effort, bars)
 
 
