@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from photonrelax import cli
-from photonrelax.compare import folder, subject
+from photonrelax.compare import folder, reference, run, subject
 from photonrelax.image import read_exr
 
 SIZE = 32
@@ -25,6 +25,12 @@ def run_cli(*arguments):
 def no_photons(monkeypatch):
     """Fail where photons are traced."""
     monkeypatch.setattr(subject, "trace_photons", None)
+
+
+@pytest.fixture
+def no_reference(monkeypatch):
+    """Fail where a reference is computed."""
+    monkeypatch.setattr(reference, "_computed", None)
 
 
 def test_compare_does_it_all_in_one_command(tmp_path, capsys):
@@ -88,6 +94,28 @@ def test_what_cannot_be_leaves_no_folder(arguments, complaint, tmp_path, capsys,
     assert run_cli("compare", *arguments, "-o", tmp_path / "new") == 1
     assert complaint in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
+
+
+def test_photons_that_are_none_are_an_error_before_a_reference(tmp_path, capsys, no_reference):
+    """The reference takes minutes."""
+    assert run_cli("compare", "ring", "--photons", 1, *PICTURES, "-o", tmp_path, "--quiet") == 1
+    assert "no photons were stored" in capsys.readouterr().err
+
+
+def test_a_method_that_fails_does_so_before_a_reference(
+    tmp_path, capsys, monkeypatch, no_reference
+):
+    prepare = run.prepare
+
+    def failing(method, task):
+        if method == "diffusion":
+            raise ValueError("photons are too few")
+        return prepare(method, task)
+
+    monkeypatch.setattr(run, "prepare", failing)
+    arguments = ("compare", "ring", "--methods", "standard", "diffusion", *ARGUMENTS)
+    assert run_cli(*arguments, "-o", tmp_path, "--quiet") == 1
+    assert "photons are too few" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

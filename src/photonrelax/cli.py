@@ -226,16 +226,20 @@ def _relax(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
 def _compare(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from . import measures
-    from .compare import compare, folder, reference
+    from .compare import folder, reference, run_methods
 
     _check_reference(options)
     measures.check_installed()
     plan = _plan(options)
     given = None if options.reference is None else reference.given(options.reference, plan)
     folder.prepare_folder(options.output, plan.methods)
+    if _computes_reference(options):
+        reference.check_own(options.output / folder.REFERENCE)
     with Bars(options.quiet, interrupts) as bars:
+        runs = run_methods(plan, progress=bars)
+        # A reference may take long: all that can fail before it has been done.
         truth = _kept_reference(options, plan, bars) if given is None else given
-        comparison = compare(plan, truth, progress=bars)
+        comparison = runs.against(truth)
     shown = folder.write(comparison, options.output)
     _report(options, shown.text(), f"wrote {options.output / folder.PAGE}")
 

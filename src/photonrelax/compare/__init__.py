@@ -11,6 +11,7 @@ from .plan import Plan as Plan
 from .run import Comparison as Comparison
 from .run import Entry as Entry
 from .run import compare as compare
+from .run import run_methods as run_methods
 from .subject import DistributionSubject as DistributionSubject
 from .subject import SceneSubject as SceneSubject
 from .subject import named as named

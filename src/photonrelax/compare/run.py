@@ -21,7 +21,7 @@ from ..photonmap import PhotonMap
 from ..render import photon_header
 from .plan import Plan
 from .truth import ABOUT, Truth, check_reference
-from .view import View
+from .view import Known, View
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,10 +155,74 @@ def compare(plan: Plan, reference: Image, *, progress: Progress | None = None) -
     """
     measures.check_installed()
     check_reference(reference, plan)
-    bench = _Bench(plan, _traced(plan, progress), reference, progress)
-    entries = bench.entries()
-    about = reference.metadata.get(ABOUT, "a picture given")
-    return Comparison(plan, entries, reference, about, bench.truth, bench.photon_layers)
+    return run_methods(plan, progress=progress).against(reference)
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """One method's picture and what made it, not measured yet; see `Entry`."""
+
+    name: str
+    method: str
+    caustic: Floats
+    n_stored: int
+    seconds: dict[str, float]
+    settings: dict[str, Any]
+    metadata: dict[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """Methods that ran, not measured yet.
+
+    A reference may take long: it is better computed when nothing else can fail.
+
+    Attributes
+    ----------
+    plan : Plan
+        What was asked for.
+    each : tuple
+        What the methods made, in the order of the columns.
+    fixed : dict
+        Layers of the view that need no photons.
+    known : Known or None
+        Its light that is known without photons.
+    photon_layers : dict
+        See `Comparison`.
+    """
+
+    plan: Plan
+    each: tuple[_Run, ...]
+    fixed: dict[str, Floats]
+    known: Known | None
+    photon_layers: dict[str, Floats]
+
+    def against(self, reference: Image) -> Comparison:
+        """Measure the errors; parameters and exceptions are those of `compare`."""
+        check_reference(reference, self.plan)
+        truth = Truth(reference, self.fixed, self.plan.exposure, self.known)
+        entries = tuple(self._measured(run, truth) for run in self.each)
+        about = reference.metadata.get(ABOUT, "a picture given")
+        return Comparison(self.plan, entries, reference, about, truth, self.photon_layers)
+
+    def _measured(self, run: _Run, truth: Truth) -> Entry:
+        image, errors = truth.measured(run.caustic)
+        return Entry(
+            name=run.name,
+            method=run.method,
+            image=Image(image.layers, run.metadata),
+            n_emitted=self.plan.n_emitted,
+            n_stored=run.n_stored,
+            seconds=run.seconds,
+            settings=run.settings,
+            errors=errors,
+            known_errors=truth.against_known(run.caustic),
+        )
+
+
+def run_methods(plan: Plan, *, progress: Progress | None = None) -> Runs:
+    """Do all of `compare` that needs no reference; parameters and exceptions are the same."""
+    return _Bench(plan, _traced(plan, progress), progress).runs()
 
 
 @dataclass(frozen=True)
@@ -200,35 +264,34 @@ def _cast(plan: Plan, share: float, progress: Progress | None) -> tuple[PhotonMa
 class _Bench:
     """What all methods share, and what is kept of those that ran."""
 
-    def __init__(
-        self, plan: Plan, cast: _Cast, reference: Image, progress: Progress | None
-    ) -> None:
-        self.photon_layers: dict[str, Floats] = {}
+    def __init__(self, plan: Plan, cast: _Cast, progress: Progress | None) -> None:
+        self._photon_layers: dict[str, Floats] = {}
         self._plan = plan
         self._cast = cast
         self._progress = progress
         views = [self._look() for _ in range(plan.rounds)]
         self._view = views[0]
         self._camera = median(view.seconds for view in views)
-        known = plan.subject.known(self._view)
-        self.truth = Truth(reference, self._view, plan.exposure, known)
 
-    def entries(self) -> tuple[Entry, ...]:
+    def runs(self) -> Runs:
         """Run all methods in turns, as often as they are timed."""
-        columns = self._plan.columns()
+        plan = self._plan
+        columns = plan.columns()
         self._warm_up()
-        made: dict[str, Entry] = {}
+        made: dict[str, _Run] = {}
         seconds: dict[str, list[dict[str, float]]] = {name: [] for name in columns}
-        for _ in range(self._plan.rounds):
+        for _ in range(plan.rounds):
             for name in columns:
                 field, caustic, taken = self._run(name)
                 seconds[name].append(taken)
                 if name not in made:
-                    made[name] = self._entry(name, field, caustic)
-        return tuple(
-            replace(entry, seconds=self._shared(entry.method) | _medians(seconds[name]))
-            for name, entry in made.items()
+                    made[name] = self._kept(name, field, caustic)
+        each = tuple(
+            replace(run, seconds=self._shared(run.method) | _medians(seconds[name]))
+            for name, run in made.items()
         )
+        known = plan.subject.known(self._view)
+        return Runs(plan, each, self._view.fixed, known, self._photon_layers)
 
     def _look(self) -> View:
         plan = self._plan
@@ -262,24 +325,13 @@ class _Bench:
         plan = self._plan
         return Task(self._cast.photons, settings, plan.subject.scene, plan.n_threads, progress)
 
-    def _entry(self, name: str, field: Field, caustic: Floats) -> Entry:
+    def _kept(self, name: str, field: Field, caustic: Floats) -> _Run:
         plan, photons = self._plan, self._cast.photons
         method, _ = plan.columns()[name]
         self._keep_photon_layers(field, method)
-        image, errors = self.truth.measured(caustic)
         used = field.used | {"supersampling": plan.supersampling, "max_depth": plan.max_depth}
         told = photon_header(photons, scene=plan.subject.name, method=method, settings=used)
-        return Entry(
-            name,
-            method,
-            Image(image.layers, told),
-            plan.n_emitted,
-            len(photons),
-            {},
-            field.used,
-            errors,
-            self.truth.against_known(caustic),
-        )
+        return _Run(name, method, caustic, len(photons), {}, field.used, told)
 
     def _shared(self, method: str) -> dict[str, float]:
         """Return the seconds of what was done for all methods, or for those with spectra."""
@@ -288,10 +340,10 @@ class _Bench:
 
     def _keep_photon_layers(self, field: Field, method: str) -> None:
         """Keep what the photons carry: SJ13's if they are there, else with constraints if known."""
-        kept = self.photon_layers
+        kept = self._photon_layers
         more = field.structure is not None and "photons.constraint" not in kept
         if not kept or more or method == "parameterised":
-            self.photon_layers = self._view.photon_layers(field)
+            self._photon_layers = self._view.photon_layers(field)
 
 
 def _medians(seconds: list[dict[str, float]]) -> dict[str, float]:

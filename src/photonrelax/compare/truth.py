@@ -9,7 +9,7 @@ from .._arrays import Floats
 from ..image import Image, srgb
 from ..measures import Errors
 from .plan import Plan
-from .view import Known, View
+from .view import Known
 
 ABOUT = "photonrelax.reference"
 """Where the metadata of a reference say what it is."""
@@ -42,6 +42,17 @@ def check_reference(reference: Image, plan: Plan) -> None:
 class Truth:
     """The reference, ready to be measured against; and where light is known, that.
 
+    Parameters
+    ----------
+    reference : Image
+        See `compare`.
+    fixed : dict
+        Layers of the same view that need no photons; see `View`.
+    exposure : float
+        Pictures are shown times 2^exposure.
+    known : Known, optional
+        Light that is known without photons.
+
     Attributes
     ----------
     clipped : float
@@ -53,12 +64,16 @@ class Truth:
     """
 
     def __init__(
-        self, reference: Image, view: View, exposure: float, known: Known | None = None
+        self,
+        reference: Image,
+        fixed: dict[str, Floats],
+        exposure: float,
+        known: Known | None = None,
     ) -> None:
-        self._fixed = view.fixed
+        self._fixed = fixed
         self._radiance = np.asarray(reference.layers["radiance"])
         self._caustic = np.asarray(
-            reference.layers.get("caustic", self._radiance - view.fixed["direct"])
+            reference.layers.get("caustic", self._radiance - fixed["direct"])
         )
         self._scale = 2.0**exposure
         self._shown = srgb(self._scale * self._radiance)
