@@ -54,8 +54,8 @@ class ProgressiveSettings:
     -----
     What the defaults weigh: small discs keep filaments, large ones are less noisy where light is
     smooth or photons are random. ``python -m bench first-discs`` prints relative L1 errors of the
-    caustic, 256 x 256 pixels of 2 x 2 samples, by k, passes that photons are dealt to; last, noise and
-    bias of the reference:
+    caustic, 256 x 256 pixels of 2 x 2 samples, by k, passes that photons are dealt to; last, noise
+    and bias of the reference:
 
     =========================== ========= ========= ========= ========= =================
     photons                     15, 16    8, 8      5, 8      5, 4      the reference's
