@@ -11,7 +11,7 @@ from photonrelax.compare import Plan, compare, named, reference
 from photonrelax.measures import relative_l1
 from photonrelax.methods import Settings
 
-from .methods import FOLDER, REFERENCES
+from .methods import FOLDER, REFERENCES, doubt_cell, truth_of
 
 KS = (30, 15, 8, 5, 4, 2)
 K_STANDARD = 30
@@ -36,7 +36,7 @@ def markdown(
 ) -> str:
     """Return the relative L1 of passes by k, and of standard estimates from as many photons."""
     plan = Plan(subject=named("prism", pixels, pixels), n_emitted=passes * photons)
-    truth = _truth(plan, effort, folder)
+    truth = truth_of(plan, effort, folder)
     scene = plan.subject.scene
     assert scene is not None, "the prism is a scene"
     lines = [f"| prism, {passes} passes of {photons:,} photons | L1 |", "| --- | --- |"]
@@ -73,29 +73,25 @@ def dealt(
     folder: Path = FOLDER,
 ) -> str:
     """Return the relative L1 of photons dealt to passes, by k and passes."""
-    names = {f"k = {k}, {n} passes": pr.ProgressiveSettings(k=k, n_passes=n) for k, n in DEALT}
+    settings = [Settings(progressive=pr.ProgressiveSettings(k=k, n_passes=n)) for k, n in DEALT]
+    names = [f"k = {k}, {n} passes" for k, n in DEALT]
     head = ["dealt", *names, "reference: noise, bias"]
     lines = [f"| {' | '.join(head)} |", f"|{' --- |' * len(head)}"]
     for scene, n, sampler in lots:
         plan = Plan(
             subject=named(scene, pixels, pixels),
             methods=("progressive",),
+            settings=settings[0],
             variants={
-                name: ("progressive", Settings(progressive=how)) for name, how in names.items()
+                name: ("progressive", how)
+                for name, how in zip(names[1:], settings[1:], strict=True)
             },
             n_emitted=n,
             sampler=sampler,
         )
-        truth = _truth(plan, effort, folder)
-        found = {entry.name: entry.errors.relative_l1 for entry in compare(plan, truth).entries}
-        cells = [f"{found[name]:.1%}" for name in names]
-        if (doubt := reference.doubt(truth)) is not None:
-            cells.append(f"{doubt.noise_l1:.1%}, {doubt.bias_l1:.1%}")
+        truth = truth_of(plan, effort, folder)
+        cells = [f"{entry.errors.relative_l1:.1%}" for entry in compare(plan, truth).entries]
+        cells.append(doubt_cell(reference.doubt(truth)))
         lines.append(f"| {scene}, {n:,} {sampler} | {' | '.join(cells)} |")
         print(f"... {scene}, {n:,} {sampler}", file=sys.stderr, flush=True)
     return "\n".join([*lines, ""])
-
-
-def _truth(plan: Plan, effort: reference.Effort, folder: Path) -> pr.Image:
-    folder.mkdir(parents=True, exist_ok=True)
-    return reference.kept(folder / f"{plan.subject.name}.exr", plan, effort)

@@ -44,6 +44,17 @@ FOLDER = Path("build/bench/methods")
 _FRESH = pr.ProgressiveSettings(k=REFERENCES.k)
 
 
+def truth_of(plan: Plan, effort: reference.Effort = REFERENCES, folder: Path = FOLDER) -> pr.Image:
+    """Return what a plan is measured against; it is kept in the folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return reference.kept(folder / f"{plan.subject.name}.exr", plan, effort)
+
+
+def doubt_cell(doubt: reference.Doubt | None) -> str:
+    """Return noise and bias of a reference for a table of relative L1."""
+    return "exact" if doubt is None else f"{doubt.noise_l1:.1%}, {doubt.bias_l1:.1%}"
+
+
 @dataclass(frozen=True, eq=False)
 class Row:
     """What methods did with one lot of photons.
@@ -113,9 +124,7 @@ class Matrix:
                     supersampling=_SAMPLES,
                     rounds=_ROUNDS if self._timed(n, sampler) else 1,
                 )
-                self.folder.mkdir(parents=True, exist_ok=True)
-                truth = reference.kept(self.folder / f"{on.name}.exr", plan, self.effort)
-                yield self._row(plan, truth)
+                yield self._row(plan, truth_of(plan, self.effort, self.folder))
 
     def _timed(self, n: int, sampler: str) -> bool:
         return (n, sampler) == (max(self.photons), "halton")
@@ -215,8 +224,7 @@ def _errors(row: Row) -> list[str]:
         f"{_marked(f'{e.ssim:.3f}', e.ssim == most)}"
         for e in each
     ]
-    doubt = row.doubt
-    return [row.label, *cells, f"{doubt.noise_l1:.1%}, {doubt.bias_l1:.1%}" if doubt else "exact"]
+    return [row.label, *cells, doubt_cell(row.doubt)]
 
 
 def _squares(row: Row) -> list[str]:

@@ -11,7 +11,7 @@ import photonrelax as pr
 from photonrelax.compare import Plan, compare, named, reference
 from photonrelax.methods import METHODS, Settings
 
-from .methods import FOLDER, REFERENCES
+from .methods import FOLDER, REFERENCES, truth_of
 
 KS = (15, 50, 100, 200)
 MOST_KS = (100, 200, 500)
@@ -30,7 +30,6 @@ class Study:
 
     def columns(self) -> Iterator[dict[str, tuple[float, str]]]:
         """Yield relative L1, and the number of photons it is of, by row."""
-        self.folder.mkdir(parents=True, exist_ok=True)
         for name, n, sampler in self.lots:
             print(f"... {name}, {n:,} {sampler}", file=sys.stderr, flush=True)
             plan = Plan(
@@ -40,7 +39,7 @@ class Study:
                 n_emitted=n,
                 sampler=sampler,
             )
-            truth = reference.kept(self.folder / f"{name}.exr", plan, self.effort)
+            truth = truth_of(plan, self.effort, self.folder)
             if (doubt := reference.doubt(truth)) is not None:
                 print(f"... its reference: {doubt.text()}", file=sys.stderr, flush=True)
             yield _least({e.name: e.errors.relative_l1 for e in compare(plan, truth).entries})

@@ -10,6 +10,8 @@ from statistics import median
 from time import perf_counter
 from typing import Any
 
+import numpy as np
+
 from .. import __version__, _arrays, measures
 from .._arrays import Floats
 from .._progress import Progress, prefixed
@@ -25,8 +27,8 @@ from .view import Known, View
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
-    """One method: its picture, how long it took, how far it is from the reference.
+class Run:
+    """One method that ran: its picture, and how long it took.
 
     Attributes
     ----------
@@ -35,7 +37,7 @@ class Entry:
     method : str
         Its name.
     image : Image
-        The layers of a picture, ``difference`` from the reference and ``flip``.
+        The ``caustic``; of an `Entry`, more.
     n_emitted, n_stored : int
         Photons it used.
     seconds : dict
@@ -43,10 +45,6 @@ class Entry:
         methods, which share photons. ``spectra`` is what these cost, for methods that need them.
     settings : dict
         It used, by stage.
-    errors : Errors
-        Of the caustic, and of the picture on a display.
-    known_errors : dict
-        Of the caustic where light is known without photons; empty if it is nowhere.
     """
 
     name: str
@@ -56,6 +54,24 @@ class Entry:
     n_stored: int
     seconds: dict[str, float]
     settings: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Entry(Run):
+    """A run, and how far it is from the reference.
+
+    Attributes
+    ----------
+    name, method, n_emitted, n_stored, seconds, settings
+        See `Run`.
+    image : Image
+        The layers of a picture, ``difference`` from the reference and ``flip``.
+    errors : Errors
+        Of the caustic, and of the picture on a display.
+    known_errors : dict
+        Of the caustic where light is known without photons; empty if it is nowhere.
+    """
+
     errors: Errors
     known_errors: dict[str, float]
 
@@ -159,19 +175,6 @@ def compare(plan: Plan, reference: Image, *, progress: Progress | None = None) -
 
 
 @dataclass(frozen=True, eq=False)
-class _Run:
-    """One method's picture and what made it, not measured yet; see `Entry`."""
-
-    name: str
-    method: str
-    caustic: Floats
-    n_stored: int
-    seconds: dict[str, float]
-    settings: dict[str, Any]
-    metadata: dict[str, str]
-
-
-@dataclass(frozen=True, eq=False)
 class Runs:
     """Methods that ran, not measured yet.
 
@@ -181,8 +184,8 @@ class Runs:
     ----------
     plan : Plan
         What was asked for.
-    each : tuple
-        What the methods made, in the order of the columns.
+    each : tuple of Run
+        In the order of the columns.
     fixed : dict
         Layers of the view that need no photons.
     known : Known or None
@@ -192,7 +195,7 @@ class Runs:
     """
 
     plan: Plan
-    each: tuple[_Run, ...]
+    each: tuple[Run, ...]
     fixed: dict[str, Floats]
     known: Known | None
     photon_layers: dict[str, Floats]
@@ -205,19 +208,11 @@ class Runs:
         about = reference.metadata.get(ABOUT, "a picture given")
         return Comparison(self.plan, entries, reference, about, truth, self.photon_layers)
 
-    def _measured(self, run: _Run, truth: Truth) -> Entry:
-        image, errors = truth.measured(run.caustic)
-        return Entry(
-            name=run.name,
-            method=run.method,
-            image=Image(image.layers, run.metadata),
-            n_emitted=self.plan.n_emitted,
-            n_stored=run.n_stored,
-            seconds=run.seconds,
-            settings=run.settings,
-            errors=errors,
-            known_errors=truth.against_known(run.caustic),
-        )
+    def _measured(self, run: Run, truth: Truth) -> Entry:
+        caustic = np.asarray(run.image.layers["caustic"])
+        image, errors = truth.measured(caustic)
+        made = vars(run) | {"image": Image(image.layers, run.image.metadata)}
+        return Entry(**made, errors=errors, known_errors=truth.against_known(caustic))
 
 
 def run_methods(plan: Plan, *, progress: Progress | None = None) -> Runs:
@@ -278,7 +273,7 @@ class _Bench:
         plan = self._plan
         columns = plan.columns()
         self._warm_up()
-        made: dict[str, _Run] = {}
+        made: dict[str, Run] = {}
         seconds: dict[str, list[dict[str, float]]] = {name: [] for name in columns}
         for _ in range(plan.rounds):
             for name in columns:
@@ -325,13 +320,14 @@ class _Bench:
         plan = self._plan
         return Task(self._cast.photons, settings, plan.subject.scene, plan.n_threads, progress)
 
-    def _kept(self, name: str, field: Field, caustic: Floats) -> _Run:
+    def _kept(self, name: str, field: Field, caustic: Floats) -> Run:
         plan, photons = self._plan, self._cast.photons
         method, _ = plan.columns()[name]
         self._keep_photon_layers(field, method)
         used = field.used | {"supersampling": plan.supersampling, "max_depth": plan.max_depth}
         told = photon_header(photons, scene=plan.subject.name, method=method, settings=used)
-        return _Run(name, method, caustic, len(photons), {}, field.used, told)
+        image = Image({"caustic": caustic}, told)
+        return Run(name, method, image, plan.n_emitted, len(photons), {}, field.used)
 
     def _shared(self, method: str) -> dict[str, float]:
         """Return the seconds of what was done for all methods, or for those with spectra."""
