@@ -82,21 +82,17 @@ def render_progressive(
         When to stop: after so many passes in all, those resumed from included, or after the pass
         in which so many seconds of this call are over. At least one is needed.
     photons_per_pass, seed : int
-        Photons emitted in each pass; from the seed and the number of a pass follows its own, see
-        `pass_seed`.
+        Photons emitted in each pass; each has a seed of its own, see `pass_seed`.
     settings : ProgressiveSettings, optional
         How discs start and shrink.
-    supersampling, max_depth : int
-        s·s samples a pixel; smooth surfaces a camera ray may meet.
-    stochastic : bool
-        Move the samples to another place in their pixel in every pass: memory then goes with the
-        pixels, edges become smooth as passes go on, and one sample a pixel will do.
+    supersampling, stochastic, max_depth : int, bool, int
+        s·s samples a pixel; whether they move to another place in it in every pass: memory then
+        goes with the pixels, edges become smooth as passes go on, and one sample a pixel will do;
+        smooth surfaces a camera ray may meet.
     checkpoints : Checkpoints, optional
         File to keep the run in and to resume from; what is done with the picture so far.
-    n_threads : int, optional
-        Threads; all available by default. The picture does not depend on it.
-    progress : callable, optional
-        Called as ``progress("passes", done, n_passes)``, or with whole seconds for passes.
+    n_threads, progress : int, callable, optional
+        Threads, by default all; called as ``progress("passes" or "seconds", done, total)``.
 
     Returns
     -------
@@ -105,19 +101,12 @@ def render_progressive(
 
     Raises
     ------
-    TypeError, ValueError
-        If an argument is invalid, no photon is stored in any pass, or the file is of another run.
-    BlockingIOError
-        If another process works on the file.
+    TypeError, ValueError, BlockingIOError
+        If an argument is invalid, nothing is ever stored, or the file is of another run or in use.
     KeyboardInterrupt
         On Ctrl-C, after the run was saved, as it is before any other error leaves.
     """
-    if n_passes is None and seconds is None:
-        raise ValueError("n_passes or seconds should be given: passes have no end of their own")
-    end = _End(
-        np.inf if n_passes is None else _arrays.count(n_passes, "n_passes"),
-        np.inf if seconds is None else _arrays.positive(seconds, "seconds"),
-    )
+    end = _End.given(n_passes, seconds)
     recipe = Recipe(
         settings=_settings(settings),
         photons_per_pass=_arrays.count(photons_per_pass, "photons_per_pass"),
@@ -127,9 +116,7 @@ def render_progressive(
         max_depth=_arrays.count(max_depth, "max_depth", low=0, high=MAX_DEPTH),
     )
     run = _Run(scene, recipe, _arrays.thread_count(n_threads))
-    _follow(run, end, checkpoints or Checkpoints(), progress)
-    run.check()
-    return run.image()
+    return _follow(run, end, checkpoints or Checkpoints(), progress)
 
 
 def _settings(settings: ProgressiveSettings | None) -> ProgressiveSettings:
@@ -151,6 +138,16 @@ class _End:
     n_passes: float
     seconds: float
 
+    @classmethod
+    def given(cls, n_passes: int | None, seconds: float | None) -> _End:
+        """Return the end that arguments of `render_progressive` say; it needs one."""
+        if n_passes is None and seconds is None:
+            raise ValueError("n_passes or seconds should be given: passes have no end of their own")
+        return cls(
+            np.inf if n_passes is None else _arrays.count(n_passes, "n_passes"),
+            np.inf if seconds is None else _arrays.positive(seconds, "seconds"),
+        )
+
     def tell(self, progress: Progress | None, n_passes: int, seconds: float) -> None:
         if progress is None:
             return
@@ -161,12 +158,14 @@ class _End:
             progress("seconds", min(int(seconds), total), total)
 
 
-def _follow(run: _Run, end: _End, checkpoints: Checkpoints, progress: Progress | None) -> None:
-    """Do passes until the end, and leave behind what is asked for."""
+def _follow(run: _Run, end: _End, checkpoints: Checkpoints, progress: Progress | None) -> Image:
+    """Do passes until the end, and leave behind what is asked for; return the picture."""
     with _kept_alone(checkpoints.state):
         keeper = _Keeper(run, checkpoints)
         keeper.resume(end)
         _go_on(run, end, keeper, checkpoints.interval, progress)
+    run.check()
+    return run.image()
 
 
 @contextmanager

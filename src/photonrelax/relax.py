@@ -74,7 +74,8 @@ def relax(
     In each iteration every photon moves, all at once, by the repulsion of its nearest photons
     (SJ13 Eq. 8), as far as its constraint basis allows (Eq. 9): first by that of photons in range
     over the emitter coordinates, sheet by sheet, then by that of all of the emitter (Algorithm 1
-    lines 10–16).
+    lines 10–16). A photon with fewer than four in range stays, and photons at the same point repel
+    others but not one another.
 
     Parameters
     ----------
@@ -88,10 +89,8 @@ def relax(
         With it photons are put back on their objects by short rays along their normals, and stay
         where they were if they would leave them. Without it they move in their tangent planes,
         which is right for flat receivers that reach beyond their photons.
-    n_threads : int, optional
-        Threads; all available by default. The result does not depend on it.
-    progress : callable, optional
-        Called as ``progress("relax", done, total)`` in moves of photons.
+    n_threads, progress : int, callable, optional
+        Threads, by default all; called as ``progress("relax", done, total)`` in moves of photons.
 
     Returns
     -------
@@ -103,11 +102,6 @@ def relax(
     ValueError
         If `structure` is not of this map, has no emitter range to constrain iterations with, or
         the map's `object_id` is not of the scene.
-
-    Notes
-    -----
-    A photon with fewer than four photons in range stays, and photons at the same point repel
-    others but not one another.
     """
     settings = settings or RelaxSettings()
     _check_structure(structure, photons, settings)

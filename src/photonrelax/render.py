@@ -18,7 +18,7 @@ from .image import Image
 from .methods import Settings, Task, check_method, frequency_share, prepare, settings_of
 from .photonmap import PhotonMap
 from .picture import Band, PhotonLayers, bands, joined
-from .scene import Camera, Scene
+from .scene import Scene
 from .trace import trace_photons
 
 
@@ -44,20 +44,16 @@ def render(
         With a camera.
     method : str
         How irradiance is estimated from photons; see `photonrelax.irradiance_field`.
-    n_emitted, seed : int
-        Photons to emit; what shifts their sequence and chooses their paths.
-    sampler : {"halton", "random"}
-        Of the photons; see `photonrelax.trace_photons`.
+    n_emitted, seed, sampler : int, int, str
+        Of the photons to emit; see `photonrelax.trace_photons`.
     supersampling, max_depth : int
         s·s samples a pixel; smooth surfaces a camera ray may meet.
     photons : PhotonMap, optional
         Traced before in this scene; then nothing is emitted. They are not looked for on its
         surfaces, but those whose ledger says that other flux was emitted are refused; without a
         ledger, as after ``photons.replace(ledger=None)``, nothing is checked.
-    n_threads : int, optional
-        Threads; all available by default. The picture does not depend on it.
-    progress : callable, optional
-        Called as ``progress(stage, done, total)``.
+    n_threads, progress : int, callable, optional
+        Threads, by default all; called as ``progress(stage, done, total)``.
     **settings
         As in `photonrelax.irradiance_field`; defaults are the papers', save for diffusion's.
 
@@ -73,26 +69,18 @@ def render(
         If the scene has no camera, an argument is invalid, no photon is stored, or those given
         are of another scene.
     """
-    if scene.camera is None:
-        raise ValueError("scene should have a camera to be rendered")
-    supersampling = _arrays.count(supersampling, "supersampling")
-    max_depth = _arrays.count(max_depth, "max_depth", low=0, high=MAX_DEPTH)
+    pipeline = _Pipeline(scene, n_threads, progress)
+    view = _checked_view(supersampling, max_depth)
     check_method(method)
     chosen = settings_of("render", settings)
-    pipeline = _Pipeline(scene, n_threads, progress)
-    if photons is not None:
-        _check_scene(photons, scene)
+    if photons is None:
+        share = frequency_share(method, chosen)
+        photons = pipeline.trace(n_emitted, seed=seed, sampler=sampler, frequency_share=share)
     else:
-        photons = pipeline.trace(
-            n_emitted,
-            seed=seed,
-            sampler=sampler,
-            frequency_share=frequency_share(method, chosen),
-        )
+        _check_scene(photons, scene)
     field = pipeline.prepare(photons, method, chosen)
-    layers = pipeline.picture(field, scene.camera, supersampling, max_depth)
-    used = field.used | {"supersampling": supersampling, "max_depth": max_depth}
-    metadata = photon_header(photons, scene=scene.name, method=method, settings=used)
+    layers = pipeline.picture(field, **view)
+    metadata = photon_header(photons, scene=scene.name, method=method, settings=field.used | view)
     return Image(layers, metadata, pipeline.stats(photons))
 
 
@@ -113,32 +101,50 @@ LAYERS = {
 """What a picture holds; means over photons are weighted with their flux."""
 
 
+def _checked_view(supersampling: int, max_depth: int) -> dict[str, int]:
+    return {
+        "supersampling": _arrays.count(supersampling, "supersampling"),
+        "max_depth": _arrays.count(max_depth, "max_depth", low=0, high=MAX_DEPTH),
+    }
+
+
 def _check_scene(photons: PhotonMap, scene: Scene) -> None:
     """Raise ValueError if the scene's emitters do not send out what the photons' ledger says."""
     if photons.ledger is None or photons.paths not in PATHS:
         return
-    should, emitted = "photons should be of the scene rendered,", photons.ledger.emitted
-    if len(emitted) != len(scene.emitters):
+    other = _difference(photons.ledger.emitted, scene, photons.paths)
+    if other:
         raise ValueError(
-            f"{should} which has {len(scene.emitters)} emitters, but are of one with {len(emitted)}"
+            f"photons should be of the scene rendered, {other}; they are taken as they are without "
+            "their ledger: photons.replace(ledger=None)"
         )
+
+
+def _difference(emitted: Floats, scene: Scene, paths: str) -> str:
+    """Return in words how a scene differs from that which emitted such flux, "" if not."""
+    if len(emitted) != len(scene.emitters):
+        return f"which has {len(scene.emitters)} emitters, but are of one with {len(emitted)}"
     try:
-        aims = plan_emission(scene, len(emitted), photons.paths).aims
+        aims = plan_emission(scene, len(emitted), paths).aims
     except ValueError as error:
-        raise ValueError(f"{should} in which they cannot have been traced: {error}") from None
+        return f"in which they cannot have been traced: {error}"
     for number, (aim, flux) in enumerate(zip(aims, emitted, strict=True)):
         if not np.allclose(aim.flux, flux, rtol=_SAME_FLUX, atol=0.0):
-            raise ValueError(
-                f"{should} whose emitter {number} sends out {aim.flux.tolist()} W, "
+            return (
+                f"whose emitter {number} sends out {aim.flux.tolist()} W, "
                 f"but it sent out {flux.tolist()} W for them"
             )
+    return ""
 
 
 class _Pipeline:
     """The stages, with the seconds and counts of those that ran."""
 
     def __init__(self, scene: Scene, n_threads: int | None, progress: Progress | None) -> None:
+        if scene.camera is None:
+            raise ValueError("scene should have a camera to be rendered")
         self._scene = scene
+        self._camera = scene.camera
         self._n_threads = _arrays.thread_count(n_threads)
         self._progress = progress
         self._stages: dict[str, dict[str, float]] = {}
@@ -163,16 +169,14 @@ class _Pipeline:
             self._finished(stage, seconds, photons=len(photons))
         return field
 
-    def picture(
-        self, field: Field, camera: Camera, supersampling: int, max_depth: int
-    ) -> dict[str, Floats]:
+    def picture(self, field: Field, supersampling: int, max_depth: int) -> dict[str, Floats]:
         started = perf_counter()
-        report = Reporter(self._progress, "render", camera.height)
+        report = Reporter(self._progress, "render", self._camera.height)
         photon_layers = PhotonLayers(field)
         parts, n_hit_points = [], 0
         for band in bands(
             self._scene,
-            camera,
+            self._camera,
             supersampling=supersampling,
             max_depth=max_depth,
             n_threads=self._n_threads,

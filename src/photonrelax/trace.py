@@ -4,6 +4,16 @@ Paths are traced in batches, a thread each: embree finds what all rays of a batc
 compiled pass takes every path through its surface and writes the rays that embree is given next.
 Photons, their order and the ledger are the same, to the bit, for any number of threads and any
 size of batch.
+
+Reflection and refraction at dielectrics are chosen at random with the Fresnel reflectance; mirrors
+and absorbing media, and diffuse surfaces where paths go on, end paths by Russian roulette on the
+luminance. So all photons of an emitter carry the same luminance, and the same flux unless the path
+was coloured. Emitters are taken to be outside of dielectrics unless the first thing met is one from
+behind: light is not absorbed between an emitter in glass and another object in the same glass.
+
+A stored photon takes 148 bytes where all emitters are collimated, else 156, 24 more where some
+carry spectra, each of which takes a fifth of a millisecond, as its neighbours are traced as well
+(see `photonrelax.frequency`); a path of the batches under way takes a few hundred.
 """
 
 from __future__ import annotations
@@ -66,21 +76,16 @@ def trace_photons(
 ) -> PhotonMap:
     """Emit photons, follow their paths and store them where they land.
 
-    Reflection and refraction at dielectrics are chosen at random with the Fresnel reflectance;
-    mirrors and absorbing media, and diffuse surfaces where paths go on, end paths by Russian
-    roulette on the luminance. So all photons of an emitter carry the same luminance, and the same
-    flux unless the path was coloured. Photon i of an emitter depends on `seed` and i alone.
-    Emitters are taken to be outside of dielectrics unless the first thing met is one from behind:
-    light is not absorbed between an emitter in glass and another object in the same glass.
+    Photon i of an emitter depends on `seed` and i alone. How its path goes on at surfaces, and the
+    memory it takes, is said in `photonrelax.trace`.
 
     Parameters
     ----------
     scene : Scene
         Objects and emitters.
-    n_emitted : int
-        Paths to start, shared among the emitters in proportion to the flux they send out.
-    seed : int
-        Shifts the Halton sequence and chooses the random numbers.
+    n_emitted, seed : int
+        Paths to start, shared among the emitters in proportion to the flux they send out; what
+        shifts the Halton sequence and chooses the random numbers.
     paths : {"caustic", "global", "all"}
         Which light to store: that met specular surfaces only (L S+ D), neither that nor direct
         light, or all that arrives on diffuse surfaces.
@@ -89,13 +94,10 @@ def trace_photons(
     max_bounces : int
         Events (specular or diffuse) after which a path is cut; at most 10,000.
     frequency_share : float
-        Share of the photons, in [0, 1], that get a spectrum, if no diffuse surface has scattered
-        them yet: each is chosen by its index, of few perhaps none. One takes a fifth of a
-        millisecond: its neighbours are traced as well (see `photonrelax.frequency`).
-    n_threads : int, optional
-        Threads to use; None for all cores.
-    progress : callable, optional
-        Called as ``progress("trace", done, n_emitted)`` now and then.
+        Share of the photons, in [0, 1], that get a spectrum: those, chosen by their indices, that
+        no diffuse surface has scattered yet.
+    n_threads, progress : int, callable, optional
+        Threads, by default all; called as ``progress("trace", done, n_emitted)`` now and then.
     batch_size : int
         Paths traced together, rounded up to a multiple of 1024.
     caster : RayCaster, optional
@@ -110,20 +112,21 @@ def trace_photons(
     ------
     TypeError, ValueError
         If an argument is invalid, or if nothing is stored: the message says why.
-
-    Notes
-    -----
-    Takes 148 bytes per stored photon where all emitters are collimated, else 156, 24 more where
-    some carry spectra, and a few hundred bytes per path of the batches under way.
     """
     how = _checked(seed, paths, sampler, max_bounces, frequency_share)
     plan = plan_emission(scene, n_emitted, paths)
     most = min(count(batch_size, "batch_size"), int(plan.counts.max()))
     size = -(-most // _kernel.BLOCK) * _kernel.BLOCK
     tracer = _Tracer(scene, caster or RayCaster(scene.objects), plan, how, size=size)
+    return _traced(tracer, thread_count(n_threads), progress)
+
+
+def _traced(tracer: _Tracer, n_threads: int, progress: Progress | None) -> PhotonMap:
+    """Trace all batches; return what they stored."""
+    plan, how = tracer.plan, tracer.how
     report = Reporter(progress, "trace", int(plan.counts.sum()))
     columns, accounts, chosen = _Columns(plan), [], []
-    for batch in _in_order(tracer.trace, _jobs(plan, tracer.size), thread_count(n_threads)):
+    for batch in _in_order(tracer.trace, _jobs(plan, tracer.size), n_threads):
         first = len(columns)
         columns.append(batch.paths.deposits, batch.account)
         if how.frequency_share:
@@ -199,10 +202,10 @@ class _Tracer:
                 f"but none of its {len(scene.objects)} objects is"
             )
         self.size = size
-        self._scene, self._plan = scene, plan
+        self._scene, self.plan = scene, plan
         self._surfaces = surfaces(table)
         self._caster = caster
-        self._how = how
+        self.how = how
         self._flux = plan.flux_per_photon
         self._emissions = [
             emission(plan, e, seed=how.seed, sampler=how.sampler) for e in range(len(plan.aims))
@@ -231,27 +234,23 @@ class _Tracer:
         """Return which photons of a batch, written from a row on, are to get spectra."""
         emitter_id, n = batch.account.emitter_id, batch.account.n_paths
         drawn = np.empty(n, dtype=np.uint8)
-        self._emissions[emitter_id].chosen(batch.first, drawn, self._how.frequency_share)
+        self._emissions[emitter_id].chosen(batch.first, drawn, self.how.frequency_share)
         ends = batch.paths.deposits.ends()
         starts = np.concatenate([[0], ends[:-1]])
         path = np.flatnonzero((drawn > 0) & (ends > starts))
         return Retraced(emitter_id, batch.first + path, first_row + starts[path])
 
     def spectra(
-        self,
-        chosen: list[Retraced],
-        n_stored: int,
-        n_threads: int | None,
-        progress: Progress | None,
+        self, chosen: list[Retraced], n_stored: int, n_threads: int, progress: Progress | None
     ) -> Floats:
         """Return the column of spectra, NaN for photons not among the chosen."""
         tracer = SpectrumTracer(
             self._scene,
-            self._plan,
+            self.plan,
             self._caster,
-            seed=self._how.seed,
-            sampler=self._how.sampler,
-            max_bounces=self._how.max_bounces,
+            seed=self.how.seed,
+            sampler=self.how.sampler,
+            max_bounces=self.how.max_bounces,
             n_threads=n_threads,
         )
         out = np.full((n_stored, 3), np.nan)
@@ -274,8 +273,8 @@ class _Tracer:
                 self._caster.frame,
                 self._caster.triangles,
                 self.size,
-                wanted=PATHS.index(self._how.paths),
-                max_bounces=self._how.max_bounces,
+                wanted=PATHS.index(self.how.paths),
+                max_bounces=self.how.max_bounces,
             )
 
 
