@@ -67,17 +67,19 @@ class BuildKernels(build_ext):
 
 
 def kernels():
-    """Return one extension per ``_ext/*.pyx``."""
-    folder = Path("src/photonrelax/_ext")
+    """One extension per ``.pyx`` below ``_ext``."""
+    source = Path("src")
+    folder = source / "photonrelax" / "_ext"
+    simd = folder / "spatial" / "simd"
     return [
         Extension(
-            f"photonrelax._ext.{source.stem}",
-            [str(source)],
-            include_dirs=[np.get_include()],
-            depends=[str(header) for header in folder.glob("*.h")],
+            ".".join(kernel.relative_to(source).with_suffix("").parts),
+            [str(kernel)],
+            include_dirs=[np.get_include(), str(simd)],
+            depends=[str(header) for header in simd.glob("*.h")],
             define_macros=[("NPY_NO_DEPRECATED_API", "NPY_2_0_API_VERSION")],
         )
-        for source in sorted(folder.glob("*.pyx"))
+        for kernel in sorted(folder.rglob("*.pyx"))
     ]
 
 

@@ -39,7 +39,7 @@ def measured(path: str, n: int, n_threads: int, rounds: int) -> dict[str, Timing
 
 def main(n: int, n_threads: int, rounds: int) -> None:
     """Measure in this process, whose environment chose the path, and print JSON."""
-    from photonrelax._ext import kdtree
+    from photonrelax._ext.spatial import tree as kdtree
 
     from .compare import Workbench
 

@@ -6,7 +6,7 @@ from unittest import mock
 
 import pytest
 
-from photonrelax._ext import kdtree
+from photonrelax._ext.spatial import tree as kdtree
 
 VARIABLE = "PHOTONRELAX_SIMD"
 

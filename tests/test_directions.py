@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from photonrelax import _arrays
-from photonrelax._ext import columns, directions
+from photonrelax._ext.photons import normals as directions
+from photonrelax._ext.spatial import blocks as columns
 
 
 def random_directions(n, seed=0):

@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
-from photonrelax._ext import adaptive, diffusion, estimate, tangent
+from photonrelax._ext.estimation import diffusion
+from photonrelax._ext.estimation import nearest as estimate
+from photonrelax._ext.estimation import refinement as adaptive
+from photonrelax._ext.estimation import tangent_plane as tangent
 from photonrelax.kdtree import KDTree
 
 N = 40

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from photonrelax._ext import curve, order
+from photonrelax._ext.spatial import build as order
+from photonrelax._ext.spatial import morton as curve
 
 BLOCK = 16
 

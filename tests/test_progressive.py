@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from conftest import flat_map, plane, uniform_map
-from photonrelax._ext.progressive import kth_distance
+from photonrelax._ext.estimation.progressive import kth_distance
 
 import photonrelax as pr
 from photonrelax.dealing import dealt

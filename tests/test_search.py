@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import photonrelax as pr
-from photonrelax._ext import relax
+from photonrelax._ext.relaxation import relax
 
 # Around one block, one group of blocks and the chunks keys are looked at in; many levels.
 SIZES = [0, 1, 2, 15, 16, 17, 63, 64, 65, 255, 256, 257, 272, 273, 1025, 4096, 5000]

@@ -13,7 +13,7 @@ from conftest import flat_map, unit_square
 
 import photonrelax as pr
 from photonrelax import _progress
-from photonrelax._ext import kdtree
+from photonrelax._ext.spatial import tree as kdtree
 
 NEEDED = {
     "avx512": {"avx512f", "avx512bw", "avx512dq", "avx512vl", "popcnt", "bmi1"},

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from photonrelax._ext.within import Within
+from photonrelax._ext.spatial.radius import Within
 
 from photonrelax.estimate import KERNELS
 from photonrelax.kdtree import KDTree

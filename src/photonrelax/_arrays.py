@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._ext import directions as _directions
+from ._ext.common import unit_vectors as _unit_vectors
 
 # More threads than this the OpenMP runtime may refuse, and with it end the process.
 _MOST_THREADS = 1024
@@ -120,7 +120,7 @@ def unit_vectors(value: ArrayLike, name: str, shape: Shape, n_threads: int = 1) 
     """
     array = float_array(value, name, shape)
     unit = np.empty_like(array)
-    if not _directions.unit_vectors(array.reshape(-1, 3), unit.reshape(-1, 3), n_threads):
+    if not _unit_vectors.unit_vectors(array.reshape(-1, 3), unit.reshape(-1, 3), n_threads):
         bad = int(np.flatnonzero(~array.reshape(-1, 3).any(axis=1))[0])
         raise ValueError(f"{name} should hold directions, but vector {bad} is zero")
     return unit

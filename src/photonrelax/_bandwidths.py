@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._arrays import Floats
-from ._ext import tangent as _tangent
+from ._ext.estimation import tangent_plane as _tangent
 from ._facing import FacingTrees
 from ._progress import Reporter
 from ._sheets import normal_range

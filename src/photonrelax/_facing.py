@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from . import _arrays
 from ._arrays import Floats, Rows
-from ._ext.curve import curve_order
-from ._ext.directions import distinct, faced
+from ._ext.photons.normals import distinct, faced
+from ._ext.spatial.morton import curve_order
 from ._progress import Reporter
 from ._sheets import MOST_FACES, NORMAL_RANGE, facing, placed_rows, side_by_side
 from .kdtree import KDTree

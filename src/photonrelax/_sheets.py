@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._arrays import Floats, Rows
-from ._ext.columns import copy_rows
-from ._ext.directions import alike, distinct
+from ._ext.photons.normals import alike, distinct
+from ._ext.spatial.blocks import copy_rows
 from .kdtree import KDTree
 from .photonmap import PhotonMap
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from . import spectrum
 from ._arrays import Floats
-from ._ext import trace as _kernel
+from ._ext.transport import trace as _kernel
 from ._followed import CHUNK, Beams, Follower, Landings, Ways, started
 from .emit import ELLIPSE, LUMINANCE, PATHS, Aim, EmissionPlan, emission
 from .photonmap import FATES

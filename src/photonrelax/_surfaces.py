@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from ._arrays import Floats, Rows
-from ._ext.surfaces import DOWN, UP, Moves, Places
+from ._ext.relaxation.projection import DOWN, UP, Moves, Places
 from .photonmap import PhotonMap
 from .raycast import RayCaster
 from .scene import Scene

@@ -45,7 +45,7 @@ Measured with random photons and numbers from 15 to 200, in this order of the tw
 
 from __future__ import annotations
 
-from ._ext import adaptive as _adaptive
+from ._ext.estimation import refinement as _adaptive
 
 REFINEMENTS = {
     "none": None,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import Floats, count, float_array, positive, thread_count, unit_vectors
-from ._ext.camera import Surfaces
+from ._ext.transport.hit_points import Surfaces
 from .raycast import Intersections, RayCaster
 from .scene import (
     DIELECTRIC,

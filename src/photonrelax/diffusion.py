@@ -38,8 +38,8 @@ from numpy.typing import ArrayLike
 from . import _arrays
 from ._arrays import Floats
 from ._bandwidths import Rows, Scale, sites_in_chunks
-from ._ext import diffusion as _diffusion
-from ._ext import tangent as _tangent
+from ._ext.estimation import diffusion as _diffusion
+from ._ext.estimation import tangent_plane as _tangent
 from ._facing import FacingTrees
 from ._progress import Progress, Reporter
 from ._sheets import normal_range

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._arrays import Floats, count, thread_count
-from ._ext import emit as _kernel
+from ._ext.transport import emission as _kernel
 from .sampling import check_seed, seed_shift
 from .scene import CollimatedEmitter, Emitter, LambertianEmitter, PointEmitter, Scene
 

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _arrays
 from ._arrays import Floats
-from ._ext import adaptive as _adaptive
-from ._ext import estimate as _estimate
-from ._ext import tangent as _tangent
+from ._ext.estimation import nearest as _estimate
+from ._ext.estimation import refinement as _adaptive
+from ._ext.estimation import tangent_plane as _tangent
 from ._facing import FacingTrees
 from ._progress import Progress, Reporter
 from ._sheets import normal_range

@@ -32,7 +32,7 @@ import numpy as np
 
 from . import _arrays, spectrum
 from ._arrays import Floats
-from ._ext.frequency import Bounds
+from ._ext.estimation.frequency import Bounds
 from ._facing import FacingTrees
 from ._sheets import normal_range
 from .dealing import ProgressiveField

@@ -32,8 +32,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from . import _arrays
-from ._ext import structure as _structure
-from ._ext.structure import gradient_constraint
+from ._ext.relaxation import structure as _structure
+from ._ext.relaxation.structure import gradient_constraint
 from ._progress import Progress, Reporter
 from ._sheets import neighbour_groups, photon_tree, placed_rows
 from .photonmap import PhotonMap

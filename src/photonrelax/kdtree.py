@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _arrays
 from ._arrays import Floats
-from ._ext import kdtree as _kdtree
-from ._ext import neighbours as _neighbours
-from ._ext.columns import bounds
-from ._ext.curve import curve_order
+from ._ext.spatial import query as _neighbours
+from ._ext.spatial import tree as _kdtree
+from ._ext.spatial.blocks import bounds
+from ._ext.spatial.morton import curve_order
 
 # Squared distances must stay finite.
 _LARGEST_EXTENT = 1e150

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import Floats, float_array, thread_count, unit_vectors
-from ._ext import optics as _kernel
+from ._ext.transport import optics as _kernel
 
 # How far rounding may carry a cosine out of [0, 1].
 _COSINE_SLACK = 1e-9

@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _arrays
 from ._arrays import Floats
-from ._ext import progressive as _kernel
-from ._ext.within import Within
+from ._ext.estimation import progressive as _kernel
+from ._ext.spatial.radius import Within
 from ._facing import FacingTrees, Order
 from ._sheets import normal_range
 from .estimate import KERNELS, automatic_gather_radius

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import Floats, float_array, thread_count
-from ._ext.raycast import Found, Frame, Triangles
+from ._ext.transport.raycast import Found, Frame, Triangles
 from ._meshes import empty, hittable_faces, vertices_of
 from .scene import SceneObject
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from . import _arrays
 from ._arrays import Floats, Rows
-from ._ext import relax as _relax
+from ._ext.relaxation import relax as _relax
 from ._progress import Progress, Reporter
 from ._sheets import NORMAL_RANGE, neighbour_groups, photon_tree, placed_rows
 from ._surfaces import Surfaces

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ._arrays import Floats, count, float_array, thread_count, unit_vectors
-from ._ext import sampling as _kernel
+from ._ext.transport import sampling as _kernel
 
 _SEED_BITS = 64
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from . import _arrays
 from ._arrays import Floats
-from ._ext import structure as _structure
-from ._ext.structure import (
+from ._ext.relaxation import structure as _structure
+from ._ext.relaxation.structure import (
     anisotropy_to_gradient,
     constraint,
     isotropic_mean,

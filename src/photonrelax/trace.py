@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._arrays import Floats, count, float_array, thread_count
-from ._ext import trace as _kernel
-from ._ext.deposits import Columns, Deposits
+from ._ext.transport import trace as _kernel
+from ._ext.transport.deposits import Columns, Deposits
 from ._progress import Progress, Reporter
 from ._spectra import Retraced, SpectrumTracer, joined, surfaces
 from .emit import LUMINANCE, PATHS, SAMPLERS, EmissionPlan, check_choice, emission, plan_emission

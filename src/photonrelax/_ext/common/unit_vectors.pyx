@@ -1,0 +1,23 @@
+"""Vectors scaled to unit length, in parallel."""
+
+from cython.parallel cimport prange
+
+
+def unit_vectors(const double[:, ::1] vectors, double[:, ::1] out, int n_threads):
+    """Write vectors (n, 3) scaled to unit length; return whether all have one."""
+    cdef Py_ssize_t part, n_bad = 0
+    for part in prange(
+        n_grains(vectors.shape[0]), nogil=True, schedule="static", num_threads=n_threads
+    ):
+        n_bad += scale_part(vectors, out, part)
+    return n_bad == 0
+
+
+cdef Py_ssize_t scale_part(
+    const double[:, ::1] vectors, double[:, ::1] out, Py_ssize_t part
+) noexcept nogil:
+    """Scale some vectors; return how many cannot be."""
+    cdef Py_ssize_t i, n_bad = 0
+    for i in range(GRAIN_SIZE * part, min(GRAIN_SIZE * part + GRAIN_SIZE, vectors.shape[0])):
+        n_bad += not to_unit(&out[i, 0], &vectors[i, 0])
+    return n_bad

@@ -1,0 +1,108 @@
+"""Columns of arrays: put side by side, bounded, and laid in blocks as a tree lays its points."""
+
+from cython.parallel cimport prange
+
+import numpy as np
+
+from .simd.kernels cimport BLOCK
+
+from .tree import aligned
+
+cdef enum:
+    # Rows of a column looked at before those of the next; they fit the cache.
+    PART = 1024
+
+
+def copy_rows(
+    double[:, ::1] target, Py_ssize_t first, const double[:, ::1] source,
+    const Py_ssize_t[::1] rows, double scale, int n_threads
+):
+    """Copy some rows of `source`, multiplied by `scale`, to columns of `target` from `first` on.
+
+    All rows if `rows` is None.
+    """
+    cdef Py_ssize_t i, row
+    if target.shape[0] != (source.shape[0] if rows is None else rows.shape[0]):
+        raise ValueError("rows do not fit the target")
+    if first < 0 or first + source.shape[1] > target.shape[1]:
+        raise ValueError("columns do not fit the target")
+    for i in prange(target.shape[0], nogil=True, schedule="static", num_threads=n_threads):
+        row = i if rows is None else rows[i]
+        copy_row(&target[i, first], &source[row, 0], source.shape[1], scale)
+
+
+cdef inline void copy_row(
+    double* target, const double* source, Py_ssize_t n, double scale
+) noexcept nogil:
+    cdef Py_ssize_t column
+    for column in range(n):
+        target[column] = scale * source[column]
+
+
+def bounds(const double[:, ::1] points, Py_ssize_t n_axes, int n_threads):
+    """Return the least and the greatest coordinates (n_axes,) of points, on their first axes.
+
+    Infinity and its negative if there are no points.
+    """
+    if not 0 <= n_axes <= points.shape[1]:
+        raise ValueError(f"n_axes should be from 0 to {points.shape[1]}, but is {n_axes}")
+    cdef double[:, ::1] low = np.full((n_threads, n_axes), np.inf)
+    cdef double[:, ::1] high = np.full((n_threads, n_axes), -np.inf)
+    cdef int thread
+    for thread in prange(n_threads, nogil=True, num_threads=n_threads):
+        bound_share(points, n_axes, thread, n_threads, low, high)
+    return np.min(low, axis=0), np.max(high, axis=0)
+
+
+cdef void bound_share(
+    const double[:, ::1] points, Py_ssize_t n_axes, int thread, int n_threads,
+    double[:, ::1] low, double[:, ::1] high
+) noexcept nogil:
+    """Bound a thread's share of the points; write its row only."""
+    cdef Py_ssize_t first = thread * points.shape[0] // n_threads
+    cdef Py_ssize_t end = (thread + 1) * points.shape[0] // n_threads
+    cdef Py_ssize_t axis
+    while first < end:
+        for axis in range(n_axes):
+            bound_part(
+                points, axis, first, min(first + PART, end), &low[thread, axis], &high[thread, axis]
+            )
+        first += PART
+
+
+cdef inline void bound_part(
+    const double[:, ::1] points, Py_ssize_t axis, Py_ssize_t first, Py_ssize_t end, double* low,
+    double* high
+) noexcept nogil:
+    """Widen bounds, which lie next to those of another thread, so they are written only once."""
+    cdef double least = low[0], greatest = high[0]
+    cdef Py_ssize_t i
+    for i in range(first, end):
+        least = min(least, points[i, axis])
+        greatest = max(greatest, points[i, axis])
+    low[0] = least
+    high[0] = greatest
+
+
+def in_blocks(const double[:, ::1] values, const Py_ssize_t[::1] rows, int n_threads):
+    """Return values (m, c) of chosen rows (n,) as (n / 16, c, 16), zero where there are none."""
+    cdef Py_ssize_t n_blocks = (rows.shape[0] + BLOCK - 1) // BLOCK
+    cdef Py_ssize_t block
+    out = aligned((n_blocks, values.shape[1], BLOCK))
+    cdef double[:, :, ::1] blocks = out
+    for block in prange(n_blocks, nogil=True, schedule="static", num_threads=n_threads):
+        fill_block(values, rows, block, blocks)
+    return out
+
+
+cdef void fill_block(
+    const double[:, ::1] values, const Py_ssize_t[::1] rows, Py_ssize_t block,
+    double[:, :, ::1] blocks
+) noexcept nogil:
+    cdef Py_ssize_t lane, channel
+    cdef Py_ssize_t n = min(rows.shape[0] - BLOCK * block, <Py_ssize_t> BLOCK)
+    for channel in range(values.shape[1]):
+        for lane in range(n):
+            blocks[block, channel, lane] = values[rows[BLOCK * block + lane], channel]
+        for lane in range(n, BLOCK):
+            blocks[block, channel, lane] = 0.0

@@ -1,0 +1,387 @@
+# distutils: language = c++
+"""Order of the tree's leaves.
+
+The tree is split on keys of 30 bits, not on coordinates: rows of keys and ids take less than the
+points do, so that they can be moved at every level and lower levels run in the cache. A key is
+the scaled distance from the node's lowest point, cut to a whole number. Keys are in the order of
+their coordinates; where they cannot tell (equal keys on both sides of a split, extents a few
+units apart), the coordinates themselves decide.
+
+Halves keep the order their points had, so ids ascend in every node. Hence the first of equal
+coordinates have the lowest ids, and no split has to compare ids.
+"""
+
+from cython.parallel cimport prange
+from libc.math cimport INFINITY
+from libc.stdint cimport INT32_MAX, INT32_MIN, int32_t, uint32_t
+from libc.string cimport memcpy, memset
+
+from .simd.kernels cimport BLOCK
+from .build_node cimport (
+    COARSE, MAX_AXES, MAX_WORDS, Job, Node, bound_keys, bound_points, divide,
+    divide_tied, keys_of, keys_per_extent, renew_keys, widest, widest_extent, write_keys,
+)
+from .build_rows cimport (
+    N_BUCKETS, QUAD, Cut, Keys, bucket_shift, count_keys, enter_bucket, find_key, take_keys,
+)
+
+import numpy as np
+
+cdef enum:
+    # Threads go on by subtrees when there are so many a thread, for an even load,
+    SUBTREES = 4
+    # or when nodes have fewer points.
+    FEW_POINTS = 1 << 14
+
+
+cdef struct Found:
+    # What a thread found in its share of a node.
+    double[MAX_AXES] least
+    double[MAX_AXES] most
+    int32_t[MAX_WORDS] low
+    int32_t[MAX_WORDS] high
+    uint32_t[N_BUCKETS] sizes
+    Py_ssize_t n_taken
+    Py_ssize_t n_lower
+
+
+cdef struct Team:
+    # The threads that work at one node together, and room for what each of them found.
+    const Job* job
+    Found* found
+    int n_threads
+
+
+def median_order(const double[:, ::1] points, const double[::1] axis_scale, int n_threads):
+    """Order points as the leaves of a tree of median splits.
+
+    Points come in blocks of 16, the last of which may hold fewer. Node j of level l has the
+    blocks from ``(j * n_blocks) >> l`` to ``((j + 1) * n_blocks) >> l``; its first half is that of
+    node 2j of the next level. That half has the least points by (coordinate, id) on the axis
+    where the extent of the node's points times `axis_scale` is greatest, the first of several
+    such. In a block, ids ascend.
+
+    Parameters
+    ----------
+    points : (n, d) float array
+        Coordinates, finite; n < 2**31.
+    axis_scale : (d,) float array
+        What makes extents comparable, finite and not negative; on axes of scale zero nothing is
+        split. At most 255 may be positive, and scaled extents have to be finite.
+    n_threads : int
+        Threads; the order does not depend on it.
+
+    Returns
+    -------
+    (n,) intp array
+        Ids, the rows of `points`, in the order of the leaves. Behind them is room for as many as
+        the last block lacks, so that ids can be read several at a time.
+
+    Raises
+    ------
+    ValueError
+        If there are too many points or axes, or not as many scales as axes.
+    """
+    cdef Py_ssize_t n = points.shape[0]
+    cdef Py_ssize_t[::1] axes = np.flatnonzero(axis_scale)
+    cdef double[::1] scale = np.take(axis_scale, axes)
+    check(n, points.shape[1], axis_scale.shape[0], axes.shape[0])
+    order = np.zeros((n + BLOCK - 1) // BLOCK * BLOCK, np.intp)[:n]
+    if n <= BLOCK or axes.shape[0] == 0:
+        order[:] = np.arange(n)
+        return order
+    cdef Job job
+    cdef Team team
+    job.n_keys = <int> axes.shape[0]
+    job.words = (job.n_keys + QUAD) // QUAD * QUAD
+    cdef Py_ssize_t[::1] order_view = order
+    cdef int32_t[:, :, ::1] rows = np.empty((2, n, job.words), np.int32)
+    cdef unsigned char[:, ::1] found = np.zeros((n_threads, sizeof(Found)), np.uint8)
+    job.points = &points[0, 0]
+    job.n_points = n
+    job.n_axes = points.shape[1]
+    job.n_blocks = (n + BLOCK - 1) // BLOCK
+    job.axes = &axes[0]
+    job.scale = &scale[0]
+    job.rows[0] = &rows[0, 0, 0]
+    job.rows[1] = &rows[1, 0, 0]
+    job.order = &order_view[0]
+    team.job = &job
+    team.found = <Found*> &found[0, 0]
+    team.n_threads = n_threads
+    with nogil:
+        build(&team)
+    return order
+
+
+cdef object check(
+    Py_ssize_t n_points, Py_ssize_t n_axes, Py_ssize_t n_scales, Py_ssize_t n_positive
+):
+    if n_scales != n_axes:
+        raise ValueError(f"axis_scale should have {n_axes} numbers, but has {n_scales}")
+    if n_points > INT32_MAX:
+        raise ValueError(f"points should have at most {INT32_MAX} rows, but have {n_points}")
+    if n_positive > MAX_AXES:
+        raise ValueError(
+            f"axis_scale should have at most {MAX_AXES} positive numbers, but has {n_positive}"
+        )
+
+
+cdef void build(const Team* team) noexcept nogil:
+    cdef int level = 0
+    cdef Py_ssize_t index
+    write_root(team)
+    while team.n_threads > 1 and (1 << level) < SUBTREES * team.n_threads and (
+        team.job.n_points >> level >= FEW_POINTS
+    ):
+        if (1 << level) < team.n_threads:
+            for index in range(1 << level):
+                split_together(team, level, index)
+        else:
+            for index in prange(1 << level, schedule="dynamic", num_threads=team.n_threads):
+                split_alone(team.job, level, index)
+        level += 1
+    for index in prange(1 << level, schedule="dynamic", num_threads=team.n_threads):
+        descend(team.job, level, index)
+
+
+cdef void split_alone(const Job* job, int level, Py_ssize_t index) noexcept nogil:
+    cdef Node node = node_at(job, level, index)
+    if not split(job, &node):
+        copy_node(job, &node)
+
+
+cdef void copy_node(const Job* job, const Node* node) noexcept nogil:
+    """Put coincident points where the halves belong, to be split in vain again."""
+    memcpy(node.halves, node.rows, node.count * job.words * sizeof(int32_t))
+
+
+cdef Node node_at(const Job* job, int level, Py_ssize_t index) noexcept nogil:
+    cdef Node node
+    cdef Py_ssize_t first = (index * job.n_blocks) >> level
+    cdef Py_ssize_t middle = ((2 * index + 1) * job.n_blocks) >> (level + 1)
+    cdef Py_ssize_t end = ((index + 1) * job.n_blocks) >> level
+    node.first = BLOCK * first
+    node.count = min(BLOCK * end, job.n_points) - node.first
+    node.n_lower = BLOCK * (middle - first)
+    node.n_blocks = end - first
+    node.rows = job.rows[level & 1] + node.first * job.words
+    node.halves = job.rows[(level + 1) & 1] + node.first * job.words
+    return node
+
+
+cdef void descend(const Job* job, int level, Py_ssize_t index) noexcept nogil:
+    """Order the points of a node."""
+    cdef Node node = node_at(job, level, index)
+    if node.n_blocks < 2 or not split(job, &node):
+        write_ids(job, &node)
+        return
+    descend(job, level + 1, 2 * index)
+    descend(job, level + 1, 2 * index + 1)
+
+
+cdef void write_ids(const Job* job, const Node* node) noexcept nogil:
+    cdef Py_ssize_t i
+    for i in range(node.count):
+        job.order[node.first + i] = node.rows[i * job.words]
+
+
+cdef bint split(const Job* job, const Node* node) noexcept nogil:
+    """Move the halves to where they belong; return False if all points coincide."""
+    cdef int32_t[MAX_WORDS] low
+    cdef int32_t[MAX_WORDS] high
+    cdef Cut cut
+    cdef Keys keys
+    bound_keys(job, node, low, high)
+    if widest_extent(job, low, high) < COARSE:
+        if not renew_keys(job, node):
+            return False
+        bound_keys(job, node, low, high)
+    cut.word = widest(job, node, low, high)
+    keys = keys_of(job, node, cut.word, low, high)
+    find_key(keys, node.halves, &cut)
+    if cut.n_tied:
+        divide_tied(job, node, &cut)
+    else:
+        divide(job, node, &cut, 0, node.n_lower)
+    return True
+
+
+# All threads at one node
+
+cdef Node share_of(const Team* team, const Node* node, int thread) noexcept nogil:
+    """Return a thread's part of a node's rows, and room for as many."""
+    cdef Node share = node[0]
+    cdef Py_ssize_t first = thread * node.count // team.n_threads
+    share.first += first
+    share.count = (thread + 1) * node.count // team.n_threads - first
+    share.rows += first * team.job.words
+    share.halves += first * team.job.words
+    return share
+
+
+cdef void write_root(const Team* team) noexcept nogil:
+    cdef Node root = node_at(team.job, 0, 0)
+    cdef double[MAX_AXES] least
+    cdef double[MAX_AXES] most
+    cdef double unit
+    cdef int thread, axis
+    for thread in prange(team.n_threads, num_threads=team.n_threads):
+        number_share(team, &root, thread)
+    for axis in range(team.job.n_keys):
+        least[axis] = INFINITY
+        most[axis] = -INFINITY
+        for thread in range(team.n_threads):
+            least[axis] = min(least[axis], team.found[thread].least[axis])
+            most[axis] = max(most[axis], team.found[thread].most[axis])
+    unit = keys_per_extent(team.job, least, most)
+    for thread in prange(team.n_threads, num_threads=team.n_threads):
+        write_share(team, &root, thread, least, unit)
+
+
+cdef void number_share(const Team* team, const Node* root, int thread) noexcept nogil:
+    cdef Node share = share_of(team, root, thread)
+    cdef Py_ssize_t i
+    memset(share.rows, 0, share.count * team.job.words * sizeof(int32_t))
+    for i in range(share.count):
+        share.rows[i * team.job.words] = <int32_t> (share.first + i)
+    bound_points(team.job, &share, team.found[thread].least, team.found[thread].most)
+
+
+cdef void write_share(
+    const Team* team, const Node* root, int thread, const double* least, double unit
+) noexcept nogil:
+    cdef Node share = share_of(team, root, thread)
+    write_keys(team.job, &share, least, unit)
+
+
+cdef void split_together(const Team* team, int level, Py_ssize_t index) noexcept nogil:
+    cdef Node node = node_at(team.job, level, index)
+    cdef int32_t[MAX_WORDS] low
+    cdef int32_t[MAX_WORDS] high
+    cdef Cut cut
+    bound_together(team, &node, low, high)
+    if widest_extent(team.job, low, high) < COARSE:
+        if not renew_keys(team.job, &node):
+            copy_node(team.job, &node)
+            return
+        bound_together(team, &node, low, high)
+    cut.word = widest(team.job, &node, low, high)
+    find_together(team, &node, keys_of(team.job, &node, cut.word, low, high), &cut)
+    if cut.n_tied:
+        divide_tied(team.job, &node, &cut)
+    else:
+        divide_together(team, &node, &cut)
+
+
+cdef void bound_together(
+    const Team* team, const Node* node, int32_t* low, int32_t* high
+) noexcept nogil:
+    cdef int thread, word
+    for thread in prange(team.n_threads, num_threads=team.n_threads):
+        bound_share(team, node, thread)
+    for word in range(team.job.words):
+        low[word] = INT32_MAX
+        high[word] = INT32_MIN
+        for thread in range(team.n_threads):
+            low[word] = min(low[word], team.found[thread].low[word])
+            high[word] = max(high[word], team.found[thread].high[word])
+
+
+cdef void bound_share(const Team* team, const Node* node, int thread) noexcept nogil:
+    cdef Node share = share_of(team, node, thread)
+    bound_keys(team.job, &share, team.found[thread].low, team.found[thread].high)
+
+
+cdef void find_together(
+    const Team* team, const Node* node, Keys keys, Cut* cut
+) noexcept nogil:
+    # The order of these points is not known before their last split.
+    cdef int32_t* scratch = <int32_t*> (team.job.order + node.first)
+    cdef int shift = bucket_shift(&keys)
+    cdef int thread, bucket
+    for thread in prange(team.n_threads, num_threads=team.n_threads):
+        count_share(team, node, thread, keys, cut.word, shift)
+    bucket = enter_common_bucket(team, &keys, shift)
+    for thread in prange(team.n_threads, num_threads=team.n_threads):
+        take_share(team, node, thread, keys, cut.word)
+    gather_taken(team, node, &keys, scratch)
+    find_key(keys, scratch, cut)
+    for thread in range(team.n_threads):
+        count_lower(&team.found[thread], bucket, share_of(team, node, thread).halves, cut.key)
+
+
+cdef int enter_common_bucket(const Team* team, Keys* keys, int shift) noexcept nogil:
+    cdef uint32_t[N_BUCKETS] sizes
+    cdef int thread, bucket
+    for bucket in range(N_BUCKETS):
+        sizes[bucket] = 0
+        for thread in range(team.n_threads):
+            sizes[bucket] += team.found[thread].sizes[bucket]
+    return enter_bucket(keys, shift, sizes)
+
+
+cdef void count_share(
+    const Team* team, const Node* node, int thread, Keys keys, int word, int shift
+) noexcept nogil:
+    cdef Node share = share_of(team, node, thread)
+    keys.first = share.rows + word
+    keys.count = share.count
+    count_keys(&keys, shift, team.found[thread].sizes)
+
+
+cdef void take_share(
+    const Team* team, const Node* node, int thread, Keys keys, int word
+) noexcept nogil:
+    cdef Node share = share_of(team, node, thread)
+    keys.first = share.rows + word
+    keys.count = share.count
+    team.found[thread].n_taken = take_keys(&keys, share.halves)
+
+
+cdef void gather_taken(
+    const Team* team, const Node* node, Keys* keys, int32_t* target
+) noexcept nogil:
+    """Put together what the threads took."""
+    cdef int thread
+    keys.first = target
+    keys.step = 1
+    keys.count = 0
+    for thread in range(team.n_threads):
+        memcpy(
+            target + keys.count, share_of(team, node, thread).halves,
+            team.found[thread].n_taken * sizeof(int32_t)
+        )
+        keys.count += team.found[thread].n_taken
+
+
+cdef void count_lower(
+    Found* found, int bucket, const int32_t* taken, int32_t key
+) noexcept nogil:
+    """Count a thread's keys in the buckets before and the less ones of those it took."""
+    cdef Py_ssize_t i
+    found.n_lower = 0
+    for i in range(bucket):
+        found.n_lower += found.sizes[i]
+    for i in range(found.n_taken):
+        found.n_lower += taken[i] < key
+
+
+cdef void divide_together(const Team* team, const Node* node, const Cut* cut) noexcept nogil:
+    cdef int thread
+    for thread in prange(team.n_threads, num_threads=team.n_threads):
+        divide_share(team, node, thread, cut)
+
+
+cdef void divide_share(
+    const Team* team, const Node* node, int thread, const Cut* cut
+) noexcept nogil:
+    cdef Node share = share_of(team, node, thread)
+    cdef Py_ssize_t lower = 0
+    cdef int before
+    for before in range(thread):
+        lower += team.found[before].n_lower
+    share.halves = node.halves
+    divide(
+        team.job, &share, cut, lower, node.n_lower + share.first - node.first - lower
+    )

@@ -1,0 +1,196 @@
+"""The search of within.pxd, and sums over what it finds."""
+
+from cython.parallel cimport prange
+from libc.float cimport DBL_MAX
+from libc.stdint cimport int64_t
+
+from .tree cimport Tree, fan_out, first_block, last_kept
+from .simd.kernels cimport BLOCK, Reach, highest_bit, lowest_bit
+
+from .blocks import in_blocks
+
+cdef enum:
+    # A depth-first search leaves at most 15 open groups a kept level, of which there are 7.
+    STACK_SIZE = 128
+
+
+cdef void visit_within(
+    Tree tree, const Reach* reach, Visitor visit, void* state
+) noexcept nogil:
+    cdef Py_ssize_t[STACK_SIZE] open_level
+    cdef Py_ssize_t[STACK_SIZE] open_group
+    cdef Py_ssize_t n_open = 1, level, g, last = last_kept(tree)
+    cdef Reach within = reach[0]
+    cdef unsigned int near, child
+    if tree.n_points == 0:
+        return
+    # Boxes and lanes without a point are infinitely far, and must stay out of reach.
+    within.squared_limit = min(within.squared_limit, DBL_MAX)
+    open_level[0] = open_group[0] = 0
+    while n_open > 0:
+        n_open -= 1
+        level = open_level[n_open]
+        g = open_group[n_open]
+        near = tree.lanes.boxes_near(
+            &tree.boxes[tree.first_group[level] + g, 0, 0, 0], BLOCK, &within
+        )
+        if level == last:
+            visit_blocks(tree, &within, g * fan_out(tree, last), near, visit, state)
+            continue
+        while near:
+            child = highest_bit(near)
+            near ^= 1u << child
+            open_level[n_open] = level + 1
+            open_group[n_open] = g * fan_out(tree, level) + child
+            n_open += 1
+
+
+cdef void visit_blocks(
+    Tree tree, const Reach* reach, Py_ssize_t node, unsigned int near, Visitor visit, void* state
+) noexcept nogil:
+    """Visit the blocks of those of 16 nodes that are near."""
+    cdef Py_ssize_t block
+    cdef unsigned int lanes
+    while near:
+        block = first_block(tree, node + lowest_bit(near))
+        near &= near - 1
+        lanes = lanes_within(tree, block, reach)
+        if lanes:
+            visit(state, tree, block, lanes)
+
+
+cdef unsigned int lanes_within(Tree tree, Py_ssize_t block, const Reach* reach) noexcept nogil:
+    cdef double[BLOCK] squared
+    cdef double[BLOCK] squared_range
+    cdef unsigned int lanes = 0
+    cdef Py_ssize_t lane
+    squared_gaps(tree, block, reach.low, 0, tree.n_metric, squared)
+    for lane in range(BLOCK):
+        lanes |= <unsigned int> (squared[lane] <= reach.squared_limit) << lane
+    if reach.squared_range >= 0.0 and lanes:
+        squared_gaps(tree, block, reach.low, tree.n_metric, tree.n_axes, squared_range)
+        for lane in range(BLOCK):
+            if squared_range[lane] > reach.squared_range:
+                lanes &= ~(1u << lane)
+    return lanes
+
+
+cdef inline void squared_gaps(
+    Tree tree, Py_ssize_t block, const double* at, Py_ssize_t first, Py_ssize_t end,
+    double* squared
+) noexcept nogil:
+    """Write the squared distances of the points of a block over some axes."""
+    cdef const double* x
+    cdef Py_ssize_t axis, lane
+    for lane in range(BLOCK):
+        squared[lane] = 0.0
+    for axis in range(first, end):
+        x = &tree.coords[block, axis, 0]
+        for lane in range(BLOCK):
+            squared[lane] += (x[lane] - at[axis]) * (x[lane] - at[axis])
+
+
+cdef struct Sums:
+    # What is summed, (n_blocks, n_channels, 16).
+    const double* values
+    Py_ssize_t n_channels
+    const double* at
+    int shape
+    double squared_radius
+    int64_t count
+    double* out
+
+
+cdef void add(void* state, Tree tree, Py_ssize_t block, unsigned int lanes) noexcept nogil:
+    cdef Sums* sums = <Sums*> state
+    cdef double[BLOCK] squared
+    cdef const double* values = sums.values + BLOCK * sums.n_channels * block
+    cdef double weight
+    cdef int lane
+    cdef Py_ssize_t channel
+    squared_gaps(tree, block, sums.at, 0, tree.n_metric, squared)
+    while lanes:
+        lane = lowest_bit(lanes)
+        lanes &= lanes - 1
+        weight = weight_of(sums.shape, squared[lane] / sums.squared_radius)
+        sums.count += 1
+        for channel in range(sums.n_channels):
+            sums.out[channel] += weight * values[BLOCK * channel + lane]
+
+
+cdef class Within:
+    """Photons and what is summed of them around points.
+
+    Parameters
+    ----------
+    tree : Tree
+    values : (m, c) float64 array
+        What is summed.
+    rows : (n,) intp array
+        Row of the photon at each place of the tree.
+    kernel : int
+        CONSTANT, CONE or EPANECHNIKOV of estimate.pyx.
+    normal_range : float
+        Radius of the ball over the tree's range axes; negative for none.
+    """
+
+    cdef Tree tree
+    cdef const double[:, :, ::1] values
+    cdef int kernel
+    cdef double squared_range
+
+    def __init__(self, tree, values, rows, kernel, *, normal_range, n_threads):
+        self.tree = tree
+        self.values = in_blocks(values, rows, n_threads)
+        self.kernel = kernel
+        self.squared_range = normal_range * normal_range if normal_range >= 0.0 else -1.0
+
+    def sums(
+        self, const double[:, ::1] queries, const Py_ssize_t[::1] order, const double[::1] radius,
+        *, double[:, ::1] out, int64_t[::1] counts, int n_threads
+    ):
+        """Write the weighted sums, and numbers of photons, within `radius` of some queries.
+
+        Queries are those named by `order`, in which near ones should follow each other; `radius`,
+        `out` and `counts` have a row for each of all queries. Divided by π radius² sums are
+        densities. Radii should be positive and their squares finite.
+        """
+        cdef Py_ssize_t i
+        if not (
+            queries.shape[0] == radius.shape[0] == out.shape[0] == counts.shape[0]
+            and queries.shape[1] >= self.tree.n_metric
+            and (self.squared_range < 0.0 or queries.shape[1] == self.tree.n_axes)
+            and out.shape[1] == self.values.shape[1]
+        ):
+            raise ValueError("queries, radii, sums and counts do not fit one another")
+        for i in prange(
+            order.shape[0], nogil=True, schedule="dynamic", chunksize=256, num_threads=n_threads
+        ):
+            counts[order[i]] = sum_one(
+                self, &queries[order[i], 0], radius[order[i]], &out[order[i], 0]
+            )
+
+
+cdef int64_t sum_one(
+    Within photons, const double* at, double radius, double* out
+) noexcept nogil:
+    """Write the sums around one query; return how many photons they are of."""
+    cdef Sums sums
+    cdef Reach reach
+    cdef Py_ssize_t channel
+    reach.low = reach.high = sums.at = at
+    reach.squared_limit = sums.squared_radius = radius * radius
+    reach.squared_range = photons.squared_range
+    reach.half_range = NULL
+    reach.n_metric = photons.tree.n_metric
+    reach.n_axes = photons.tree.n_axes
+    # Of no points there are no values.
+    sums.values = &photons.values[0, 0, 0] if photons.values.shape[0] > 0 else NULL
+    sums.n_channels = photons.values.shape[1]
+    sums.shape = photons.kernel
+    sums.count = 0
+    sums.out = out
+    for channel in range(sums.n_channels):
+        out[channel] = 0.0
+    visit_within(photons.tree, &reach, add, &sums)
+    return sums.count

@@ -1,0 +1,56 @@
+"""k-d tree: points in blocks, and boxes around them on all axes.
+
+Points lie in blocks of 16, as described in lanes.h. The tree is implicit: node j of level l holds
+the blocks [(j * n_blocks) >> l, ((j + 1) * n_blocks) >> l), so a median split fixes all counts
+whatever the coordinates are, and coincident points cannot unbalance it. Every fourth level is
+kept: there 16 nodes with one ancestor four levels above form a group, whose boxes are tested at
+once. The first kept level has one group, of 16 nodes or fewer.
+
+The place of a point says where it is: lane `place % 16` of block `place // 16`.
+"""
+
+from libc.stdint cimport int64_t
+
+from .simd.kernels cimport BLOCK, Lanes
+
+
+cdef class Tree:
+    cdef readonly Py_ssize_t n_points
+    cdef readonly Py_ssize_t n_axes
+    cdef readonly Py_ssize_t n_metric
+    cdef readonly Py_ssize_t n_blocks
+    cdef readonly Py_ssize_t n_levels
+    # (n_blocks, n_axes, 16)
+    cdef readonly double[:, :, ::1] coords
+    # The caller's number of each point, by place.
+    cdef readonly int64_t[::1] ids
+    # First group of each kept level, and the end of the last.
+    cdef Py_ssize_t[::1] first_group
+    # (groups, 2, n_axes, 16): least and greatest coordinates; (groups, 16): lowest id in each node.
+    cdef double[:, :, :, ::1] boxes
+    cdef int64_t[:, ::1] lowest_id
+    # The box of all points, (n_axes,) each, and its diagonal over the metric axes.
+    cdef readonly double[::1] low
+    cdef readonly double[::1] high
+    cdef double squared_diagonal
+    cdef const Lanes* lanes
+
+
+cdef inline Py_ssize_t first_block(Tree tree, Py_ssize_t node) noexcept nogil:
+    """Return the first block of a node of the last level, or of all nodes after it."""
+    return (node * tree.n_blocks) >> tree.n_levels
+
+
+cdef inline Py_ssize_t last_kept(Tree tree) noexcept nogil:
+    return tree.first_group.shape[0] - 2
+
+
+cdef inline Py_ssize_t fan_out(Tree tree, Py_ssize_t level) noexcept nogil:
+    """Return how many nodes a group of a kept level has."""
+    if level > 0:
+        return BLOCK
+    return 1 << (tree.n_levels - 4 * last_kept(tree))
+
+
+cdef inline Py_ssize_t points_of_block(Tree tree, Py_ssize_t block) noexcept nogil:
+    return min(tree.n_points - BLOCK * block, <Py_ssize_t> BLOCK)

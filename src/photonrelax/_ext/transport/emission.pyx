@@ -1,0 +1,161 @@
+"""Primal rays of one emitter, each from its index alone: the loop body writes only row i."""
+
+cimport cython
+from cython.parallel cimport prange
+from libc.math cimport sqrt
+from libc.stdint cimport uint8_t, uint64_t
+
+from ..common.rng cimport hash_key, uniform
+from ..common.vec3 cimport normalise
+from .sampling cimport (
+    cap_direction, disk_point, radical_inverse_2, radical_inverse_3, sphere_direction, wrapped,
+)
+
+# The values of emit.py.
+cdef enum:
+    DISK = 0
+    CAP = 1
+    SPHERE = 2
+    ELLIPSE = 3
+
+# Random numbers of a photon: two for its place, this one, then those of events.
+cdef enum:
+    OF_CHOICE = 2
+
+
+cdef double ellipse_direction(double* out, const double* p, const double* shape) noexcept nogil:
+    """Lift a point of the unit disk to a cap, by way of the cap's outline seen along z.
+
+    `shape` is cos and sin of the tilt between z and the cap's axis, cos and sin of its half angle.
+    The outline is an ellipse; 1 - x^2 - y^2 is expanded so that thin caps keep their digits.
+    """
+    cdef double cos_tilt = shape[0], sin_tilt = shape[1]
+    cdef double cos_cap = shape[2], sin_cap = shape[3]
+    cdef double x = cos_tilt * p[0], square
+    out[0] = cos_cap * sin_tilt + sin_cap * x
+    out[1] = sin_cap * p[1]
+    square = (
+        cos_tilt * cos_tilt
+        - 2.0 * cos_cap * sin_tilt * sin_cap * x
+        + sin_cap * sin_cap * (sin_tilt * sin_tilt - x * x - p[1] * p[1])
+    )
+    out[2] = sqrt(square) if square > 0.0 else 0.0
+    return out[2]
+
+
+@cython.final
+cdef class Aim:
+    """The numbers of one `emit.Aim`, for the loop."""
+
+    def __init__(
+        self, int kind, const double[::1] origin, const double[:, ::1] frame,
+        const double[::1] shape, double lead, double density,
+    ):
+        self.kind = kind
+        self.origin = origin
+        self.frame = frame
+        self.shape = shape
+        self.lead = lead
+        self.density = density
+
+    cdef void to_world(self, double* out, const double* local) noexcept nogil:
+        cdef int c
+        for c in range(3):
+            out[c] = (
+                local[0] * self.frame[0, c]
+                + local[1] * self.frame[1, c]
+                + local[2] * self.frame[2, c]
+            )
+
+    cdef double from_point(self, double* direction, double u, double v) noexcept nogil:
+        """Write the direction and return the density for a point-like emitter."""
+        cdef double[2] disk
+        cdef double[3] local
+        cdef double cosine = 1.0
+        if self.kind == SPHERE:
+            sphere_direction(local, u, v)
+        else:
+            disk_point(disk, u, v)
+            if self.kind == CAP:
+                cap_direction(local, disk, self.shape[0])
+            else:
+                cosine = ellipse_direction(local, disk, &self.shape[0])
+        self.to_world(direction, local)
+        normalise(direction)
+        return self.density * cosine
+
+    cdef double from_plane(
+        self, double* origin, double* direction, double* coords, double u, double v
+    ) noexcept nogil:
+        """Write a ray of parallel light and its place on the emitter plane."""
+        cdef double[3] local
+        cdef int c
+        disk_point(local, u, v)
+        coords[0] = local[0] = local[0] * self.shape[0]
+        coords[1] = local[1] = local[1] * self.shape[0]
+        local[2] = 0.0
+        self.to_world(origin, local)
+        for c in range(3):
+            origin[c] += self.origin[c]
+            direction[c] = self.frame[2, c]
+        return self.density
+
+    cdef double ray(
+        self, double* origin, double* direction, double* coords, double u, double v
+    ) noexcept nogil:
+        cdef double density
+        cdef int c
+        if self.kind == DISK:
+            return self.from_plane(origin, direction, coords, u, v)
+        density = self.from_point(direction, u, v)
+        for c in range(3):
+            coords[c] = direction[c]
+            origin[c] = self.origin[c] + self.lead * direction[c]
+        return density
+
+
+@cython.final
+cdef class Emission:
+    """The photons of one emitter, by index; an empty shift asks for random ones."""
+
+    def __init__(self, Aim aim, uint64_t seed, uint64_t emitter_id, const double[::1] shift):
+        self.aim = aim
+        self.seed = seed
+        self.emitter_id = emitter_id
+        self.halton = shift.shape[0] == 2
+        if self.halton:
+            self.shift[0], self.shift[1] = shift[0], shift[1]
+
+    cdef uint64_t key(self, uint64_t index) noexcept nogil:
+        """Return what the random numbers of a photon depend on."""
+        return hash_key(self.seed, self.emitter_id, index)
+
+    def chosen(self, uint64_t first, uint8_t[::1] out, double share):
+        """Choose a share of the photons, `first` and on, each by its index alone."""
+        cdef Py_ssize_t i
+        for i in range(out.shape[0]):
+            out[i] = uniform(self.key(first + i), OF_CHOICE) < share
+
+    cdef double ray(
+        self, uint64_t index, double* origin, double* direction, double* coords
+    ) noexcept nogil:
+        """Write a photon's primal ray and emitter coordinates, and return its density."""
+        cdef double u, v
+        cdef uint64_t key
+        if self.halton:
+            u = wrapped(radical_inverse_2(index), self.shift[0])
+            v = wrapped(radical_inverse_3(index), self.shift[1])
+        else:
+            key = self.key(index)
+            u, v = uniform(key, 0), uniform(key, 1)
+        return self.aim.ray(origin, direction, coords, u, v)
+
+
+def emit(
+    Emission emission, uint64_t first, double[:, ::1] origin, double[:, ::1] direction,
+    double[:, ::1] coords, double[::1] density, int n_threads,
+):
+    """Fill the rows with photons `first` and on."""
+    cdef Py_ssize_t i
+    for i in prange(density.shape[0], nogil=True, num_threads=n_threads, schedule="static"):
+        density[i] = emission.ray(first + i, &origin[i, 0], &direction[i, 0], &coords[i, 0])

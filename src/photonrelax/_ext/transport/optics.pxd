@@ -1,0 +1,94 @@
+"""Inline optics shared by the kernels.
+
+Normals face against the incoming direction: -dot(d, n) is the cosine of incidence, >= 0. The
+forms below keep their relative precision at grazing incidence and for nearly equal indices,
+where the usual differences of products cancel.
+"""
+
+from libc.math cimport sqrt
+
+from ..common.vec3 cimport dot, normalise
+
+
+cdef inline double cos_refracted_squared(double cos_i, double n1, double n2) noexcept nogil:
+    """Snell's law for cosines; negative is total internal reflection."""
+    cdef double sin2_i = (1.0 - cos_i) * (1.0 + cos_i)
+    return cos_i * cos_i + (n2 - n1) / n2 * ((n2 + n1) / n2) * sin2_i
+
+
+cdef inline double fresnel_reflectance(double cos_i, double n1, double n2) noexcept nogil:
+    """Unpolarised mean of both Fresnel reflectances.
+
+    The numerators of r_s and r_p are expanded by their denominators, which turns
+    n1 cos_i - n2 cos_t into (n1^2 - n2^2) / (n1 cos_i + n2 cos_t), and likewise for p.
+    """
+    cdef double cos2_t, cos_t, contrast, sum_s, sum_p, r_s, r_p, ratio
+    if n1 == n2:
+        return 0.0
+    cos2_t = cos_refracted_squared(cos_i, n1, n2)
+    if cos2_t <= 0.0:
+        return 1.0
+    cos_t = sqrt(cos2_t)
+    ratio = n1 / n2
+    contrast = (n1 - n2) * (n1 + n2)
+    sum_s = n1 * cos_i + n2 * cos_t
+    sum_p = n2 * cos_i + n1 * cos_t
+    r_s = contrast / (sum_s * sum_s)
+    r_p = (
+        -contrast * (cos_i * cos_i - ratio * ratio * (1.0 - cos_i) * (1.0 + cos_i))
+        / (sum_p * sum_p)
+    )
+    return 0.5 * (r_s * r_s + r_p * r_p)
+
+
+cdef inline void reflect_into(double* out, const double* d, const double* n) noexcept nogil:
+    cdef double twice = 2.0 * dot(d, n)
+    out[0] = d[0] - twice * n[0]
+    out[1] = d[1] - twice * n[1]
+    out[2] = d[2] - twice * n[2]
+    normalise(out)
+
+
+cdef inline bint refract_into(
+    double* out, const double* d, const double* n, double n1, double n2
+) noexcept nogil:
+    """Write the refracted unit direction; false, and nothing written, where there is none."""
+    cdef double cos_i = -dot(d, n)
+    cdef double ratio = n1 / n2
+    cdef double cos2_t = cos_refracted_squared(cos_i, n1, n2)
+    cdef double along = 0.0
+    if cos2_t < 0.0:
+        return False
+    if n1 != n2:
+        # ratio cos_i - cos_t, expanded by its sum.
+        along = (n1 - n2) / n2 * ((n1 + n2) / n2) / (ratio * cos_i + sqrt(cos2_t))
+    out[0] = ratio * d[0] + along * n[0]
+    out[1] = ratio * d[1] + along * n[1]
+    out[2] = ratio * d[2] + along * n[2]
+    normalise(out)
+    return True
+
+
+cdef inline void facing_normal(
+    double* n, const double* d, const double* geometric, const double* shading, double n1, double n2
+) noexcept nogil:
+    """Write the normal against d that light meets a surface with.
+
+    It is the shading normal where the reflection about it stays before the face and the
+    refraction, if there is one, goes behind; else the geometric normal. Mirrors have n1 = n2.
+    """
+    cdef double side = -1.0 if dot(d, geometric) > 0.0 else 1.0
+    cdef double[3] out
+    cdef bint sound
+    cdef int c
+    for c in range(3):
+        n[c] = side * shading[c]
+    sound = dot(d, n) < 0.0
+    if sound:
+        reflect_into(out, d, n)
+        sound = side * dot(out, geometric) > 0.0
+    if sound and refract_into(out, d, n, n1, n2):
+        sound = side * dot(out, geometric) < 0.0
+    if not sound:
+        for c in range(3):
+            n[c] = side * geometric[c]
