@@ -20,27 +20,22 @@ import json
 import sys
 from pathlib import Path
 
-from photonrelax.compare import reference
-
-from . import (
-    compare,
+from bench.speed import machine, memory, peers, plot, simd
+from bench.speed import side_by_side as compare
+from bench.speed.report import Report
+from bench.speed.timing import keep_memory
+from bench.studies import (
     equal_error,
     figure7,
     first_discs,
     frequency,
-    machine,
-    memory,
     methods,
-    peers,
-    plot,
     progressive,
     refinements,
     shapes,
-    simd,
     table1,
 )
-from .report import Report
-from .timing import keep_memory
+from photonrelax.evaluation import reference
 
 
 def numbers(text: str) -> list[int]:

@@ -1,43 +1,10 @@
-"""Photon maps whose irradiance is known, and a small scene."""
+"""Fixtures of all tests."""
 
 import numpy as np
 import pytest
-from scipy.stats import qmc
 
-import photonrelax as pr
 from photonrelax import gallery
-
-
-def unit_square(n, kind, seed=0):
-    """Points of the unit square: independent, or along a randomly shifted Halton sequence."""
-    rng = np.random.default_rng(seed)
-    if kind == "random":
-        return rng.random((n, 2))
-    return (qmc.Halton(2, scramble=False).random(n) + rng.random(2)) % 1.0
-
-
-def flat_map(xy, n_emitted, coords=None, **fields):
-    """Photons of 1 W emitted over one m², landed at xy in the plane z = 0."""
-    n = len(xy)
-    return pr.PhotonMap(
-        np.column_stack([xy, np.zeros(n)]),
-        np.tile([0.0, 0.0, 1.0], (n, 1)),
-        np.full((n, 3), 1.0 / n_emitted),
-        emitter_coords=xy if coords is None else coords,
-        emitter_density=np.full(n, float(n_emitted)),
-        n_emitted=n_emitted,
-        **fields,
-    )
-
-
-def uniform_map(n, kind, seed=0):
-    """1 W/m² over the unit square."""
-    return flat_map(unit_square(n, kind, seed), n, well_spaced=kind == "halton")
-
-
-def plane(xy):
-    """Points of the plane z = 0 and their normals."""
-    return np.column_stack([xy, np.zeros(len(xy))]), np.tile([0.0, 0.0, 1.0], (len(xy), 1))
+from tests.helpers.photon_maps import plane
 
 
 @pytest.fixture

@@ -4,27 +4,23 @@ import sys
 
 import numpy as np
 import pytest
-from bench import (
+from bench.speed import inputs, peers, plot, report, stages
+from bench.speed.checks import assert_nearest, assert_nearest_in_range
+from bench.speed.timing import Case, Timing, interleave
+from bench.studies import (
     equal_error,
     figure7,
     first_discs,
     frequency,
-    inputs,
     methods,
-    peers,
-    plot,
     refinements,
-    report,
     shapes,
-    stages,
     table1,
 )
-from bench.checks import assert_nearest, assert_nearest_in_range
-from bench.timing import Case, Timing, interleave
 
 import photonrelax as pr
 from photonrelax import gallery
-from photonrelax.compare import named, reference
+from photonrelax.evaluation import named, reference
 
 K = 7
 
@@ -129,7 +125,7 @@ def test_structure_is_the_same_with_trees_built_before(monkeypatch):
     photons = inputs.along_curve(3000)
     expected = pr.detect_structure(photons)
     detect = stages.with_trees_built(photons, 1)
-    monkeypatch.setattr("photonrelax.kdtree.KDTree.__init__", None)
+    monkeypatch.setattr("photonrelax.spatial.kdtree.KDTree.__init__", None)
     for found in (detect(), detect()):
         for name in ("constraint", "basis", "radius", "n_found", "reach"):
             np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))

@@ -1,4 +1,4 @@
-"""Imports go one way, from the pipeline down to the kernels."""
+"""Imports go one way: from the command line down the pipeline to the kernels."""
 
 import ast
 import subprocess
@@ -11,57 +11,39 @@ import pytest
 import photonrelax
 
 PACKAGE = Path(photonrelax.__file__).parent
+# Folders that may import those of the tiers above them in this list, and themselves.
 TIERS = [
-    {"_ext"},
-    {
-        "_arrays",
-        "_files",
-        "_interrupts",
-        "_meshes",
-        "_progress",
-        "sampling",
-        "optics",
-        "image",
-        "measures",
-        "spectrum",
-    },
-    {"kdtree", "raycast", "scene"},
-    {"camera", "emit", "photonmap", "_checkpoint"},
-    {
-        "_bandwidths",
-        "_facing",
-        "_sheets",
-        "_surfaces",
-        "_curvature",
-        "_followed",
-        "_spectra",
-        "trace",
-        "structure",
-        "gradient",
-        "relax",
-        "adaptive",
-        "estimate",
-        "diffusion",
-    },
-    {"dealing", "progressive", "frequency"},
-    {"methods", "picture"},
-    {"render", "gallery", "_hits"},
-    {"passes"},
-    {"compare"},
-    {"cli", "_bars", "_options", "_settings", "_text", "__main__"},
+    {"_ext", "_version"},
+    {"_util"},
+    {"scene", "spatial", "imaging"},
+    {"photons"},
+    {"transport"},
+    {"relaxation", "gallery"},
+    {"estimation"},
+    {"rendering"},
+    {"evaluation"},
+    {"cli"},
+    {"__main__"},
 ]
-TIER = {module: tier for tier, modules in enumerate(TIERS) for module in modules}
-OWNERS = {"embreex": {"raycast"}, "trimesh.ray": {"raycast"}, "OpenEXR": {"image"}}
-OWNERS |= {"skimage": {"measures"}, "flip_evaluator": {"measures"}}
+TIER = {folder: tier for tier, folders in enumerate(TIERS) for folder in folders}
+# The modules that alone may import a library; the kernels have no Python to look at.
+OWNERS = {
+    "embreex": "transport.raycast",
+    "trimesh.ray": "transport.raycast",
+    "OpenEXR": "imaging.image",
+    "skimage": "imaging.metrics",
+    "flip_evaluator": "imaging.metrics",
+}
+FILES = [path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py"]
 
 
-def module_of(path):
-    first = path.relative_to(PACKAGE).parts[0]
-    return first.removesuffix(".py")
+def parts_of(path):
+    """The folders and the module's own name, below the package."""
+    return path.relative_to(PACKAGE).with_suffix("").parts
 
 
 def imports(path):
-    """Yield the dotted names a file imports, also inside functions, but not for types alone."""
+    """Yield the dotted names that a file imports, also in functions, but not for types alone."""
     tree = ast.parse(path.read_text())
     for_types = {
         id(child)
@@ -69,48 +51,89 @@ def imports(path):
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
         for child in ast.walk(node)
     }
-    depth = len(path.relative_to(PACKAGE).parts)
+    folders = ("photonrelax", *parts_of(path)[:-1])
     for node in ast.walk(tree):
         if id(node) in for_types:
             continue
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.level == depth:
-            base = f"photonrelax.{node.module}" if node.module else "photonrelax"
-            yield from (f"{base}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = folders[: len(folders) - node.level + 1] if node.level else ()
+            module = ".".join([*base, *([node.module] if node.module else [])])
+            yield from (f"{module}.{alias.name}" for alias in node.names)
 
 
-FILES = [path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py"]
+def inner(path):
+    """The names below the package that a file imports, each as a tuple of its parts."""
+    names = (name.split(".") for name in imports(path))
+    return [tuple(parts[1:]) for parts in names if parts[0] == "photonrelax"]
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_a_module_imports_only_its_tier_and_those_below(path):
-    own = TIER[module_of(path)]
-    for name in imports(path):
-        parts = name.split(".")
-        if parts[0] == "photonrelax" and len(parts) > 1 and parts[1] in TIER:
-            assert TIER[parts[1]] <= own, f"{path.name} imports {name}"
+def module_of(parts):
+    """The module that an imported name lies in: the longest prefix that is one."""
+    for n in range(len(parts), 0, -1):
+        path = PACKAGE.joinpath(*parts[:n])
+        if path.with_suffix(".py").exists() or path.with_suffix(".pyx").exists():
+            return parts[:n]
+        if (path / "__init__.py").exists():
+            return (*parts[:n], "__init__")
+    return ()
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: ".".join(parts_of(p)))
+def test_a_folder_imports_itself_and_the_tiers_below(path):
+    own = parts_of(path)[0]
+    for parts in filter(None, inner(path)):
+        below = parts[0] == own or TIER[parts[0]] < TIER[own]
+        assert below, f"{'.'.join(parts_of(path))} imports {'.'.join(parts)}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: ".".join(parts_of(p)))
+def test_below_the_command_line_nothing_imports_the_package_itself(path):
+    if parts_of(path)[0] != "cli":
+        assert () not in inner(path)
+
+
+def test_every_folder_has_a_tier():
+    assert {parts_of(path)[0] for path in FILES} == set(TIER)
 
 
 def test_no_module_imports_itself_through_others():
     graph = {}
     for path in FILES:
-        inner = (name.split(".") for name in imports(path))
-        used = {p[1] for p in inner if p[0] == "photonrelax" and len(p) > 1 and p[1] in TIER}
-        graph.setdefault(module_of(path), set()).update(used - {module_of(path)})
+        own = parts_of(path)
+        graph[own] = {module_of(parts) for parts in inner(path)} - {own, ()}
+    TopologicalSorter(graph).prepare()
+
+
+def test_no_folder_imports_itself_through_others():
+    graph = {}
+    for path in FILES:
+        own = parts_of(path)[0]
+        graph.setdefault(own, set()).update({p[0] for p in inner(path) if p} - {own})
     TopologicalSorter(graph).prepare()
 
 
 @pytest.mark.parametrize("library", OWNERS)
 def test_one_module_alone_knows_each_outer_library(library):
+    users = {
+        ".".join(parts_of(path))
+        for path in FILES
+        if any(f"{name}.".startswith(f"{library}.") for name in imports(path))
+    }
+    assert users <= {OWNERS[library]}
+
+
+def test_kernels_are_imported_by_the_folder_that_they_mirror_and_those_above():
     for path in FILES:
-        if any(f"{name}.".startswith(f"{library}.") for name in imports(path)):
-            assert module_of(path) in OWNERS[library]
+        own = parts_of(path)[0]
+        for parts in inner(path):
+            if parts[:1] == ("_ext",):
+                mirrored = parts[1] if parts[1] != "common" else "_util"
+                assert TIER[mirrored] <= TIER[own], f"{'.'.join(parts_of(path))} imports {parts}"
 
 
-def test_every_public_name_loads_and_functions_hide_their_modules():
+def test_every_public_name_loads():
     for name in photonrelax.__all__:
         assert getattr(photonrelax, name) is not None
     assert callable(photonrelax.relax)

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from conftest import plane
-from reference.glass_sphere import GlassSphere
-from reference.metal_ring import MetalRing
 
 import photonrelax as pr
 from photonrelax import gallery
+from tests.analytic.glass_sphere import GlassSphere
+from tests.analytic.metal_ring import MetalRing
+from tests.helpers.photon_maps import plane
 
 
 def test_relaxed_sphere_profile():

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from photonrelax import _options
+from photonrelax.cli import arguments
 
 README = Path(__file__).parents[1] / "README.md"
 
@@ -24,7 +24,7 @@ COMMANDS = re.findall(r"^photonrelax (.*?)(?:\s+#.*)?$", README.read_text(), re.
 
 @pytest.mark.parametrize("line", COMMANDS)
 def test_commands_are_understood(line):
-    parser = _options.parser(dict.fromkeys(_options.COMMANDS))
+    parser = arguments.parser(dict.fromkeys(arguments.COMMANDS))
     assert parser.parse_args(shlex.split(line))
 
 
@@ -32,5 +32,5 @@ def test_files_it_names_exist():
     text = README.read_text()
     for link in re.findall(r"\]\(([^)]+)\)", text):
         assert (README.parent / link).exists(), link
-    for name in re.findall(r"\| `(test_\w+\.py)` \|", text):
+    for name in re.findall(r"`((?:\w+/)*test_\w+\.py)`", text):
         assert (README.parent / "tests" / name).exists(), name

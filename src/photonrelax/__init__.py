@@ -7,105 +7,88 @@ it is compared with. Public names load on first use, so importing the package st
 from __future__ import annotations
 
 import importlib
-import sys
-from types import ModuleType
 from typing import TYPE_CHECKING
+
+from ._version import __version__ as __version__
 
 if TYPE_CHECKING:
     from . import gallery as gallery
-    from .camera import HitPoints as HitPoints
-    from .diffusion import DiffusionSettings as DiffusionSettings
-    from .estimate import Field as Field
-    from .estimate import GatherSettings as GatherSettings
-    from .estimate import IrradianceField as IrradianceField
-    from .estimate import estimate_irradiance as estimate_irradiance
-    from .frequency import FrequencySettings as FrequencySettings
-    from .gradient import GradientSettings as GradientSettings
-    from .gradient import detect_gradient as detect_gradient
-    from .image import Image as Image
-    from .kdtree import KDTree as KDTree
-    from .kdtree import Neighbours as Neighbours
-    from .methods import irradiance_field as irradiance_field
-    from .passes import Checkpoints as Checkpoints
-    from .passes import render_progressive as render_progressive
-    from .photonmap import EnergyLedger as EnergyLedger
-    from .photonmap import PhotonMap as PhotonMap
-    from .progressive import ProgressiveSettings as ProgressiveSettings
-    from .progressive import ProgressiveStatistics as ProgressiveStatistics
-    from .relax import RelaxSettings as RelaxSettings
-    from .relax import relax as relax
-    from .render import render as render
-    from .scene import Camera as Camera
-    from .scene import CollimatedEmitter as CollimatedEmitter
-    from .scene import Dielectric as Dielectric
-    from .scene import Diffuse as Diffuse
-    from .scene import LambertianEmitter as LambertianEmitter
-    from .scene import Mirror as Mirror
-    from .scene import PointEmitter as PointEmitter
-    from .scene import Scene as Scene
-    from .scene import SceneObject as SceneObject
-    from .structure import Structure as Structure
-    from .structure import StructureSettings as StructureSettings
-    from .structure import detect_structure as detect_structure
-    from .trace import trace_photons as trace_photons
+    from .estimation.diffusion import DiffusionSettings as DiffusionSettings
+    from .estimation.field import Field as Field
+    from .estimation.frequency import FrequencySettings as FrequencySettings
+    from .estimation.methods import irradiance_field as irradiance_field
+    from .estimation.nearest import GatherSettings as GatherSettings
+    from .estimation.nearest import IrradianceField as IrradianceField
+    from .estimation.nearest import estimate_irradiance as estimate_irradiance
+    from .estimation.progressive import ProgressiveSettings as ProgressiveSettings
+    from .estimation.progressive import ProgressiveStatistics as ProgressiveStatistics
+    from .imaging.image import Image as Image
+    from .photons.energy_ledger import EnergyLedger as EnergyLedger
+    from .photons.photon_map import PhotonMap as PhotonMap
+    from .relaxation.gradient import GradientSettings as GradientSettings
+    from .relaxation.gradient import detect_gradient as detect_gradient
+    from .relaxation.relax import RelaxSettings as RelaxSettings
+    from .relaxation.relax import relax as relax
+    from .relaxation.structure import Structure as Structure
+    from .relaxation.structure import StructureSettings as StructureSettings
+    from .relaxation.structure import detect_structure as detect_structure
+    from .rendering.progressive_render import Checkpoints as Checkpoints
+    from .rendering.progressive_render import render_progressive as render_progressive
+    from .rendering.render import render as render
+    from .scene.camera import Camera as Camera
+    from .scene.emitters import CollimatedEmitter as CollimatedEmitter
+    from .scene.emitters import LambertianEmitter as LambertianEmitter
+    from .scene.emitters import PointEmitter as PointEmitter
+    from .scene.materials import Dielectric as Dielectric
+    from .scene.materials import Diffuse as Diffuse
+    from .scene.materials import Mirror as Mirror
+    from .scene.scene import Scene as Scene
+    from .scene.scene import SceneObject as SceneObject
+    from .spatial.kdtree import KDTree as KDTree
+    from .spatial.kdtree import Neighbours as Neighbours
+    from .transport.hit_points import HitPoints as HitPoints
+    from .transport.trace import trace_photons as trace_photons
 
-__version__ = "0.1.0"
 
 _MODULE_OF = {
-    "Camera": "scene",
-    "Checkpoints": "passes",
-    "CollimatedEmitter": "scene",
-    "Dielectric": "scene",
-    "Diffuse": "scene",
-    "DiffusionSettings": "diffusion",
-    "EnergyLedger": "photonmap",
-    "Field": "estimate",
-    "FrequencySettings": "frequency",
-    "GatherSettings": "estimate",
-    "GradientSettings": "gradient",
-    "HitPoints": "camera",
-    "Image": "image",
-    "IrradianceField": "estimate",
-    "KDTree": "kdtree",
-    "LambertianEmitter": "scene",
-    "Mirror": "scene",
-    "Neighbours": "kdtree",
-    "PhotonMap": "photonmap",
-    "PointEmitter": "scene",
-    "ProgressiveSettings": "progressive",
-    "ProgressiveStatistics": "progressive",
-    "RelaxSettings": "relax",
-    "Scene": "scene",
-    "SceneObject": "scene",
-    "Structure": "structure",
-    "StructureSettings": "structure",
-    "detect_gradient": "gradient",
-    "detect_structure": "structure",
-    "estimate_irradiance": "estimate",
-    "irradiance_field": "methods",
-    "relax": "relax",
-    "render": "render",
-    "render_progressive": "passes",
-    "trace_photons": "trace",
+    "Camera": "scene.camera",
+    "Checkpoints": "rendering.progressive_render",
+    "CollimatedEmitter": "scene.emitters",
+    "Dielectric": "scene.materials",
+    "Diffuse": "scene.materials",
+    "DiffusionSettings": "estimation.diffusion",
+    "EnergyLedger": "photons.energy_ledger",
+    "Field": "estimation.field",
+    "FrequencySettings": "estimation.frequency",
+    "GatherSettings": "estimation.nearest",
+    "GradientSettings": "relaxation.gradient",
+    "HitPoints": "transport.hit_points",
+    "Image": "imaging.image",
+    "IrradianceField": "estimation.nearest",
+    "KDTree": "spatial.kdtree",
+    "LambertianEmitter": "scene.emitters",
+    "Mirror": "scene.materials",
+    "Neighbours": "spatial.kdtree",
+    "PhotonMap": "photons.photon_map",
+    "PointEmitter": "scene.emitters",
+    "ProgressiveSettings": "estimation.progressive",
+    "ProgressiveStatistics": "estimation.progressive",
+    "RelaxSettings": "relaxation.relax",
+    "Scene": "scene.scene",
+    "SceneObject": "scene.scene",
+    "Structure": "relaxation.structure",
+    "StructureSettings": "relaxation.structure",
+    "detect_gradient": "relaxation.gradient",
+    "detect_structure": "relaxation.structure",
+    "estimate_irradiance": "estimation.nearest",
+    "irradiance_field": "estimation.methods",
+    "relax": "relaxation.relax",
+    "render": "rendering.render",
+    "render_progressive": "rendering.progressive_render",
+    "trace_photons": "transport.trace",
 }
 _SUBPACKAGES = ("gallery",)
 __all__ = sorted([*_MODULE_OF, *_SUBPACKAGES, "__version__"])
-
-
-class _Package(ModuleType):
-    """The package, whose `relax` and `render` are the functions, not the modules holding them.
-
-    The import system binds every submodule to its own name in the package, also when another
-    module imports it; for these two that would hide the public function.
-    """
-
-    def __setattr__(self, name: str, value: object) -> None:
-        if isinstance(value, ModuleType) and _MODULE_OF.get(name) == name:
-            value = getattr(value, name)
-        super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> object:

@@ -6,8 +6,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ..scene import Scene
-    from ._distribution import Distribution
+    from ..scene.scene import Scene
+    from .photon_pattern import Distribution
 
 _ABOUT = {
     "prism": "glass prism before a strong point light: overlapping shards and filaments",

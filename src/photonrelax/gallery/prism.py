@@ -6,9 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .._arrays import Floats
-from ..scene import Camera, Dielectric, Diffuse, PointEmitter, Scene, SceneObject
-from ._shapes import Field, floor, level_set, make_mesh
+from .._util.validation import Floats
+from ..scene.camera import Camera
+from ..scene.emitters import PointEmitter
+from ..scene.materials import Dielectric, Diffuse
+from ..scene.scene import Scene, SceneObject
+from .meshes import Field, floor, level_set, make_mesh
 
 if TYPE_CHECKING:
     import trimesh

@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from .._arrays import Floats
-from ..scene import Camera, CollimatedEmitter, Mirror, Scene, SceneObject
-from ._shapes import floor, grid_faces, join
+from .._util.validation import Floats
+from ..scene.camera import Camera
+from ..scene.emitters import CollimatedEmitter
+from ..scene.materials import Mirror
+from ..scene.scene import Scene, SceneObject
+from .meshes import floor, grid_faces, join
 
 if TYPE_CHECKING:
     import trimesh

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .._arrays import Floats, count, float_array, positive
-from ..photonmap import PhotonMap
-from ..sampling import check_seed, halton, seed_shift, square_to_disk
-from ._distribution import Distribution
+from .._util.validation import Floats, check_seed, count, float_array, positive
+from ..photons.photon_map import PhotonMap
+from ..transport.sampling import halton, seed_shift, square_to_disk
+from .photon_pattern import Distribution
 
 DISC = ((0.27, 0.76), 0.17)
 SQUARE = ((0.73, 0.76), 0.15)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene import Camera, CollimatedEmitter, Dielectric, Scene, SceneObject
-from ._shapes import floor, make_mesh
+from ..scene.camera import Camera
+from ..scene.emitters import CollimatedEmitter
+from ..scene.materials import Dielectric
+from ..scene.scene import Scene, SceneObject
+from .meshes import floor, make_mesh
 
 
 def sphere(

@@ -7,7 +7,9 @@ from libc.math cimport INFINITY, sqrt
 import numpy as np
 
 from ..common.vec3 cimport cross, dot
-from ..spatial.batch cimport Batch, Query, limit_radius, limit_range, list_points, open_block, scratch
+from ..spatial.batch cimport (
+    Batch, Query, limit_radius, limit_range, list_points, open_block, scratch,
+)
 from ..spatial.tree cimport Tree
 from ..spatial.simd.kernels cimport BLOCK, prefetch_row
 from ..spatial.knn cimport find

@@ -1,0 +1,85 @@
+"""What is compared is the same: neighbours found by a trusted search, whatever the ties."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+import photonrelax as pr
+from bench.speed.inputs import Sheet
+from bench.speed.morton import Floats, Ids
+from bench.speed.peers import Found
+from photonrelax.relaxation.structure import NORMAL_RANGE
+
+_SAMPLE = 2000
+# Distances nearer than this, relatively, are ties, among which any may be chosen.
+_TIE = 1e-9
+
+
+def sample(n: int) -> Ids:
+    """Return some rows of n, evenly spaced."""
+    return np.unique(np.linspace(0, n - 1, min(n, _SAMPLE)).astype(np.intp))
+
+
+def assert_nearest(found: Found, points: Floats, queries: Floats, limit: float = np.inf) -> None:
+    """Check ids and counts of neighbours against SciPy's.
+
+    Parameters
+    ----------
+    found : (ids, distance)
+        Each (m, k), nearest first; an id of n or more where there is none.
+    points, queries : (n, 3) and (m, 3) float arrays
+    limit : float
+        Largest distance.
+    """
+    k = found[0].shape[1]
+    distance, ids = cKDTree(points).query(queries, k + 1, distance_upper_bound=limit)
+    _assert_same(found, (ids, distance), len(points))
+
+
+def assert_nearest_in_range(found: Found, sheet: Sheet, k: int) -> None:
+    """Check ids and counts of neighbours in range against all photons, on some of the rows."""
+    n = len(sheet.position)
+    rows = sample(n)[::20]
+    expected = np.full((len(rows), k + 1), n), np.full((len(rows), k + 1), np.inf)
+    for i, row in enumerate(rows):
+        apart = np.linalg.norm(sheet.coords - sheet.coords[row], axis=1)
+        near = np.flatnonzero(apart <= sheet.radius[row])
+        distance = np.linalg.norm(sheet.position[near] - sheet.position[row], axis=1)
+        best = np.argsort(distance, kind="stable")[: k + 1]
+        expected[0][i, : len(best)] = near[best]
+        expected[1][i, : len(best)] = distance[best]
+    _assert_same((found[0][rows], found[1][rows]), expected, n)
+
+
+def assert_neighbourhoods(structure: pr.Structure, photons: pr.PhotonMap, k: int) -> None:
+    """Check counts and radii of structure detection against all photons, on some of the rows."""
+    rows = sample(len(photons))[::20]
+    expected = np.array([_neighbourhood(structure, photons, row, k) for row in rows])
+    np.testing.assert_array_equal(structure.n_found[rows], expected[:, 0])
+    np.testing.assert_allclose(structure.radius[rows], expected[:, 1], rtol=1e-6)
+
+
+def _neighbourhood(
+    structure: pr.Structure, photons: pr.PhotonMap, row: int, k: int
+) -> tuple[int, float]:
+    """Return how many photons there are around one, at most k, and how far they reach."""
+    apart = np.linalg.norm(photons.emitter_coords - photons.emitter_coords[row], axis=1)
+    distance = np.linalg.norm(photons.position - photons.position[row], axis=1)
+    near = (apart <= structure.emitter_range[row]) & (distance <= structure.reach[row])
+    near &= np.linalg.norm(photons.normal - photons.normal[row], axis=1) <= NORMAL_RANGE
+    nearest = np.sort(distance[near])[:k]
+    return len(nearest), nearest[-1]
+
+
+def _assert_same(found: Found, expected: Found, n: int) -> None:
+    """Compare k neighbours with k + 1, of which the last tells whether the k-th is tied."""
+    ids, distance = found[0].astype(np.intp), found[1]
+    k = ids.shape[1]
+    np.testing.assert_array_equal((ids < n).sum(axis=1), (expected[0][:, :k] < n).sum(axis=1))
+    filled = ids < n
+    np.testing.assert_allclose(distance[filled], expected[1][:, :k][filled], rtol=1e-9, atol=1e-12)
+    last, next_one = expected[1][:, k - 1], expected[1][:, k]
+    untied = np.isinf(next_one) | (next_one > last * (1.0 + _TIE))
+    wanted = np.minimum(np.sort(expected[0][:, :k], axis=1), n)
+    np.testing.assert_array_equal(np.minimum(np.sort(ids, axis=1), n)[untied], wanted[untied])

@@ -1,0 +1,193 @@
+"""SSO08's Table 1: photons, and time, that gathering the nearest takes for the error of diffusion.
+
+Errors are relative L1 over the pixels of a square of the floor. The truth is counted: the flux of
+many photons that fall into each pixel, whatever method gathers them. As in the paper the number of
+nearest photons is the best for each map; so is the bandwidth of diffusion.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from statistics import median
+from time import perf_counter
+
+import numpy as np
+
+import photonrelax as pr
+from bench.speed.morton import Floats
+from photonrelax import gallery
+
+# Photons of SSO08's Fig. 6(d) and 7(d), and how many times as many its Table 1 has for (c).
+PAPER = {"ring": (40_000, 160_000 / 40_000), "ripples": (70_000, 520_000 / 70_000)}
+HALF_SIZES = {"ring": 1.05, "ripples": 1.0}
+PIXELS = 200
+_REFERENCE_PASSES, _REFERENCE_EMITTED = 10, 4_000_000
+_KS = (6, 10, 15, 25, 40, 60, 100, 160, 250, 400)
+_DIFFUSION_KS = (30, 50, 75, 100, 150, 250, 500, 1000)
+_BANDWIDTH_COUNTS = (6, 12, 25, 50, 100, 200, 400)
+# Noise scales over the bandwidth.
+_NOISE_SHARES = (0.25, 0.5)
+_TIMES_AS_MANY = (1, 2, 4, 8, 16, 32)
+_ROUNDS = 3
+# Text, method and settings.
+Way = tuple[str, str, object]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A picture of the floor; seconds from emission to picture, the median of some rounds."""
+
+    settings: str
+    n: int
+    error: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Floor:
+    """The square of a scene's floor that is looked at, and its truth."""
+
+    scene: str
+    half: float
+    n_pixels: int
+
+    def counted(self, photons: pr.PhotonMap) -> Floats:
+        """Return the mean irradiance of pixels (rows, columns) from the photons in each."""
+        above = (np.abs(photons.position[:, 2]) < 1e-6) & (photons.normal[:, 2] > 0.5)
+        edges = np.linspace(-self.half, self.half, self.n_pixels + 1)
+        y, x = photons.position[above, 1], photons.position[above, 0]
+        flux = photons.flux[above].mean(axis=1)
+        return (
+            np.histogram2d(y, x, bins=(edges, edges), weights=flux)[0] / (edges[1] - edges[0]) ** 2
+        )
+
+    def samples(self, s: int = 2) -> tuple[Floats, Floats]:
+        """Return s·s points of each pixel, and normals."""
+        side = (np.arange(self.n_pixels * s) + 0.5) / (self.n_pixels * s)
+        x, y = np.meshgrid(*2 * [self.half * (2 * side - 1)])
+        points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+        return points, np.tile([0.0, 0.0, 1.0], (len(points), 1))
+
+    def picture(self, field: pr.IrradianceField, s: int = 2) -> Floats:
+        found = field(*self.samples(s)).mean(axis=1)
+        return found.reshape(self.n_pixels, s, self.n_pixels, s).mean(axis=(1, 3))
+
+
+@lru_cache
+def truth(floor: Floor, passes: int, n_emitted: int) -> Floats:
+    scene = gallery.scene(floor.scene)
+    total = np.zeros((floor.n_pixels, floor.n_pixels))
+    for seed in range(passes):
+        total += floor.counted(pr.trace_photons(scene, n_emitted, seed=1000 + seed))
+        print(f"... truth of {floor.scene}, pass {seed + 1} of {passes}", file=sys.stderr)
+    return total / passes
+
+
+def tracing(scene: str, n: int, sampler: str, seed: int = 0) -> Callable[[], pr.PhotonMap]:
+    """Return what traces about n photons."""
+    built = gallery.scene(scene)
+    share = len(pr.trace_photons(built, 20_000)) / 20_000
+    return partial(pr.trace_photons, built, int(n / share), seed=seed, sampler=sampler)
+
+
+def best(floor: Floor, expected: Floats, n: int, sampler: str, ways: Sequence[Way]) -> Run:
+    """Return the run of the least error among ways."""
+    trace = tracing(floor.scene, n, sampler)
+    photons = trace()
+    errors = [
+        float(np.abs(shown(floor, photons, way) - expected).sum() / expected.sum()) for way in ways
+    ]
+    found = int(np.argmin(errors))
+    border = " (at the border of those tried)" if found in (0, len(ways) - 1) else ""
+    seconds = []
+    for _ in range(_ROUNDS):
+        started = perf_counter()
+        shown(floor, trace(), ways[found])
+        seconds.append(perf_counter() - started)
+    return Run(f"{ways[found][0]}{border}", len(photons), errors[found], median(seconds))
+
+
+def shown(floor: Floor, photons: pr.PhotonMap, way: Way) -> Floats:
+    _, method, settings = way
+    name = "gather" if method == "standard" else "diffusion"
+    return floor.picture(pr.irradiance_field(photons, method=method, **{name: settings}))
+
+
+def nearest() -> list[Way]:
+    return [(f"k = {k}", "standard", pr.GatherSettings(k=k)) for k in _KS]
+
+
+def adaptive() -> list[Way]:
+    return [(f"k = {k}", "diffusion", pr.DiffusionSettings(k=k)) for k in _DIFFUSION_KS]
+
+
+def published(n: int, half: float, share: float) -> list[Way]:
+    """Return SSO08's: fixed bandwidths, a noise scale of a share of each, q = 0.2, λ₁ over its
+    largest.
+    """
+    ways: list[Way] = []
+    for count in _BANDWIDTH_COUNTS:
+        bandwidth = 2 * half * np.sqrt(count / (np.pi * n))
+        settings = pr.DiffusionSettings(
+            k=None,
+            bandwidth=bandwidth,
+            noise_scale=share * bandwidth,
+            edge_threshold=0.2,
+            normalisation="maximum",
+        )
+        ways.append((f"h = {bandwidth:.3f} m", "diffusion", settings))
+    return ways
+
+
+def markdown(scenes: Sequence[str] = tuple(PAPER), sampler: str = "random") -> str:
+    """Return the tables of some scenes."""
+    lines = [
+        f"| {sampler} | photons | L1 | seconds | nearest for this L1: photons | seconds |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for scene in scenes:
+        lines += _rows(Floor(scene, HALF_SIZES[scene], PIXELS), sampler)
+    return "\n".join([*lines, ""])
+
+
+def _rows(floor: Floor, sampler: str) -> list[str]:
+    expected = truth(floor, _REFERENCE_PASSES, _REFERENCE_EMITTED)
+    n, ratio = PAPER[floor.scene]
+    ladder = [best(floor, expected, n * times, sampler, nearest()) for times in _TIMES_AS_MANY]
+    runs = {
+        "diffusion, local": best(floor, expected, n, sampler, adaptive()),
+    }
+    for share in _NOISE_SHARES:
+        ways = published(n, floor.half, share)
+        runs[f"SSO08, noise scale {share:g} h"] = best(floor, expected, n, sampler, ways)
+    lines = [_row(f"{floor.scene}, {name}", run, ladder) for name, run in runs.items()]
+    rungs = [
+        f"| {floor.scene}, nearest, {run.settings} | {run.n:,} | {run.error:.3f} "
+        f"| {run.seconds:.2f} | | |"
+        for run in ladder
+    ]
+    paper = f"| {floor.scene}, SSO08's own Table 1 | {n:,} | | | {ratio:.1f}× | |"
+    return [*rungs, *lines, paper]
+
+
+def _row(name: str, run: Run, ladder: list[Run]) -> str:
+    sign, photons, seconds = needed(ladder, run.error)
+    return (
+        f"| {name}, {run.settings} | {run.n:,} | {run.error:.3f} | {run.seconds:.2f} "
+        f"| {sign}{photons / run.n:.1f}× | {sign}{seconds / run.seconds:.1f}× |"
+    )
+
+
+def needed(ladder: list[Run], error: float) -> tuple[str, float, float]:
+    """Return photons and seconds of this error, interpolated on logarithms.
+
+    Before them "<" or ">" where the ladder, from few photons to many, starts or ends before.
+    """
+    sign = "<" if error > ladder[0].error else ">" if error < ladder[-1].error else ""
+    x = -np.log([run.error for run in ladder])
+    photons = np.interp(-np.log(error), x, np.log([run.n for run in ladder]))
+    seconds = np.interp(-np.log(error), x, np.log([run.seconds for run in ladder]))
+    return sign, float(np.exp(photons)), float(np.exp(seconds))

@@ -1,0 +1,165 @@
+"""Frequency-driven beside progressive photon mapping, on the floor of `reflector`.
+
+The same photons for both; errors by how much the light varies around.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
+
+import photonrelax as pr
+from bench.speed import machine
+from photonrelax import gallery
+
+Floats = NDArray[np.float64]
+
+METHODS = ("progressive", "frequency")
+# The floor in front of the strip, in cells, m.
+_CELL, _LOW, _HIGH = 0.015, (-1.9, -1.6), (0.0, 1.6)
+# Where the reference ranges over so much of itself within this distance, m.
+_WITHIN = 0.15
+REGIONS = {"smooth: < 10 %": 0.10, "10 % to 25 %": 0.25, "25 % to 100 %": 1.0, "more": np.inf}
+# Photons of the first pass that discs start with: the smoothest light has the largest.
+_K = 15
+# Blocks of cells a side that are looked at one by one.
+_BLOCK = 10
+_LEAST_LIGHT = 0.05
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Points on the floor, two references of their own photons (2, points), and regions."""
+
+    points: Floats
+    shape: tuple[int, int]
+    references: Floats
+    region: NDArray[np.intp]
+
+    @property
+    def normals(self) -> Floats:
+        return np.tile([0.0, 0.0, 1.0], (len(self.points), 1))
+
+
+def floor(n_reference: int) -> Floor:
+    """Return the floor with two references of `n_reference` photons each."""
+    x, y = (np.arange(*ends, _CELL) + _CELL / 2 for ends in zip(_LOW, _HIGH, strict=True))
+    grid = np.meshgrid(x, y, indexing="ij")
+    points = np.stack([*grid, np.zeros_like(grid[0])], axis=-1).reshape(-1, 3)
+    normals = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    halves = []
+    for seed in (101, 102):
+        photons = pr.trace_photons(gallery.scene("reflector"), n_reference, seed=seed)
+        gathered = pr.estimate_irradiance(photons, points, normals, pr.GatherSettings(k=150))
+        halves.append(gathered[:, 0])
+    references = np.array(halves)
+    region = _regions(references.mean(axis=0).reshape(grid[0].shape)).ravel()
+    return Floor(points, grid[0].shape, references, region)
+
+
+def _regions(reference: Floats) -> NDArray[np.intp]:
+    """Return the number of each cell's region; -1 in the dark."""
+    reach = round(_WITHIN / _CELL)
+    disc = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) <= reach
+    # Noise of the reference is no variation of the light.
+    even = gaussian_filter(reference, 1.0)
+    spread = maximum_filter(even, footprint=disc) - minimum_filter(even, footprint=disc)
+    variation = spread / np.maximum(even, 1e-12)
+    region = np.searchsorted(list(REGIONS.values()), variation, side="right")
+    return np.where(reference > _LEAST_LIGHT, region, -1)
+
+
+def errors(
+    on: Floor, n_emitted: int, sampler: str, seeds: range, passes: int, share: float
+) -> tuple[dict[str, Floats], dict[str, float]]:
+    """Return squared relative errors (seeds, points) of each method, and seconds in all.
+
+    The product of the differences from two references has the squared error as its mean, to which
+    the noise of the references adds nothing.
+    """
+    squared: dict[str, list[Floats]] = {method: [] for method in METHODS}
+    seconds = dict.fromkeys(("trace", "trace with spectra", *METHODS), 0.0)
+    scene = gallery.scene("reflector")
+    how: dict[str, Any] = {"progressive": pr.ProgressiveSettings(k=_K, n_passes=passes)}
+    for seed in seeds:
+        began = perf_counter()
+        pr.trace_photons(scene, n_emitted, seed=seed, sampler=sampler)
+        traced = perf_counter()
+        photons = pr.trace_photons(
+            scene, n_emitted, seed=seed, sampler=sampler, frequency_share=share
+        )
+        seconds["trace"] += traced - began
+        seconds["trace with spectra"] += perf_counter() - traced
+        for method in METHODS:
+            began = perf_counter()
+            field = pr.irradiance_field(photons, method=method, **how)
+            found = field(on.points, on.normals)[:, 0]
+            seconds[method] += perf_counter() - began
+            relative = found / np.maximum(on.references, _LEAST_LIGHT) - 1.0
+            squared[method].append(relative[0] * relative[1])
+    return {method: np.array(rows) for method, rows in squared.items()}, seconds
+
+
+def blocks(on: Floor, squared: Floats) -> Floats:
+    """Return root mean squares over square blocks of the floor, all of whose cells are lit."""
+    lit = np.where(on.region >= 0, squared.mean(axis=0), np.nan).reshape(on.shape)
+    rows, columns = (n // _BLOCK for n in on.shape)
+    cut = lit[: rows * _BLOCK, : columns * _BLOCK].reshape(rows, _BLOCK, columns, _BLOCK)
+    return np.sqrt(np.maximum(cut.mean(axis=(1, 3)), 0.0).ravel())
+
+
+def lines(on: Floor, squared: dict[str, Floats]) -> Iterator[str]:
+    """Yield a row for each region, and one for the block where frequency does worst."""
+    for number, name in enumerate(REGIONS):
+        inside = on.region == number
+        progressive, frequency = (np.sqrt(squared[m][:, inside].mean()) for m in METHODS)
+        yield (
+            f"| {name} | {inside.mean():.0%} | {progressive:.2%} | {frequency:.2%} "
+            f"| {progressive / frequency:.2f}× |"
+        )
+    progressive, frequency = (blocks(on, squared[method]) for method in METHODS)
+    worst = np.nanargmax(frequency / progressive)
+    side = _BLOCK * _CELL
+    yield (
+        f"| worst of {np.isfinite(progressive).sum()} blocks of {side:.2f} m | "
+        f"| {progressive[worst]:.2%} | {frequency[worst]:.2%} "
+        f"| {progressive[worst] / frequency[worst]:.2f}× |"
+    )
+
+
+def markdown(
+    photons: list[int],
+    *,
+    samplers: tuple[str, ...] = ("random", "halton"),
+    n_seeds: int = 4,
+    passes: int = 64,
+    share: float = 0.02,
+    n_reference: int = 10_000_000,
+) -> str:
+    """Return tables of errors by how much the light varies around, for photons emitted."""
+    on = floor(n_reference)
+    text = []
+    for n_emitted in photons:
+        for sampler in samplers:
+            squared, seconds = errors(on, n_emitted, sampler, range(n_seeds), passes, share)
+            text += [
+                f"| reflector, {n_emitted:,} {sampler}, {passes} passes "
+                "| of the floor | progressive | frequency | times as small |",
+                "| --- | --- | --- | --- | --- |",
+                *lines(on, squared),
+                "",
+                ", ".join(f"{name} {time / n_seeds:.2g} s" for name, time in seconds.items()),
+                "",
+            ]
+    text.append(
+        f"Relative errors, root mean squares over {n_seeds} seeds; regions by how far the "
+        f"reference ranges within {_WITHIN} m; {share:.0%} of the photons carry spectra. "
+        f"{machine.description()}."
+    )
+    return "\n".join([*text, ""])

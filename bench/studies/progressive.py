@@ -1,0 +1,159 @@
+"""How progressive photon mapping converges: against irradiance known without photons.
+
+Two runs of their own photons tell noise from bias: noise is what they differ by, and the product
+of their errors has the squared bias as its mean, to which noise adds nothing.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from tests.analytic.glass_sphere import GlassSphere
+from tests.analytic.metal_ring import MetalRing
+
+import photonrelax as pr
+from photonrelax import gallery
+from photonrelax.estimation.progressive import first_radius
+from photonrelax.rendering.progressive_render import pass_seed
+from photonrelax.transport.raycast import RayCaster
+
+ALPHA = 0.7
+# Slopes are of the passes from here on: discs do not know the light at first.
+FIRST = 8
+# Of the irradiance around a point of the ring, as far as discs reach at the start; beyond it the
+# point counts as one of the singularity or of the border of light.
+MOST_CONTRAST = 1.45
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene, points (m, 3) of its floor away from singularities, their irradiance (m,), W/m².
+
+    With discs of `radius` at the start, m, bias is seen beside noise.
+    """
+
+    scene: pr.Scene
+    points: np.ndarray
+    truth: np.ndarray
+    radius: float
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Relative errors, root mean square over points, one for each number of passes."""
+
+    passes: np.ndarray
+    total: np.ndarray
+    noise: np.ndarray
+    bias: np.ndarray
+
+    def slope(self, name: str) -> float:
+        """Return the exponent with which an error falls over passes."""
+        errors, late = getattr(self, name), self.passes >= FIRST
+        late &= errors > 0.0
+        return float(np.polyfit(np.log(self.passes[late]), np.log(errors[late]), 1)[0])
+
+
+@cache
+def sphere() -> Case:
+    """Circles between the bright spot and the fold of the glass sphere's caustic."""
+    distance = np.repeat(np.linspace(0.25, 0.45, 9), 64)
+    turn = np.tile(2 * np.pi * np.arange(64) / 64, 9)
+    points = np.column_stack([distance * np.cos(turn), distance * np.sin(turn), 0 * turn])
+    truth = GlassSphere(gap=0.2, irradiance=0.8).irradiance_at(distance, orders=range(-1, 12))
+    return Case(gallery.scene("sphere"), points, truth, 0.08)
+
+
+@cache
+def ring() -> Case:
+    """Points of the ring's floor, but for those near the cardioid and the border of light."""
+    radius = 0.04
+    known = MetalRing(height=0.4, elevation=np.radians(28.0), irradiance=1.6, reflectance=0.95)
+    axis = np.linspace(-0.9, 0.9, 121)
+    xy = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    # Farther out light arrives that met the wall twice.
+    xy = xy[np.linalg.norm(xy, axis=1) < 0.92]
+    xy = xy[known.irradiance_at(xy, 2001) > 0.0]
+    turn = np.arange(16) * np.pi / 8
+    around = xy[:, np.newaxis] + radius * np.column_stack([np.cos(turn), np.sin(turn)])
+    seen = known.irradiance_at(around.reshape(-1, 2), 2001).reshape(-1, 16)
+    xy = xy[seen.max(axis=1) < MOST_CONTRAST * seen.min(axis=1)]
+    points = np.column_stack([xy, np.zeros(len(xy))])
+    return Case(gallery.scene("ring"), points, known.irradiance_at(xy), radius)
+
+
+CASES = {"sphere": sphere, "ring": ring}
+SAMPLERS = ("random", "halton")
+THEORY = {"total": "", "noise": f"{-ALPHA / 2:.2f}", "bias": f"{ALPHA - 1:.2f}"}
+
+
+def converge(
+    case: Case,
+    n_passes: int,
+    photons_per_pass: int,
+    *,
+    sampler: str = "halton",
+    settings: pr.ProgressiveSettings | None = None,
+) -> Errors:
+    """Return the errors after 1, 2, 4, … passes."""
+    settings = settings or pr.ProgressiveSettings(alpha=ALPHA, radius=case.radius)
+    caster = RayCaster(case.scene.objects)
+    runs: list[pr.ProgressiveStatistics] = []
+    wanted, found = [2**i for i in range(n_passes.bit_length())], []
+    for number in range(1, wanted[-1] + 1):
+        for seed in (1, 2):
+            photons = pr.trace_photons(
+                case.scene,
+                photons_per_pass,
+                seed=pass_seed(seed, number),
+                sampler=sampler,
+                caster=caster,
+            )
+            if len(runs) < seed:
+                runs.append(_started(case, photons, settings))
+            runs[seed - 1].add(photons)
+        if number in wanted:
+            found.append(_errors(case, runs))
+            print(f"... {number} passes", file=sys.stderr, flush=True)
+    return Errors(np.array(wanted), *np.transpose(found))
+
+
+def _started(
+    case: Case, photons: pr.PhotonMap, settings: pr.ProgressiveSettings
+) -> pr.ProgressiveStatistics:
+    up = np.tile([0.0, 0.0, 1.0], (len(case.points), 1))
+    radius = first_radius(photons, case.points, up, settings)
+    return pr.ProgressiveStatistics(case.points, up, radius, alpha=settings.alpha)
+
+
+def _errors(case: Case, runs: list[pr.ProgressiveStatistics]) -> tuple[float, float, float]:
+    one, other = (run.irradiance()[:, 0] / case.truth - 1.0 for run in runs)
+    total = np.sqrt((one**2 + other**2).mean() / 2)
+    noise = np.sqrt(((one - other) ** 2).mean() / 2)
+    return total, noise, np.sqrt(max((one * other).mean(), 0.0))
+
+
+def markdown(n_passes: int, photons_per_pass: int) -> str:
+    """Return errors and slopes for both scenes, from random and from Halton photons."""
+    columns = [str(2**i) for i in range(n_passes.bit_length())]
+    lines = [
+        f"| scene, photons | error | {' | '.join(columns)} | slope | theory |",
+        "| --- " * (len(columns) + 4) + "|",
+    ]
+    for scene, case in CASES.items():
+        for sampler in SAMPLERS:
+            errors = converge(case(), n_passes, photons_per_pass, sampler=sampler)
+            lines += [_line(f"{scene}, {sampler}", errors, name) for name in THEORY]
+    starts = ", ".join(f"{case().radius:g} m on {scene}" for scene, case in CASES.items())
+    note = f"{photons_per_pass:,} photons a pass, α = {ALPHA}; discs start with R = {starts}."
+    return "\n".join([*lines, "", note, ""])
+
+
+def _line(title: str, errors: Errors, name: str) -> str:
+    values = [f"{100 * value:.2f} %" for value in getattr(errors, name)]
+    return (
+        f"| {title} | {name} | {' | '.join(values)} | {errors.slope(name):.2f} | {THEORY[name]} |"
+    )

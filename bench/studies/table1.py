@@ -1,0 +1,167 @@
+"""SJ13's Table I: the prism stage by stage, beside the paper's figures."""
+
+from __future__ import annotations
+
+import sys
+from time import perf_counter
+from typing import Any
+
+import photonrelax as pr
+from bench.speed import inputs, machine
+
+# Stages by the rows of the table; every other stage of a method's own finds features.
+_FEATURES = "structure (feature detect)"
+_ROWS_OF = {"trace": "photon cast", "relax": "relaxation", "render": "render"}
+# Spencer & Jones 2013, Table I, "Our method": seconds on 7 cores of a desktop of its time.
+PAPER = {
+    "photons emitted": 20_000_000,
+    "photons stored": 863_000,
+    "photon cast": 12.3,
+    _FEATURES: 5.3,
+    "relaxation": 28.4,
+    "render": 4.3,
+    "total": 50.3,
+}
+
+
+def _column(render: float, total: float, **others: float) -> dict[str, float]:
+    """Return a column of the paper for the photons that four of its methods share."""
+    found = {name: PAPER[name] for name in ("photons emitted", "photons stored", "photon cast")}
+    rows = {"feature": _FEATURES, "relaxation": "relaxation"}
+    named = {rows[name]: seconds for name, seconds in others.items()}
+    return {**found, **named, "render": render, "total": total}
+
+
+_GATHER = pr.GatherSettings(k=15)
+# ibid., §5: 500 photons and q = 0.02; eigenvalues over the largest, as in SSO08.
+_DIFFUSION = pr.DiffusionSettings(k=500, edge_threshold=0.02, normalisation="maximum")
+# ibid., all columns.
+PAPER_OF = {
+    "standard": _column(4.3, 14.8),
+    "relaxation": _column(4.3, 48.2, feature=9.1, relaxation=27.3),
+    "diffusion": _column(89.0, 104.0, feature=3.3),
+    "parameterised": PAPER,
+    "progressive": {"photons emitted": 4_600_000_000, "photons stored": 200_000_000}
+    | {"total": 47 * 60 + 21.0},
+}
+
+
+def measured(
+    n_emitted: int,
+    n_threads: int | None = None,
+    pixels: int = 600,
+    method: str = "parameterised",
+) -> dict[str, float]:
+    """Return seconds and counts of a picture with the paper's settings, by the table's rows.
+
+    K = 15, 7 + 7 iterations, K_c = 50; 600 x 600 pixels of 2 x 2 samples.
+    """
+    scene = inputs.scene(pixels)
+    image = pr.render(
+        scene,
+        method=method,
+        n_emitted=n_emitted,
+        gather=_GATHER,
+        diffusion=_DIFFUSION,
+        supersampling=2,
+        n_threads=n_threads,
+        progress=_tell,
+    )
+    stages: dict[str, Any] = image.stats["stages"]
+    seconds: dict[str, float] = {}
+    for name, stage in stages.items():
+        row = _ROWS_OF.get(name, _FEATURES)
+        seconds[row] = seconds.get(row, 0.0) + stage["seconds"]
+    return {
+        "photons emitted": stages["trace"]["emitted"],
+        "photons stored": stages["trace"]["stored"],
+        **seconds,
+        "total": image.stats["seconds"],
+    }
+
+
+def progressive(
+    n_passes: int, n_emitted: int, n_threads: int | None = None, pixels: int = 600
+) -> dict[str, float]:
+    """Return the counts and seconds of so many passes of fresh photons."""
+    started = perf_counter()
+    image = pr.render_progressive(
+        inputs.scene(pixels),
+        n_passes=n_passes,
+        photons_per_pass=n_emitted,
+        settings=pr.ProgressiveSettings(k=4),
+        n_threads=n_threads,
+        progress=_tell,
+    )
+    return {
+        "photons emitted": n_passes * n_emitted,
+        "photons stored": image.stats["stages"]["passes"]["stored"],
+        "total": perf_counter() - started,
+    }
+
+
+def _tell(stage: str, done: int, total: int) -> None:
+    if done == total:
+        print(f"... {stage}: {total:,} done", file=sys.stderr, flush=True)
+
+
+def markdown(n_emitted: int, n_stored: int, n_threads: int | None = None) -> str:
+    """Return the table: with so many photons emitted, and with about so many stored."""
+    pixels = 600 if n_emitted > 1_000_000 else 60
+    columns = [
+        measured(n_emitted, n_threads, pixels),
+        measured(int(n_stored / inputs.STORED), n_threads, pixels),
+    ]
+    threads = n_threads or machine.machine()["cores"]
+    lines = [
+        f"| prism | SJ13, Table I | {n_emitted:,} emitted | about {n_stored:,} stored |",
+        "| --- | --- | --- | --- |",
+        *(_line(row, [PAPER, *columns]) for row in PAPER),
+    ]
+    note = (
+        "SJ13: 7 cores of a desktop of 2012. Photons are aimed at the prism, so more of those "
+        f"emitted are stored. Threads: {threads}. {machine.description()}."
+    )
+    return "\n".join([*lines, "", note, ""])
+
+
+def every_method(n_stored: int, n_passes: int, n_threads: int | None = None) -> str:
+    """Return all columns of the table, each with the paper's in brackets.
+
+    Four methods with about so many photons stored; progressive photon mapping is a run of so many
+    passes, each of as many photons emitted.
+    """
+    pixels, n_emitted = 600 if n_stored > 100_000 else 60, int(n_stored / inputs.STORED)
+    # The first one timed should not pay for what is imported and allocated.
+    measured(10_000, n_threads, pixels, "standard")
+    columns = {
+        method: measured(n_emitted, n_threads, pixels, method)
+        for method in PAPER_OF
+        if method != "progressive"
+    }
+    columns["progressive"] = progressive(n_passes, n_emitted, n_threads, pixels)
+    head = f"| prism, in brackets SJ13 | {' | '.join(columns)} |"
+    rows = [
+        f"| {row} | "
+        + " | ".join(
+            f"{_cell(row, found)} ({_cell(row, PAPER_OF[method])})"
+            for method, found in columns.items()
+        )
+        + " |"
+        for row in PAPER
+    ]
+    threads = n_threads or machine.machine()["cores"]
+    note = f"Threads: {threads}. {machine.description()}."
+    return "\n".join([head, "| --- |" + len(columns) * " --- |", *rows, "", note, ""])
+
+
+def _line(row: str, columns: list[dict[str, float]]) -> str:
+    return f"| {row} | {' | '.join(_cell(row, column) for column in columns)} |"
+
+
+def _cell(row: str, column: dict[str, float]) -> str:
+    if row not in column:
+        return "–"
+    if row.startswith("photons"):
+        return f"{column[row]:,}"
+    return f"{column[row]:,.0f} s" if column[row] >= 100.0 else f"{column[row]:.3g} s"

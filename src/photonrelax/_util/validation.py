@@ -1,0 +1,235 @@
+"""The one door to the kernels: dtype, shape, contiguity, finiteness, thread count.
+
+Kernels trust what they are given, so every array a user passes comes through here first.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._ext.common import unit_vectors as _unit_vectors
+
+# Radii beyond have squares, and what is divided by these, outside of the range of floats.
+RADII = (1e-150, 1e150)
+
+# Numbers looked at together where an array is only checked.
+_PART = 32768
+
+Floats = NDArray[np.float64]
+Rows = slice | NDArray[np.intp]
+Shape = Sequence[int | None]
+
+
+def float_array(
+    value: ArrayLike, name: str, shape: Shape | None = None, *, finite: bool = True
+) -> Floats:
+    """Return `value` as a C-contiguous float64 array of the given shape.
+
+    Parameters
+    ----------
+    value : array_like
+        What the caller gave; copied only if its type or layout differ.
+    name : str
+        The argument's name, for messages.
+    shape : sequence of int or None, optional
+        Required shape, None for an axis of any length; None for any shape at all.
+    finite : bool
+        Refuse NaN and infinities.
+
+    Raises
+    ------
+    TypeError
+        If the values are not real numbers.
+    ValueError
+        If the shape is wrong or, with `finite`, a value is NaN or infinite.
+    """
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind not in "fiub":
+            raise TypeError(f"dtype is {array.dtype}")
+        array = np.ascontiguousarray(array, dtype=np.float64).reshape(array.shape)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name} should be an array of real numbers: {error}") from None
+    if shape is not None:
+        _check_shape(array.shape, name, shape)
+    if finite and not _all_finite(array):
+        bad = int(np.flatnonzero(~np.isfinite(array).ravel())[0])
+        raise ValueError(
+            f"{name} should be finite, but flat element {bad} of shape {array.shape} "
+            f"is {array.ravel()[bad]}"
+        )
+    return array
+
+
+def int_array(
+    value: ArrayLike, name: str, shape: Shape | None = None, dtype: type = np.int64
+) -> NDArray:
+    """Return `value` as a C-contiguous integer array of the given shape and dtype.
+
+    Raises
+    ------
+    TypeError
+        If the values are not integers.
+    ValueError
+        If the shape is wrong or a value does not fit `dtype`.
+    """
+    array = np.asarray(value)
+    if array.dtype.kind not in "iub" and array.size:
+        raise TypeError(f"{name} should be an array of integers, but its dtype is {array.dtype}")
+    if shape is not None:
+        _check_shape(array.shape, name, shape)
+    converted: NDArray = np.ascontiguousarray(array, dtype=dtype).reshape(array.shape)
+    if converted.dtype != array.dtype and not np.array_equal(converted, array):
+        raise ValueError(f"{name} should fit {np.dtype(dtype).name}, but some values do not")
+    return converted
+
+
+def rgb(value: ArrayLike, name: str, *, low: float = 0.0, high: float = np.inf) -> Floats:
+    """Return a colour as three floats in [low, high]; one number stands for all channels.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is not one or three real numbers in the range.
+    """
+    array = float_array(value, name)
+    if array.shape not in ((), (3,)):
+        raise ValueError(f"{name} should be one number or three, but its shape is {array.shape}")
+    array = np.ascontiguousarray(np.broadcast_to(array, (3,)))
+    if (array < low).any() or (array > high).any():
+        raise ValueError(f"{name} should lie in [{low}, {high}], but is {array.tolist()}")
+    return array
+
+
+def unit_vectors(value: ArrayLike, name: str, shape: Shape, n_threads: int = 1) -> Floats:
+    """Return vectors (…, 3) scaled to unit length.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `float_array`, and if a vector has no length.
+    """
+    array = float_array(value, name, shape)
+    unit = np.empty_like(array)
+    if not _unit_vectors.unit_vectors(array.reshape(-1, 3), unit.reshape(-1, 3), n_threads):
+        bad = int(np.flatnonzero(~array.reshape(-1, 3).any(axis=1))[0])
+        raise ValueError(f"{name} should hold directions, but vector {bad} is zero")
+    return unit
+
+
+def are_unit(vectors: Floats) -> bool:
+    """Return whether the rows of an (n, 3) array are unit vectors, to some roundings."""
+    tolerance = 4.0 * np.finfo(np.float64).eps
+    for first in range(0, len(vectors), _PART):
+        x, y, z = vectors[first : first + _PART].T
+        with np.errstate(over="ignore"):
+            length = np.sqrt(x * x + y * y + z * z)
+        if (np.abs(length - 1.0) > tolerance).any():
+            return False
+    return True
+
+
+def positive(value: float, name: str, *, allow_inf: bool = False) -> float:
+    """Return `value` as a float greater than zero.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is not a positive real number.
+    """
+    number = float(float_array(value, name, (), finite=False))
+    if not number > 0.0 or (np.isinf(number) and not allow_inf):
+        raise ValueError(f"{name} should be a positive number, but is {number}")
+    return number
+
+
+def in_units(array: Floats) -> tuple[Floats, float]:
+    """Return numbers over a unit near the largest of them, and the unit.
+
+    It is a power of two, so that nothing is rounded; squares of what is returned stay finite.
+    """
+    unit = power_of_two(float(np.abs(array).max(initial=0.0)) or 1.0)
+    return array / unit, unit
+
+
+def power_of_two(number: float) -> float:
+    """Return the power of two next below a positive number."""
+    return math.ldexp(0.5, math.frexp(number)[1])
+
+
+def radius(value: float, name: str, *, allow_inf: bool = False) -> float:
+    """Return a radius, m, whose square is within the range of floats.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is not a real number from 1e-150 to 1e150, or infinite if that is allowed.
+    """
+    number = positive(value, name, allow_inf=allow_inf)
+    if not (RADII[0] <= number <= RADII[1] or np.isinf(number)):
+        raise ValueError(f"{name} should lie in [{RADII[0]:g}, {RADII[1]:g}], but is {number:g}")
+    return number
+
+
+def count(value: int, name: str, *, low: int = 1, high: float = np.inf) -> int:
+    """Return `value` as an int in [low, high].
+
+    Raises
+    ------
+    TypeError
+        If it is not an integer.
+    ValueError
+        If it is less than `low` or more than `high`.
+    """
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise TypeError(f"{name} should be an integer, but is {value!r}") from None
+    if number < low:
+        raise ValueError(f"{name} should be at least {low}, but is {number}")
+    if number > high:
+        raise ValueError(f"{name} should be at most {high}, but is {number}")
+    return number
+
+
+def _all_finite(array: Floats) -> bool:
+    """Check a cacheful at a time: a mask of the whole would take memory and time."""
+    flat = array.reshape(-1)
+    return all(np.isfinite(flat[i : i + _PART]).all() for i in range(0, len(flat), _PART))
+
+
+def _check_shape(actual: tuple[int, ...], name: str, wanted: Shape) -> None:
+    matches = len(actual) == len(wanted) and all(
+        w is None or w == a for a, w in zip(actual, wanted, strict=True)
+    )
+    if not matches:
+        letters = ", ".join("n" if w is None else str(w) for w in wanted)
+        raise ValueError(f"{name} should have shape ({letters}), but has {actual}")
+
+
+_SEED_BITS = 64
+
+
+def check_seed(seed: int) -> int:
+    """Return `seed` as an int in [0, 2^64).
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is not an integer in that range.
+    """
+    number = count(seed, "seed", low=0)
+    if number >= 2**_SEED_BITS:
+        raise ValueError(f"seed should be below 2^{_SEED_BITS}, but is {number}")
+    return number
+
+
+def check_choice(value: str, name: str, choices: Iterable[str]) -> None:
+    """Raise ValueError unless `value` is one of the choices."""
+    if value not in choices:
+        raise ValueError(f"{name} should be one of {', '.join(choices)}, but is {value!r}")

@@ -1,0 +1,294 @@
+"""The arguments of the command line."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from .. import gallery
+from .._version import __version__
+
+PHOTONS = 1_000_000
+PHOTONS_PER_PASS = 100_000
+REFERENCE_PASSES, REFERENCE_PHOTONS = 50, 1_000_000
+SAMPLER = "halton"
+
+
+def parser(commands: Mapping[str, Callable[..., None]]) -> argparse.ArgumentParser:
+    """Return what parses the command line; `commands` holds what each command calls."""
+    parser = argparse.ArgumentParser(
+        prog="photonrelax", description="Render sharp, noise-free caustics from few photons."
+    )
+    parser.add_argument("--version", action="version", version=f"photonrelax {__version__}")
+    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
+    for name, (about, add) in COMMANDS.items():
+        subparser = subparsers.add_parser(name, help=about, description=about)
+        subparser.set_defaults(command=commands[name], wrong_usage=subparser.error)
+        add(subparser)
+    return parser
+
+
+def _add_render(parser: argparse.ArgumentParser) -> None:
+    from ..estimation.methods import METHODS
+
+    _add_scene(parser)
+    _add_output(parser, "FILE.exr")
+    parser.add_argument(
+        "--method", choices=METHODS, default="parameterised", help="default: %(default)s"
+    )
+    _add_emission(parser)
+    parser.add_argument(
+        "--photon-map",
+        type=Path,
+        metavar="FILE.npz",
+        help="photons traced before, in this scene, in place of new ones; with relaxed ones: "
+        "--method standard",
+    )
+    _add_sampler(parser)
+    _add_settings(parser)
+    _add_picture(parser)
+    _add_passes(parser)
+    parser.add_argument("--stats", type=Path, metavar="FILE.json", help="write times and counts")
+    _add_common(parser)
+
+
+def _add_passes(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "passes", f"of fresh photons, {PHOTONS_PER_PASS} each; with --method progressive"
+    )
+    group.add_argument("--passes", type=positive, metavar="N", help="in all, those resumed too")
+    group.add_argument(
+        "--minutes", type=_positive_number, metavar="T", help="of passes, more or less"
+    )
+    group.add_argument(
+        "--state",
+        type=Path,
+        metavar="FILE.npz",
+        help="keep the run here, and go on with it if it exists",
+    )
+    group.add_argument(
+        "--interval",
+        type=_positive_number,
+        metavar="SECONDS",
+        help="from one time that run and picture are written to the next (60)",
+    )
+    group.add_argument(
+        "--stochastic", action="store_true", help="look elsewhere in each pixel in every pass"
+    )
+
+
+def _add_trace(parser: argparse.ArgumentParser) -> None:
+    _add_scene(parser)
+    _add_output(parser, "FILE.npz")
+    _add_emission(parser)
+    _add_sampler(parser)
+    parser.add_argument(
+        "--frequency-share",
+        type=float,
+        default=0.0,
+        metavar="SHARE",
+        help="of the photons that carry spectra, for --method frequency (%(default)s; say 0.02)",
+    )
+    _add_common(parser)
+
+
+def _add_relax(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("photon_map", metavar="PHOTONS.npz", type=Path)
+    _add_output(parser, "FILE.npz")
+    parser.add_argument(
+        "--scene",
+        choices=gallery.names(),
+        help="the scene of the photons, to keep them on its curved surfaces",
+    )
+    _add_iterations(parser)
+    _add_common(parser)
+
+
+def _add_compare(parser: argparse.ArgumentParser) -> None:
+    from ..estimation.methods import METHODS
+
+    _add_scene(parser, *gallery.distribution_names())
+    _add_output(parser, "FOLDER")
+    parser.add_argument(
+        "--methods",
+        nargs="+",
+        choices=METHODS,
+        metavar="METHOD",
+        help=f"some of {', '.join(METHODS)}; default: the five of SJ13 Table I",
+    )
+    _add_emission(parser)
+    _add_sampler(parser)
+    _add_settings(parser)
+    _add_picture(parser)
+    parser.add_argument(
+        "--reference",
+        type=Path,
+        metavar="FILE.exr",
+        help="a picture of the same view to measure errors against; default: one is computed, "
+        "kept in FOLDER and used again",
+    )
+    # No defaults here: they are refused if they were given where no reference is computed.
+    parser.add_argument(
+        "--reference-passes",
+        type=positive,
+        metavar="N",
+        help=f"progressive passes that a computed reference takes ({REFERENCE_PASSES})",
+    )
+    parser.add_argument(
+        "--reference-photons",
+        type=positive,
+        metavar="N",
+        help=f"in each of these, whatever --photons is ({REFERENCE_PHOTONS})",
+    )
+    _add_common(parser)
+
+
+def _add_info(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE", type=Path)
+
+
+COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
+    "render": ("render a built-in scene to an EXR file, and a PNG preview beside it", _add_render),
+    "trace": ("trace the photons of a built-in scene into a photon map", _add_trace),
+    "relax": ("relax the photons of a photon map", _add_relax),
+    "compare": ("compare methods on the same photons: table, pictures, a page", _add_compare),
+    "list": ("list the built-in scenes, and photons alone to compare on", lambda parser: None),
+    "info": ("describe an EXR file or a photon map", _add_info),
+}
+
+
+def _add_scene(parser: argparse.ArgumentParser, *others: str) -> None:
+    names = (*gallery.names(), *others)
+    parser.add_argument("scene", choices=names, metavar="SCENE", help=", ".join(names))
+
+
+def _add_output(parser: argparse.ArgumentParser, metavar: str) -> None:
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar)
+
+
+def _add_emission(parser: argparse.ArgumentParser) -> None:
+    # No defaults here: whether they were given matters beside --photon-map.
+    parser.add_argument("--photons", type=positive, metavar="N", help=f"emitted ({PHOTONS})")
+    parser.add_argument("--seed", type=whole, metavar="N", help="of the photons (0)")
+
+
+def _add_sampler(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--sampler", choices=("halton", "random"), help=f"of the photons ({SAMPLER})"
+    )
+
+
+def _add_settings(parser: argparse.ArgumentParser) -> None:
+    # No defaults here: settings that no chosen method reads are refused if they were given.
+    from ..estimation.refinement import REFINEMENTS
+    from .settings import assignment
+
+    parser.add_argument(
+        "--k",
+        type=positive,
+        metavar="N",
+        help="photons per estimate (15); in render of the first discs of progressive methods",
+    )
+    _add_iterations(parser)
+    parser.add_argument(
+        "--refinement",
+        choices=tuple(REFINEMENTS),
+        help="how estimates choose a number of photons of their own, up to --k (none)",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        type=assignment,
+        metavar="STAGE.FIELD=VALUE",
+        help="any setting of a stage, as in diffusion.k=200 or relax.n_iterations=3,3; repeatable",
+    )
+
+
+def _add_iterations(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--iterations",
+        type=whole,
+        nargs=2,
+        metavar=("CONSTRAINED", "COLLAPSED"),
+        help="of relaxation (7 7)",
+    )
+
+
+def _add_picture(parser: argparse.ArgumentParser) -> None:
+    for name in ("width", "height"):
+        parser.add_argument(
+            f"--{name}",
+            type=positive,
+            metavar="PIXELS",
+            help="of the picture; one alone keeps its proportions",
+        )
+    parser.add_argument(
+        "--supersampling",
+        type=positive,
+        default=2,
+        metavar="N",
+        help="N x N rays per pixel (%(default)s)",
+    )
+    parser.add_argument(
+        "--exposure", type=_stops, default=0.0, metavar="STOPS", help="of PNG pictures"
+    )
+
+
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--threads", type=positive, metavar="N", help="default: every core; results are the same"
+    )
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def whole(text: str) -> int:
+    """Return a whole number of at least 0; 2e6 and 2_000_000 are fine."""
+    try:
+        number = int(text)
+    except ValueError:
+        number = _integral(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"should be a whole number, but is {text!r}")
+    return number
+
+
+def _integral(text: str) -> int:
+    """Return the integer that a number like 2e6 stands for, -1 if it stands for none."""
+    try:
+        number = float(text)
+    except ValueError:
+        return -1
+    return int(number) if number.is_integer() else -1
+
+
+def positive(text: str) -> int:
+    number = whole(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"should be at least 1, but is {text!r}")
+    return number
+
+
+def _positive_number(text: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = float("nan")
+    if not 0.0 < number < float("inf"):
+        raise argparse.ArgumentTypeError(f"should be a positive number, but is {text!r}")
+    return number
+
+
+def _stops(text: str) -> float:
+    from ..imaging.image import LARGEST_EXPOSURE
+
+    try:
+        stops = float(text)
+    except ValueError:
+        stops = float("nan")
+    if not abs(stops) <= LARGEST_EXPOSURE:
+        raise argparse.ArgumentTypeError(
+            f"should be a number between -{LARGEST_EXPOSURE:g} and {LARGEST_EXPOSURE:g}, "
+            f"but is {text!r}"
+        )
+    return stops

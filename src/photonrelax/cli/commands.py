@@ -1,0 +1,355 @@
+"""The command line: arguments → settings → stages → files. The only file that prints."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, TypeVar
+
+import photonrelax as pr
+
+from .. import gallery
+from .._util.files import check_distinct, output_path, whole_file, write_json
+from .arguments import (
+    PHOTONS,
+    PHOTONS_PER_PASS,
+    REFERENCE_PASSES,
+    REFERENCE_PHOTONS,
+    SAMPLER,
+    parser,
+)
+from .interrupts import Interrupts
+from .progress_bar import Bars
+
+# Everything else is imported where it is used: an interrupt meanwhile is then caught in `main`.
+if TYPE_CHECKING:
+    from ..estimation.methods import Settings
+    from ..evaluation import Plan
+
+INTERRUPTED = 130
+_MAGIC_EXR, _MAGIC_NPZ = b"v/1\x01", b"PK\x03\x04"
+_EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
+Result = TypeVar("Result")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    0 for success, 1 for an error, 2 for wrong usage (raised as SystemExit), 130 for Ctrl-C.
+    """
+    with Interrupts() as interrupts:
+        try:
+            options = parser(_COMMANDS).parse_args(arguments)
+            options.command(options, interrupts)
+        except KeyboardInterrupt:
+            return _interrupted()
+        except Exception as error:
+            # An import that was interrupted may fail in any way.
+            if interrupts.pending:
+                return _interrupted()
+            if not isinstance(error, _EXPECTED):
+                raise
+            message = " ".join(str(error).splitlines()) or "out of memory"
+            print(f"photonrelax: error: {message}", file=sys.stderr)
+            return 1
+    return 0
+
+
+def _interrupted() -> int:
+    print("photonrelax: interrupted", file=sys.stderr)
+    return INTERRUPTED
+
+
+# --- commands ---------------------------------------------------------------------------------
+
+
+def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
+    _check_photons(options)
+    output = output_path(options.output, ".exr")
+    preview = output_path(output.with_suffix(".png"))
+    stats = None if options.stats is None else output_path(options.stats)
+    check_distinct(
+        {
+            "the picture": output,
+            "the preview": preview,
+            "--stats": stats,
+            "--photon-map": options.photon_map,
+            "--state": options.state,
+        }
+    )
+
+    in_passes = (options.passes, options.minutes) != (None, None)
+    image = (_in_passes if in_passes else _image)(options, interrupts)
+    with ExitStack() as files:
+        # All files take their places together, when the last is whole.
+        _place(files, image, options)
+        if stats is not None:
+            write_json(_partial(files, stats), image.stats)
+        interrupts.check()
+    from .reports import stage_table
+
+    _report(options, stage_table(image.stats["stages"]), f"wrote {output} and {preview}")
+
+
+def _check_photons(options: argparse.Namespace) -> None:
+    """End with wrong usage if options about photons contradict each other."""
+    emission = (options.photons, options.seed, options.sampler)
+    if options.photon_map is not None and emission != (None, None, None):
+        options.wrong_usage(
+            "--photon-map brings its photons: leave out --photons, --seed and --sampler"
+        )
+    passes = (options.passes, options.minutes)
+    others = (options.state, options.interval, options.stochastic)
+    if passes == (None, None):
+        if others != (None, None, False):
+            options.wrong_usage("--state, --interval and --stochastic need --passes or --minutes")
+    elif options.method != "progressive":
+        options.wrong_usage("--passes and --minutes need --method progressive")
+    elif options.photon_map is not None:
+        options.wrong_usage("every pass brings its photons: leave out --photon-map")
+    elif options.sampler == "random":
+        options.wrong_usage("passes are of Halton photons: leave out --sampler")
+    elif any(each[:2] == ("progressive", "n_passes") for each in options.set or ()):
+        options.wrong_usage("progressive.n_passes deals out one map: --passes says how many")
+
+
+def _in_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
+    from ..rendering.view import resized
+
+    settings = _chosen(options)
+
+    def write(image: pr.Image) -> None:
+        with ExitStack() as files:
+            _place(files, image, options)
+
+    scene = resized(gallery.scene(options.scene), options.width, options.height)
+    with Bars(options.quiet, interrupts) as bars:
+        return pr.render_progressive(
+            scene,
+            n_passes=options.passes,
+            seconds=None if options.minutes is None else 60.0 * options.minutes,
+            photons_per_pass=options.photons or PHOTONS_PER_PASS,
+            seed=options.seed or 0,
+            settings=settings.progressive,
+            supersampling=options.supersampling,
+            stochastic=options.stochastic,
+            checkpoints=pr.Checkpoints(options.state, options.interval or 60.0, write),
+            n_threads=options.threads,
+            progress=bars,
+        )
+
+
+def _image(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
+    from ..rendering.view import resized
+
+    settings = _chosen(options)
+    photons = None if options.photon_map is None else pr.PhotonMap.load(options.photon_map)
+    scene = resized(gallery.scene(options.scene), options.width, options.height)
+    with Bars(options.quiet, interrupts) as bars:
+        return pr.render(
+            scene,
+            method=options.method,
+            n_emitted=_photons(options),
+            seed=options.seed or 0,
+            sampler=options.sampler or SAMPLER,
+            supersampling=options.supersampling,
+            photons=photons,
+            n_threads=options.threads,
+            progress=bars,
+            **vars(settings),
+        )
+
+
+def _chosen(options: argparse.Namespace) -> Settings:
+    from .settings import chosen
+
+    return chosen(options, (options.method,), ("gather", "progressive"))
+
+
+def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:
+    from .reports import stage_table
+
+    output = output_path(options.output, ".npz")
+    scene = gallery.scene(options.scene)
+    with Bars(options.quiet, interrupts) as bars:
+        photons, seconds = _timed(
+            lambda: pr.trace_photons(
+                scene,
+                _photons(options),
+                seed=options.seed or 0,
+                sampler=options.sampler or SAMPLER,
+                frequency_share=options.frequency_share,
+                n_threads=options.threads,
+                progress=bars,
+            )
+        )
+    photons.save(output)
+    counts = {"emitted": _photons(options), "stored": len(photons)}
+    stages = {"trace": {"seconds": seconds, **counts}}
+    _report(options, stage_table(stages), f"wrote {output}")
+
+
+def _relax(options: argparse.Namespace, interrupts: Interrupts) -> None:
+    from .reports import stage_table
+
+    output = output_path(options.output, ".npz")
+    photons = pr.PhotonMap.load(options.photon_map)
+    scene = None if options.scene is None else gallery.scene(options.scene)
+    settings = pr.RelaxSettings()
+    if options.iterations is not None:
+        settings = pr.RelaxSettings(n_iterations=tuple(options.iterations))
+    with Bars(options.quiet, interrupts) as bars:
+        structure, structure_seconds = _timed(
+            lambda: pr.detect_structure(photons, n_threads=options.threads, progress=bars)
+        )
+        relaxed, relax_seconds = _timed(
+            lambda: pr.relax(
+                photons,
+                structure,
+                settings,
+                scene=scene,
+                n_threads=options.threads,
+                progress=bars,
+            )
+        )
+    relaxed.save(output)
+    stages = {
+        "structure": {"seconds": structure_seconds, "photons": len(photons)},
+        "relax": {"seconds": relax_seconds, "iterations": sum(settings.n_iterations)},
+    }
+    _report(options, stage_table(stages), f"wrote {output}")
+
+
+def _compare(options: argparse.Namespace, interrupts: Interrupts) -> None:
+    from ..evaluation import reference, run_methods
+    from ..evaluation.report import folder
+    from ..imaging import metrics
+
+    _check_reference(options)
+    metrics.check_installed()
+    plan = _plan(options)
+    given = None if options.reference is None else reference.given(options.reference, plan)
+    folder.prepare_folder(options.output, plan.methods)
+    if _computes_reference(options):
+        reference.check_own(options.output / folder.REFERENCE)
+    with Bars(options.quiet, interrupts) as bars:
+        runs = run_methods(plan, progress=bars)
+        # A reference may take long: all that can fail before it has been done.
+        truth = _kept_reference(options, plan, bars) if given is None else given
+        comparison = runs.against(truth)
+    shown = folder.write(comparison, options.output)
+    _report(options, shown.text(), f"wrote {options.output / folder.PAGE}")
+
+
+def _check_reference(options: argparse.Namespace) -> None:
+    """End with wrong usage if options of a computed reference are given where none is."""
+    if _computes_reference(options):
+        return
+    brought = f"the light of {options.scene} is known exactly"
+    if options.reference is not None:
+        brought = "--reference brings one"
+    for name in ("passes", "photons"):
+        if getattr(options, f"reference_{name}") is not None:
+            options.wrong_usage(
+                f"--reference-{name} is of a reference that is computed, but {brought}: "
+                "leave it out"
+            )
+
+
+def _computes_reference(options: argparse.Namespace) -> bool:
+    return options.reference is None and options.scene in gallery.names()
+
+
+def _plan(options: argparse.Namespace) -> Plan:
+    from ..evaluation import METHODS_OF_SJ13, Plan, named
+    from .settings import chosen
+
+    methods = tuple(options.methods or METHODS_OF_SJ13)
+    return Plan(
+        subject=named(options.scene, options.width, options.height),
+        methods=methods,
+        n_emitted=_photons(options),
+        seed=options.seed or 0,
+        sampler=options.sampler or SAMPLER,
+        settings=chosen(options, methods),
+        supersampling=options.supersampling,
+        exposure=options.exposure,
+        n_threads=options.threads,
+    )
+
+
+def _kept_reference(options: argparse.Namespace, plan: Plan, bars: Bars) -> pr.Image:
+    from ..evaluation import reference
+    from ..evaluation.report import folder
+
+    effort = reference.Effort(
+        options.reference_passes or REFERENCE_PASSES,
+        options.reference_photons or REFERENCE_PHOTONS,
+    )
+    return reference.kept(options.output / folder.REFERENCE, plan, effort, bars)
+
+
+def _list(options: argparse.Namespace, interrupts: Interrupts) -> None:
+    names = (*gallery.names(), *gallery.distribution_names())
+    width = max(map(len, names))
+    for name in names:
+        print(f"{name:{width}}  {gallery.about(name)}")
+
+
+def _info(options: argparse.Namespace, interrupts: Interrupts) -> None:
+    from ..imaging.image import read_exr
+    from .reports import describe_image, describe_photons
+
+    with options.file.open("rb") as file:
+        magic = file.read(4)
+    if magic == _MAGIC_EXR:
+        print(describe_image(read_exr(options.file)))
+    elif magic == _MAGIC_NPZ:
+        print(describe_photons(pr.PhotonMap.load(options.file)))
+    else:
+        raise ValueError(f"{options.file} should be an EXR file or a photon map, but is neither")
+
+
+# --- what is printed --------------------------------------------------------------------------
+
+
+def _report(options: argparse.Namespace, *texts: str) -> None:
+    if not options.quiet:
+        print("\n".join(texts))
+
+
+# --- scenes and files --------------------------------------------------------------------------
+
+
+def _place(files: ExitStack, image: pr.Image, options: argparse.Namespace) -> None:
+    """Write the picture and its preview, to take their places when `files` ends."""
+    image.write_exr(_partial(files, options.output))
+    image.write_png(_partial(files, options.output.with_suffix(".png")), options.exposure)
+
+
+def _partial(files: ExitStack, path: Path) -> Path:
+    return files.enter_context(whole_file(path))
+
+
+def _photons(options: argparse.Namespace) -> int:
+    return options.photons or PHOTONS
+
+
+def _timed(work: Callable[[], Result]) -> tuple[Result, float]:
+    start = perf_counter()
+    result = work()
+    return result, perf_counter() - start
+
+
+_COMMANDS = {
+    "render": _render,
+    "trace": _trace,
+    "relax": _relax,
+    "compare": _compare,
+    "list": _list,
+    "info": _info,
+}

@@ -1,0 +1,49 @@
+"""Progress bars of the command line, which also notice a Ctrl-C that was swallowed."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from .interrupts import Interrupts
+
+
+class Bars:
+    """A progress bar for one stage after another, on terminals; ``bars(stage, done, total)``."""
+
+    def __init__(self, quiet: bool, interrupts: Interrupts) -> None:
+        # None leaves it to tqdm to keep bars out of files and pipes.
+        self._disable = True if quiet else None
+        self._interrupts = interrupts
+        self._stage = ""
+        self._bar: Any = None
+        self._last_report = time.time()
+
+    def __enter__(self) -> Bars:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *exception: object) -> None:
+        self._close()
+        if kind is None:
+            self._interrupts.check()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        from tqdm import tqdm
+
+        self._interrupts.check()
+        if stage != self._stage:
+            self._close()
+            self._stage = stage
+            self._bar = tqdm(total=total, desc=stage, unit_scale=True, disable=self._disable)
+            # A stage reports when some of its work is done: it started when the last one ended.
+            self._bar.start_t = self._last_report
+        self._bar.total = total
+        self._bar.update(done - self._bar.n)
+        self._last_report = time.time()
+        if done >= total:
+            # Its time is final; tqdm ignores what comes after.
+            self._close()
+
+    def _close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()

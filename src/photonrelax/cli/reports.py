@@ -1,0 +1,79 @@
+"""What the command line says about stages, images and photon maps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..imaging.image import Image
+from ..photons.energy_ledger import EnergyLedger
+from ..photons.photon_map import PhotonMap
+
+
+def stage_table(stages: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return a table of seconds and counts, a line for each stage and one for their sum.
+
+    Parameters
+    ----------
+    stages : mapping
+        For each stage by name, its ``seconds`` and any counts.
+    """
+    width = max(map(len, [*stages, "total"]))
+    lines = [
+        f"{name:{width}}  {values['seconds']:8.2f} s  {_counts(values)}".rstrip()
+        for name, values in stages.items()
+    ]
+    total = sum(values["seconds"] for values in stages.values())
+    return "\n".join([*lines, f"{'total':{width}}  {total:8.2f} s"])
+
+
+def _counts(values: Mapping[str, Any]) -> str:
+    return ", ".join(
+        f"{name.replace('_', ' ')} {value:,}"
+        for name, value in values.items()
+        if name != "seconds" and isinstance(value, int)
+    )
+
+
+def describe_image(image: Image) -> str:
+    """Return the size, layers and metadata of an image, a line each."""
+    height, width = np.shape(next(iter(image.layers.values())))[:2]
+    lines = [f"{width} x {height} pixels", f"layers: {', '.join(sorted(image.layers))}"]
+    return "\n".join(lines + [f"{name}: {value}" for name, value in sorted(image.metadata.items())])
+
+
+def describe_photons(photons: PhotonMap) -> str:
+    """Return the counts, flux, extent and energy ledger of a photon map."""
+    emitted = "an unknown number" if photons.n_emitted is None else f"{photons.n_emitted:,}"
+    lines = [
+        f"{len(photons):,} photons of {emitted} emitted",
+        f"flux: {_watts(photons.flux.sum(axis=0))}",
+    ]
+    if len(photons):
+        low, high = photons.position.min(axis=0), photons.position.max(axis=0)
+        lines.append(f"box: {_numbers(low)} to {_numbers(high)} m")
+    if photons.emitter_coords is None:
+        lines.append("without emitter coordinates: relaxes in space alone")
+    if photons.ledger is not None:
+        lines += _describe_ledger(photons.ledger)
+    return "\n".join(lines)
+
+
+def _describe_ledger(ledger: EnergyLedger) -> list[str]:
+    lines = []
+    for emitter, emitted in enumerate(ledger.emitted):
+        lines.append(f"emitter {emitter}: emitted {_watts(emitted)}")
+        for fate, paths in ledger.ends.items():
+            flux = getattr(ledger, fate)[emitter]
+            lines.append(f"  {fate}: {_watts(flux)}, paths {int(paths[emitter]):,}")
+    return lines
+
+
+def _watts(flux: Iterable[float]) -> str:
+    return f"{_numbers(flux)} W"
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return "(" + ", ".join(f"{value:.6g}" for value in values) + ")"

@@ -1,0 +1,114 @@
+"""Settings of stages as the command line takes them: ``STAGE.FIELD=VALUE``."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+from dataclasses import fields
+from types import NoneType
+from typing import Any, get_args, get_origin, get_type_hints
+
+from ..estimation.methods import KINDS, STAGES, Settings
+
+# What options of their own set, as ``STAGE.FIELD``.
+_SHORT = {"refinement": "gather.refinement", "iterations": "relax.n_iterations"}
+Assignment = tuple[str, str, Any]
+
+
+def assignment(text: str) -> Assignment:
+    """Return stage, field and value of ``STAGE.FIELD=VALUE``; `none` stands for what is left open.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If there is no such stage or field, or the value is not of its kind.
+    """
+    name, equals, value = text.partition("=")
+    stage, dot, field = name.strip().partition(".")
+    if not (equals and dot):
+        raise argparse.ArgumentTypeError(f"should be STAGE.FIELD=VALUE, but is {text!r}")
+    if stage not in KINDS:
+        raise argparse.ArgumentTypeError(
+            f"the stage should be one of {', '.join(KINDS)}, but is {stage!r}"
+        )
+    names = [each.name for each in fields(KINDS[stage])]
+    if field not in names:
+        raise argparse.ArgumentTypeError(
+            f"the setting of {stage} should be one of {', '.join(names)}, but is {field!r}"
+        )
+    try:
+        found = _value(value.strip(), get_type_hints(KINDS[stage])[field])
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{stage}.{field} should be {error}") from None
+    return stage, field, found
+
+
+def _value(text: str, kind: Any) -> Any:
+    """Return the value of a type that text stands for; raise ValueError, saying what it is."""
+    if get_origin(kind) is tuple:
+        parts, kinds = text.split(","), get_args(kind)
+        if len(parts) != len(kinds):
+            raise ValueError(f"{len(kinds)} numbers with commas between, but is {text!r}")
+        return tuple(_value(part, each) for part, each in zip(parts, kinds, strict=True))
+    members = get_args(kind) or (kind,)
+    if NoneType in members and text.lower() == "none":
+        return None
+    if str in members:
+        return text
+    return _number(text, float in members)
+
+
+def _number(text: str, fractions: bool) -> int | float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = float("nan")
+    if number != number or not (fractions or number.is_integer()):
+        raise ValueError(f"a {'number' if fractions else 'whole number'}, but is {text!r}")
+    return number if fractions else int(number)
+
+
+def chosen(
+    options: argparse.Namespace, methods: Iterable[str], stages_of_k: Iterable[str] = ("gather",)
+) -> Settings:
+    """Return the settings that options ask for, and end with wrong usage if no method reads one.
+
+    Parameters
+    ----------
+    options : Namespace
+        With `set`, `k`, `refinement` and `iterations`, each None where it was not given.
+    methods : iterable of str
+        That were chosen.
+    stages_of_k : iterable of str
+        Whose k is ``--k``.
+    """
+    methods = tuple(methods)
+    read = {stage for method in methods for stage in STAGES[method]}
+    values: dict[str, dict[str, Any]] = {}
+    for option, places in _asked(options, read & {*stages_of_k} or {*stages_of_k}):
+        for stage, field, value in places:
+            if stage not in read:
+                options.wrong_usage(
+                    f"{option} sets {stage}.{field}, which {', '.join(methods)} "
+                    f"{'does' if len(methods) == 1 else 'do'} not read: "
+                    f"leave it out, or --set something of {', '.join(sorted(read))}"
+                )
+            if field in values.setdefault(stage, {}):
+                options.wrong_usage(f"{stage}.{field} is given twice")
+            values[stage][field] = value
+    return Settings(**{stage: KINDS[stage](**each) for stage, each in values.items()})
+
+
+def _asked(
+    options: argparse.Namespace, stages_of_k: Iterable[str]
+) -> Iterable[tuple[str, list[Assignment]]]:
+    """Yield the options that were given and what they set."""
+    for each in options.set or ():
+        yield f"--set {each[0]}.{each[1]}", [each]
+    if options.k is not None:
+        yield "--k", [(stage, "k", options.k) for stage in sorted(stages_of_k)]
+    for option, place in _SHORT.items():
+        value = getattr(options, option)
+        if value is not None:
+            stage, field = place.split(".")
+            yield f"--{option}", [(stage, field, tuple(value) if stage == "relax" else value)]

@@ -1,0 +1,100 @@
+"""What is to be compared, checked before the work."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from .._util import validation
+from .._util.validation import check_seed
+from ..estimation.methods import METHODS, Settings, check_method
+from ..imaging.metrics import SSIM_WINDOW
+from ..transport.hit_points import MAX_DEPTH
+from .subject import Subject
+
+METHODS_OF_SJ13 = ("standard", "relaxation", "diffusion", "parameterised", "progressive")
+"""What SJ13's Table I compares, in its order."""
+
+SAMPLERS = ("halton", "random")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """What is to be compared, and how.
+
+    Attributes
+    ----------
+    subject : Subject
+        What photons are of, and seen on: `SceneSubject` or `DistributionSubject`.
+    methods : tuple of str
+        By default those of `METHODS_OF_SJ13`.
+    variants : dict
+        More columns: method and settings by a name.
+    n_emitted, seed, sampler : int, int, str
+        Of the photons, which all methods share; see `photonrelax.trace_photons`.
+    settings : Settings
+        Of the stages of all methods.
+    supersampling, max_depth : int
+        s·s samples a pixel; smooth surfaces a camera ray may meet.
+    exposure : float
+        Pictures are shown, and SSIM and FLIP measured, times 2^exposure.
+    rounds : int
+        How often everything is timed, methods in turns; times are medians.
+    n_threads : int, optional
+        Threads; all available by default. Only times depend on it.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a method is not known or cannot be shown on the subject, a number is out of its range,
+        or pictures are too small to be measured.
+    """
+
+    subject: Subject
+    methods: tuple[str, ...] = ()
+    variants: Mapping[str, tuple[str, Settings]] = field(default_factory=dict)
+    n_emitted: int = 1_000_000
+    seed: int = 0
+    sampler: str = "halton"
+    settings: Settings = field(default_factory=Settings)
+    supersampling: int = 2
+    max_depth: int = 8
+    exposure: float = 0.0
+    rounds: int = 1
+    n_threads: int | None = None
+
+    def __post_init__(self) -> None:
+        methods = tuple(dict.fromkeys(self.methods)) or METHODS_OF_SJ13
+        object.__setattr__(self, "methods", methods)
+        for method, _ in self.columns().values():
+            check_method(method)
+            self._check_spectra(method)
+        for name in ("n_emitted", "supersampling", "rounds"):
+            validation.count(getattr(self, name), name)
+        validation.count(self.max_depth, "max_depth", low=0, high=MAX_DEPTH)
+        check_seed(self.seed)
+        if self.sampler not in SAMPLERS:
+            raise ValueError(
+                f"sampler should be one of {', '.join(SAMPLERS)}, but is {self.sampler!r}"
+            )
+        self._check_size()
+
+    def columns(self) -> dict[str, tuple[str, Settings]]:
+        """Return method and settings of each column by its name."""
+        return {name: (name, self.settings) for name in self.methods} | dict(self.variants)
+
+    def _check_spectra(self, method: str) -> None:
+        if method == "frequency" and self.subject.scene is None:
+            others = ", ".join(name for name in METHODS if name != method)
+            raise ValueError(
+                f"methods on {self.subject.name} should be of {others}, but include {method}: "
+                "photons that were not traced carry no spectra"
+            )
+
+    def _check_size(self) -> None:
+        width, height = self.subject.size
+        if min(width, height) < SSIM_WINDOW:
+            raise ValueError(
+                f"pictures should have at least {SSIM_WINDOW} x {SSIM_WINDOW} pixels to be "
+                f"measured by SSIM, but have {width} x {height}"
+            )

@@ -1,0 +1,238 @@
+"""Images of several layers, as EXR and PNG: the only file that knows OpenEXR."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._util.files import whole_file
+from .._util.validation import Floats, float_array
+
+# Channels of the layers with three values per pixel; of the others, the layer's name and R, G, B.
+_CHANNELS = {"radiance": ("R", "G", "B"), "N": ("N.X", "N.Y", "N.Z")}
+# Layers in which inf is a value: a depth where nothing is seen.
+_MAY_BE_INFINITE = ("Z",)
+_LARGEST = float(np.finfo(np.float32).max)
+# Either way far beyond what any picture needs, and within what floats hold.
+LARGEST_EXPOSURE = 100.0
+# Attributes of the file format, which metadata must not overwrite.
+_RESERVED = frozenset(
+    [
+        *("channels", "chunkCount", "compression", "dataWindow", "displayWindow", "lineOrder"),
+        *("name", "pixelAspectRatio", "screenWindowCenter", "screenWindowWidth", "tiles"),
+        *("type", "version", "view"),
+    ]
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """Named layers of one picture.
+
+    Parameters
+    ----------
+    layers : mapping of str to (height, width) or (height, width, 3)
+        Row 0 is at the top. ``radiance`` is the picture, W/(m² sr); ``N`` holds normals; ``Z`` is
+        depth, m, inf where nothing is seen. Files written hold finite values everywhere else;
+        files read may hold any.
+    metadata : mapping of str to str
+        Written into the header of EXR files.
+    stats : dict
+        Times and counts of the stages that made the picture; not written.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a layer is not numbers or has another size than the others; if metadata are not text.
+    """
+
+    layers: Mapping[str, ArrayLike]
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    stats: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        layers = {name: _checked_layer(name, layer) for name, layer in self.layers.items()}
+        if not layers:
+            raise ValueError("layers should not be empty")
+        sizes = {name: layer.shape[:2] for name, layer in layers.items()}
+        if len(set(sizes.values())) > 1:
+            raise ValueError(f"layers should be of one size, but are {sizes}")
+        object.__setattr__(self, "layers", layers)
+        object.__setattr__(self, "metadata", _checked_metadata(self.metadata))
+
+    def write_exr(self, path: str | os.PathLike[str]) -> None:
+        """Write all layers as one part of an EXR file: float32, ZIP, whole or not at all.
+
+        ``radiance`` becomes the channels R, G, B; ``N`` becomes N.X, N.Y, N.Z; another layer
+        becomes NAME.R, NAME.G, NAME.B, or the channel NAME if it has one value per pixel.
+
+        Raises
+        ------
+        ValueError
+            If a layer holds NaN or values that float32 cannot, or ``radiance`` or ``N`` have one
+            value per pixel.
+        OSError
+            If the file cannot be written.
+        """
+        import OpenEXR
+
+        for name, layer in self.layers.items():
+            _check_to_write(name, np.asarray(layer))
+        header = {
+            **self.metadata,
+            "compression": OpenEXR.ZIP_COMPRESSION,
+            "type": OpenEXR.scanlineimage,
+        }
+        file = OpenEXR.File(header, self._channels())
+        with whole_file(path) as partial:
+            try:
+                file.write(str(partial))
+            except RuntimeError as error:
+                raise OSError(f"cannot write {path}: {error}") from None
+
+    def write_png(self, path: str | os.PathLike[str], exposure: float = 0.0) -> None:
+        """Write ``radiance`` times 2^exposure as an 8-bit sRGB picture, whole or not at all.
+
+        Raises
+        ------
+        ValueError
+            If there is no ``radiance`` of three finite values per pixel, or `exposure` is not
+            between -100 and 100.
+        OSError
+            If the file cannot be written.
+        """
+        from PIL import Image as Picture
+
+        if "radiance" not in self.layers:
+            raise ValueError(f"layers should include radiance, but are {sorted(self.layers)}")
+        radiance = np.asarray(self.layers["radiance"])
+        _check_to_write("radiance", radiance)
+        display = srgb(radiance * 2.0 ** _checked_exposure(exposure))
+        with whole_file(path) as partial:
+            Picture.fromarray(np.rint(255.0 * display).astype(np.uint8)).save(partial, "PNG")
+
+    def _channels(self) -> dict[str, NDArray[np.float32]]:
+        channels = {}
+        for name, layer in self.layers.items():
+            values = np.asarray(layer, dtype=np.float32)
+            if values.ndim == 2:
+                channels[name] = np.ascontiguousarray(values)
+            else:
+                for i, channel in enumerate(_channel_names(name)):
+                    # OpenEXR writes other layouts wrong, and silently.
+                    channels[channel] = np.ascontiguousarray(values[..., i])
+        return channels
+
+
+def read_exr(path: str | os.PathLike[str]) -> Image:
+    """Read an EXR file of one part, by the channel names of `Image.write_exr`.
+
+    Any program may have written it, and its values need not be finite. Channels that do not come
+    in threes are layers by themselves.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is not an EXR file, has several parts, or channels of different sizes.
+    """
+    import OpenEXR
+
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"there is no file {path}")
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            n_parts = len(file.parts)
+            # Closing the file empties its header.
+            header = dict(file.header())
+            pixels = {name: channel.pixels for name, channel in file.channels().items()}
+    except (RuntimeError, ValueError) as error:
+        raise ValueError(f"{path} is not a whole EXR file: {error}") from None
+    if n_parts > 1:
+        raise ValueError(f"{path} should be an EXR file of one part, but has {n_parts}")
+    metadata = {k: v for k, v in header.items() if isinstance(v, str) and k not in _RESERVED}
+    return Image(_group(pixels), metadata)
+
+
+def srgb(linear: ArrayLike) -> Floats:
+    """Return display values of linear ones clipped to [0, 1] (IEC 61966-2-1)."""
+    linear = np.clip(float_array(linear, "linear"), 0.0, 1.0)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def _channel_names(layer: str) -> tuple[str, ...]:
+    return _CHANNELS.get(layer, tuple(f"{layer}.{c}" for c in "RGB"))
+
+
+def _group(channels: dict[str, NDArray]) -> dict[str, NDArray]:
+    """Join channels into the layers they came from; a channel alone is a layer of its own."""
+    layers = {}
+    left = dict(channels)
+    for name in _triple_names(channels):
+        layers[name] = np.stack([left.pop(c) for c in _channel_names(name)], axis=-1)
+    return layers | left
+
+
+def _triple_names(channels: Iterable[str]) -> list[str]:
+    present = set(channels)
+    candidates = [*_CHANNELS, *(c[:-2] for c in present if c.endswith(".R"))]
+    return [
+        name
+        for name in candidates
+        # A channel of the same name keeps it, and the three stay by themselves.
+        if present.issuperset(_channel_names(name)) and name not in present
+    ]
+
+
+def _checked_layer(name: str, layer: ArrayLike) -> Floats:
+    if not isinstance(name, str) or not name:
+        raise TypeError(f"names of layers should be text, but one is {name!r}")
+    values = float_array(layer, f"layer {name}", finite=False)
+    if values.ndim not in (2, 3) or values.shape[2:] not in ((), (3,)) or values.size == 0:
+        raise ValueError(
+            f"layer {name} should have shape (height, width) or (height, width, 3), "
+            f"but has {values.shape}"
+        )
+    return values
+
+
+def _check_to_write(name: str, values: Floats) -> None:
+    if name in _CHANNELS and values.ndim == 2:
+        raise ValueError(f"layer {name} should have three values per pixel, but has one")
+    bad = ~(np.abs(values) <= _LARGEST)
+    if name in _MAY_BE_INFINITE:
+        bad &= values != np.inf
+    if bad.any():
+        row, column = np.argwhere(bad)[0][:2]
+        raise ValueError(
+            f"layer {name} should hold finite float32 values, but {bad.sum()} are not: "
+            f"the first, at row {row} and column {column}, is {values[bad][0]}"
+        )
+
+
+def _checked_exposure(exposure: float) -> float:
+    stops = float(float_array(exposure, "exposure", ()))
+    if abs(stops) > LARGEST_EXPOSURE:
+        raise ValueError(
+            f"exposure should be between -{LARGEST_EXPOSURE:g} and {LARGEST_EXPOSURE:g} stops, "
+            f"but is {stops:g}"
+        )
+    return stops
+
+
+def _checked_metadata(metadata: Mapping[str, str]) -> dict[str, str]:
+    for key, value in metadata.items():
+        if not isinstance(key, str) or not isinstance(value, str):
+            raise TypeError(f"metadata should be text, but {key!r} is {value!r}")
+        if not key or key in _RESERVED:
+            raise ValueError(
+                f"metadata should not use {key!r}, a name EXR files keep for themselves"
+            )
+    return dict(metadata)

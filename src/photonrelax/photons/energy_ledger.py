@@ -1,0 +1,84 @@
+"""The balance of emitted flux."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._util.frozen import Ints, frozen, set_field
+from .._util.npz import check_names
+from .._util.validation import Floats, float_array, int_array
+
+# What can become of emitted flux; with "emitted" before them, the rows of an EnergyLedger.
+FATES = ("stored", "absorbed", "escaped", "cut", "discarded")
+
+
+@dataclass(frozen=True, eq=False)
+class EnergyLedger:
+    """What became of the flux each emitter sent out; emitted is the sum of the others.
+
+    Attributes
+    ----------
+    emitted : (n_emitters, 3) float64
+        Flux of all paths started, W.
+    stored : (n_emitters, 3) float64
+        Flux that stayed where a photon was stored: all of it where the path ends there, otherwise
+        what came in less what travels on (a path that wins at roulette may take more than came).
+    absorbed : (n_emitters, 3) float64
+        Flux lost to mirrors and to absorbing media.
+    escaped : (n_emitters, 3) float64
+        Flux that left the scene.
+    cut : (n_emitters, 3) float64
+        Flux still under way after `max_bounces` events.
+    discarded : (n_emitters, 3) float64
+        Flux that stayed on a diffuse surface as light of a kind that was not asked for.
+    ends : mapping of str to (n_emitters,) int64
+        For each of stored, absorbed, escaped, cut, discarded: how many paths ended so.
+    """
+
+    emitted: Floats
+    stored: Floats
+    absorbed: Floats
+    escaped: Floats
+    cut: Floats
+    discarded: Floats
+    ends: Mapping[str, Ints]
+
+    def __post_init__(self) -> None:
+        shape = (len(self.emitted), 3)
+        for name in ("emitted", *FATES):
+            set_field(self, name, frozen(float_array(getattr(self, name), name, shape)))
+        if set(self.ends) != set(FATES):
+            raise ValueError(f"ends should have the keys {FATES}, but has {tuple(self.ends)}")
+        ends = {k: frozen(int_array(self.ends[k], f"ends[{k!r}]", shape[:1])) for k in FATES}
+        set_field(self, "ends", ends)
+
+    @property
+    def imbalance(self) -> float:
+        """Largest difference between emitted and accounted flux, relative to the emitted."""
+        accounted = np.sum([getattr(self, name) for name in FATES], axis=0)
+        scale = np.maximum(self.emitted, np.finfo(np.float64).tiny)
+        return float((np.abs(self.emitted - accounted) / scale).max(initial=0.0))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain lists and numbers, for JSON."""
+        flux = {name: getattr(self, name).tolist() for name in ("emitted", *FATES)}
+        return {**flux, "ends": {name: self.ends[name].tolist() for name in FATES}}
+
+
+def ledger_arrays(ledger: EnergyLedger) -> dict[str, NDArray]:
+    flux = {f"ledger_{name}": getattr(ledger, name) for name in ("emitted", *FATES)}
+    return flux | {f"ledger_ends_{name}": ledger.ends[name] for name in FATES}
+
+
+def ledger_from(arrays: Mapping[str, NDArray]) -> EnergyLedger:
+    columns = [f"ledger_{name}" for name in FATES] + [f"ledger_ends_{name}" for name in FATES]
+    check_names(arrays, columns)
+    return EnergyLedger(
+        **{name: arrays[f"ledger_{name}"] for name in ("emitted", *FATES)},
+        ends={name: arrays[f"ledger_ends_{name}"] for name in FATES},
+    )

@@ -1,0 +1,111 @@
+"""Photons that may be neighbours, by emitter and by the faces they lie on, and their trees."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._ext.photons.normals import alike, distinct
+from .._ext.spatial.blocks import copy_rows
+from .._util.validation import Floats, Rows
+from ..spatial.kdtree import KDTree
+from .photon_map import PhotonMap
+
+# Photons on a face turned by more than 60° belong to another surface; this is the length of the
+# chord between unit normals at that angle.
+NORMAL_RANGE = 1.0
+# With more distinct normals than this a surface counts as curved.
+MOST_FACES = 64
+
+
+def neighbour_groups(photons: PhotonMap) -> list[Rows]:
+    """Return rows of photons that may be neighbours: of one emitter, on faces that face alike.
+
+    Only surfaces of few planes are told apart by their faces here; `photon_tree` does it for
+    the others.
+    """
+    label, present = _facing_label(photons.normal)
+    emitter = photons.emitter_id
+    if emitter is not None and (emitter != emitter[:1]).any():
+        label = label + MOST_FACES * emitter.astype(np.intp)
+        present = np.unique(label)
+    if len(present) < 2:
+        return [slice(None)]
+    return [np.flatnonzero(label == one) for one in present]
+
+
+def _facing_label(normal: Floats) -> tuple[NDArray, NDArray]:
+    """Return the same number for normals (n, 3) joined by steps of up to NORMAL_RANGE, and all.
+
+    Zero for every normal where there are too many to compare them all.
+    """
+    faces, face = distinct(normal, MOST_FACES)
+    if faces is None or len(faces) < 2:
+        return np.zeros(len(normal), dtype=np.int8), np.zeros(1, dtype=np.int8)
+    joined = facing(faces)
+    # Each time the steps are twice as many.
+    for _ in range(len(faces).bit_length()):
+        joined = joined @ joined
+    label = joined.argmax(axis=1).astype(np.int8)
+    return label[face], np.unique(label)
+
+
+def facing(faces: Floats) -> NDArray[np.bool_]:
+    """Tell which of few normals (f, 3) are within NORMAL_RANGE of which, (f, f)."""
+    chord = faces[:, np.newaxis] - faces
+    # Squared, as searches compare them.
+    return np.square(chord).sum(axis=2) <= NORMAL_RANGE**2
+
+
+def photon_tree(
+    position: Floats,
+    normal: Floats,
+    coords: Floats | None = None,
+    ranges: Floats | None = None,
+    *,
+    rows: Rows = slice(None),
+    n_threads: int,
+) -> tuple[KDTree, Floats | None]:
+    """Return the tree some photons are searched in, and the radius of every photon's range.
+
+    Range axes are the emitter coordinates, if given with their ranges, and the normals, unless
+    all are the same but for roundings: photons on the other side of a plate or round a corner are
+    no neighbours.
+    Normals are scaled so that NORMAL_RANGE between two of them uses up the largest of the ranges.
+    """
+    columns, scales = [position], [1.0]
+    if coords is not None and ranges is not None:
+        columns.append(coords)
+        scales.append(1.0)
+    if not alike(normal, None if isinstance(rows, slice) else rows):
+        if ranges is None:
+            ranges = np.broadcast_to(NORMAL_RANGE, len(position))
+        columns.append(normal)
+        scales.append(ranges[rows].max() / NORMAL_RANGE)
+    points = side_by_side(columns, scales, rows, n_threads)
+    return KDTree(points, n_metric=3, n_threads=n_threads), ranges
+
+
+def normal_range(tree: KDTree) -> float:
+    """Return the radius of the ball over the normals of a tree, -1 if it has no axes for them."""
+    return NORMAL_RANGE if tree.n_axes > tree.n_metric else -1.0
+
+
+def side_by_side(columns: list[Floats], scales: list[float], rows: Rows, n_threads: int) -> Floats:
+    """Return rows of arrays, each multiplied by its scale, as one array."""
+    chosen = None if isinstance(rows, slice) else rows
+    if chosen is None and len(columns) == 1:
+        return columns[0]
+    n = len(columns[0]) if chosen is None else len(chosen)
+    points = np.empty((n, sum(column.shape[1] for column in columns)))
+    first = 0
+    for column, scale in zip(columns, scales, strict=True):
+        copy_rows(points, first, column, chosen, scale, n_threads)
+        first += column.shape[1]
+    return points
+
+
+def placed_rows(tree: KDTree, rows: Rows) -> NDArray[np.intp]:
+    """Return the row of the photon at each place of a tree of photons chosen by `rows`."""
+    order = np.asarray(tree.kernel.ids)
+    return order if isinstance(rows, slice) else rows[order]

@@ -1,0 +1,251 @@
+"""PhotonMap: the frozen arrays every stage after tracing takes and returns.
+
+A map may come from any renderer: only position, normal and flux are required.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._util.files import NOT_READABLE
+from .._util.frozen import Ints, frozen, read_only, set_field
+from .._util.npz import check_names, read_npz, scalar, write_npz
+from .._util.validation import Floats, are_unit, count, float_array, int_array, unit_vectors
+from .energy_ledger import EnergyLedger, ledger_arrays, ledger_from
+
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class PhotonMap:
+    """Photons as arrays, one row each; the arrays are read-only.
+
+    Parameters
+    ----------
+    position : (n, 3) array_like
+        Where the photon landed, m.
+    normal : (n, 3) array_like
+        Geometric normal of the surface on the side the light came from; stored as unit vectors.
+    flux : (n, 3) or (n,) array_like
+        W, already divided by the number of photons emitted; one column stands for grey.
+    wi : (n, 3) array_like, optional
+        From the surface toward where the light came from; stored as unit vectors.
+    emitter_coords : (n, 2) or (n, 3) array_like, optional
+        Where the photon left its emitter: m on the emitter plane, or a unit vector (SJ13 §4.1).
+    emitter_density : (n,) array_like, optional
+        Photons emitted per unit of emitter area (m² or sr) around those coordinates.
+    emitter_id, object_id : (n,) array_like of int, optional
+        Index of the emitter in the scene, and of the object the photon lies on.
+    path_signature : (n,) array_like of int, optional
+        One number for the surfaces and events of the path.
+    n_bounces : (n,) array_like of int, optional
+        Specular events before the deposit.
+    path_length : (n,) array_like, optional
+        Length of the path from the emitter, m.
+    spectrum : (n, 3) array_like, optional
+        (e, b, c) of the local spectrum of light, in cycles²/m², cycles²/rad², cycles²/(m rad), as
+        in `photonrelax.transport.frequency.operators`; rows of NaN for photons that carry none.
+    n_emitted : int, optional
+        Paths started to make this map.
+    well_spaced : bool
+        Photons are evenly spaced within each sheet of rays (Halton or relaxed), not independent.
+    ledger : EnergyLedger, optional
+        What became of the emitted flux.
+    seed, sampler, paths : int, str, str, optional
+        How the map was traced; see `trace_photons`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an array has the wrong type or shape, is not finite, flux or density is negative, or a
+        direction is zero.
+    """
+
+    position: Floats
+    normal: Floats
+    flux: Floats
+    wi: Floats | None = None
+    emitter_coords: Floats | None = None
+    emitter_density: Floats | None = None
+    emitter_id: NDArray[np.int32] | None = None
+    path_signature: Ints | None = None
+    n_bounces: NDArray[np.int32] | None = None
+    path_length: Floats | None = None
+    object_id: NDArray[np.int32] | None = None
+    spectrum: Floats | None = None
+    n_emitted: int | None = None
+    well_spaced: bool = False
+    ledger: EnergyLedger | None = None
+    seed: int | None = None
+    sampler: str | None = None
+    paths: str | None = None
+
+    def __post_init__(self) -> None:
+        position = float_array(self.position, "position", (None, 3))
+        n = len(position)
+        set_field(self, "position", frozen(position))
+        set_field(self, "normal", _directions(self.normal, "normal", n))
+        set_field(self, "flux", _flux(self.flux, n))
+        if self.wi is not None:
+            set_field(self, "wi", _directions(self.wi, "wi", n))
+        if self.emitter_coords is not None:
+            set_field(self, "emitter_coords", _emitter_coords(self.emitter_coords, n))
+        for name in ("emitter_density", "path_length"):
+            if getattr(self, name) is not None:
+                set_field(self, name, _not_negative(getattr(self, name), name, (n,)))
+        if self.spectrum is not None:
+            set_field(self, "spectrum", _spectrum(self.spectrum, n))
+        for name, dtype in _INTEGER_FIELDS.items():
+            if getattr(self, name) is not None:
+                set_field(self, name, frozen(int_array(getattr(self, name), name, (n,), dtype)))
+        if self.n_emitted is not None:
+            set_field(self, "n_emitted", count(self.n_emitted, "n_emitted", low=0))
+        set_field(self, "well_spaced", bool(self.well_spaced))
+        if self.seed is not None:
+            set_field(self, "seed", count(self.seed, "seed", low=0))
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def __repr__(self) -> str:
+        given = [name for name in _ARRAY_FIELDS if getattr(self, name) is not None]
+        return f"PhotonMap({len(self)} photons: {', '.join(given)}; n_emitted={self.n_emitted})"
+
+    def replace(self, **changes: Any) -> PhotonMap:
+        """Return a map with some fields changed."""
+        return replace(self, **changes)
+
+    def subset(self, index: ArrayLike | slice) -> PhotonMap:
+        """Return the photons chosen by a mask, an array of indices or a slice.
+
+        The flux of each photon, `n_emitted` and the ledger stay as they are.
+        """
+        chosen = index if isinstance(index, slice) else np.asarray(index)
+        if isinstance(chosen, np.ndarray) and chosen.size == 0 and chosen.dtype != bool:
+            chosen = chosen.astype(np.intp)
+        if isinstance(chosen, np.ndarray) and chosen.dtype == bool and chosen.shape != (len(self),):
+            raise ValueError(f"index should be a mask of {len(self)}, but has shape {chosen.shape}")
+        rows = {
+            name: getattr(self, name)[chosen]
+            for name in _ARRAY_FIELDS
+            if getattr(self, name) is not None
+        }
+        return replace(self, **rows)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the map as an ``.npz`` file, whole or not at all."""
+        arrays: dict[str, Any] = {
+            name: getattr(self, name) for name in _ARRAY_FIELDS if getattr(self, name) is not None
+        }
+        arrays["photonmap_version"] = FORMAT_VERSION
+        for name in _SCALARS:
+            if getattr(self, name) is not None:
+                arrays[name] = getattr(self, name)
+        if self.ledger is not None:
+            arrays.update(ledger_arrays(self.ledger))
+        write_npz(Path(path), arrays)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> PhotonMap:
+        """Read a map written by `save`.
+
+        Raises
+        ------
+        ValueError
+            If the file is not a photon map, or one of another version.
+        """
+        arrays = _read_arrays(Path(path))
+        known: dict[str, Any] = {
+            name: read_only(arrays[name]) for name in _ARRAY_FIELDS if name in arrays
+        }
+        try:
+            scalars = {name: scalar(arrays, name, kinds) for name, kinds in _SCALARS.items()}
+            return cls(
+                **known,
+                **scalars | {"well_spaced": bool(scalars["well_spaced"])},
+                ledger=ledger_from(arrays) if "ledger_emitted" in arrays else None,
+            )
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path} is not a photon map: {error}") from None
+
+
+_INTEGER_FIELDS: dict[str, type] = {
+    "emitter_id": np.int32,
+    "path_signature": np.int64,
+    "n_bounces": np.int32,
+    "object_id": np.int32,
+}
+# Fields with one value, and the kinds of dtype it is saved with.
+_SCALARS = {"n_emitted": "iu", "well_spaced": "b", "seed": "iu", "sampler": "U", "paths": "U"}
+_ARRAY_FIELDS = tuple(f.name for f in fields(PhotonMap) if f.name not in (*_SCALARS, "ledger"))
+
+
+class NothingStoredError(ValueError):
+    """No photon was stored; `photons` is the empty map with its ledger."""
+
+    def __init__(self, message: str, photons: PhotonMap) -> None:
+        super().__init__(message)
+        self.photons = photons
+
+
+def _directions(value: ArrayLike, name: str, n: int) -> Floats:
+    array = float_array(value, name, (n, 3))
+    # Leaving unit vectors untouched keeps saving, loading and replacing bit-exact.
+    if not are_unit(array):
+        array = unit_vectors(array, name, (n, 3))
+    return frozen(array)
+
+
+def _not_negative(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Floats:
+    array = float_array(value, name, shape)
+    if array.min(initial=0.0) < 0.0:
+        raise ValueError(f"{name} should not be negative, but its least value is {array.min()}")
+    return frozen(array)
+
+
+def _flux(value: ArrayLike, n: int) -> Floats:
+    array = np.asarray(value)
+    if array.ndim == 1:
+        array = np.repeat(array[:, np.newaxis], 3, axis=1)
+    return _not_negative(array, "flux", (n, 3))
+
+
+def _emitter_coords(value: ArrayLike, n: int) -> Floats:
+    array = float_array(value, "emitter_coords", (n, None))
+    if array.shape[1] not in (2, 3):
+        raise ValueError(f"emitter_coords should have 2 or 3 columns, but has {array.shape[1]}")
+    return frozen(array)
+
+
+def _spectrum(value: ArrayLike, n: int) -> Floats:
+    array = float_array(value, "spectrum", (n, 3), finite=False)
+    known = ~np.isnan(array)
+    if not (known.all(axis=1) | ~known.any(axis=1)).all():
+        raise ValueError("spectrum should have rows of numbers or of NaN, but has one of both")
+    if np.isinf(array).any() or (array[:, :2] < 0.0).any():
+        raise ValueError("spectrum should be finite and e and b not negative, but are not")
+    return frozen(array)
+
+
+def _read_arrays(path: Path) -> dict[str, NDArray]:
+    """The arrays of a photon map's file, of the version that this package reads."""
+    try:
+        arrays = read_npz(path)
+        check_names(arrays, ["photonmap_version"])
+        version = scalar(arrays, "photonmap_version", "iu")
+        if version == FORMAT_VERSION:
+            check_names(arrays, ["position", "normal", "flux"])
+    except NOT_READABLE as error:
+        raise ValueError(f"{path} is not a photon map: {error}") from None
+    if version != FORMAT_VERSION:
+        raise ValueError(
+            f"{path} should be a photon map of version {FORMAT_VERSION}, "
+            f"but is of version {version}"
+        )
+    return arrays

@@ -1,0 +1,109 @@
+"""Gradients of flux density, from which the original relaxation takes its constraints.
+
+Spencer & Jones 2009 constrain photons "in the direction of and proportional to the magnitude of
+the gradient" of the flux density that the photons themselves suggest, times a gain that the user
+sets, and relax them in space alone (SJ13 §1–3). How they estimate the gradient is not said there;
+here it is reconstructed as the mean shift m of the photons around one, which points up the
+gradient: the mean offset of the k nearest photons, in the tangent plane, over their radius r. In a
+field E whose gradient is constant within r,
+
+    m = r ∇E / (4 E),
+
+if photons carry equal flux, as relaxing assumes anyway: every photon counts for one, whatever it
+carries, and m is that of the density of photons. It has no unit, so that a gain suits maps of any
+brightness. At a straight edge to darkness the neighbourhood is a half disc, whose centroid is
+4/(3π) of its radius off; the constraint is one there:
+
+    constraint = min(1, gain · 3π/4 · |m|).
+
+Noise has a mean shift too and, as in the original, nothing is done about it: in uniform light k
+independent photons have a constraint of mean gain · 1.48/√k in any direction. With a gain of one it
+does little harm. Measured with 50,000 random photons a square metre and K = 15 for gathering, 14
+iterations bring the noise of uniform light from 32 % to 10.5 %, with hardly any constraint to
+9.3 %. A gain of 2 leaves 13.9 %, one of 4 leaves 19.8 %: the contouring of SJ13 §3. Around a line
+12 mm wide and ten times as bright as what it lies on, errors are 54 %, 44 % and 46 % of the mean
+for gains of 1, 2 and 4. Fewer photons in the neighbourhood are noisier (11.1 % for k = 25), more
+do not see the line (61 % for k = 100); k = 50 lies between, and is SJ13's number for its own
+structure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .._ext.relaxation import structure as _structure
+from .._ext.relaxation.structure import gradient_constraint
+from .._util import validation
+from .._util.parallel import thread_count
+from .._util.progress import Progress, Reporter
+from ..photons.neighbourhoods import neighbour_groups, photon_tree, placed_rows
+from ..photons.photon_map import PhotonMap
+from .structure import Structure, empty_columns
+
+__all__ = ["GradientSettings", "detect_gradient", "gradient_constraint"]
+
+
+@dataclass(frozen=True)
+class GradientSettings:
+    """How photons are constrained by the gradient of the flux density.
+
+    Attributes
+    ----------
+    k : int
+        Photons in a neighbourhood, the photon itself among them.
+    gain : float
+        Factor of the constraint. One constrains photons fully at an edge to darkness; more keeps
+        shallower steps too, and takes noise for them: independent photons of uniform light have a
+        mean constraint of gain · 1.48/√k.
+    """
+
+    k: int = 50
+    gain: float = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "k", validation.count(self.k, "GradientSettings.k", low=4))
+        object.__setattr__(self, "gain", validation.positive(self.gain, "GradientSettings.gain"))
+
+
+def detect_gradient(
+    photons: PhotonMap,
+    settings: GradientSettings | None = None,
+    *,
+    n_threads: int | None = None,
+    progress: Progress | None = None,
+) -> Structure:
+    """Find how strongly each photon must be kept from moving along the gradient of flux density.
+
+    That of the density of photons, which is the same where all carry equal flux.
+
+    Parameters
+    ----------
+    photons : PhotonMap
+        Photons, n of them; their emitter coordinates are not looked at.
+    settings : GradientSettings, optional
+        Number of photons and gain.
+    n_threads : int, optional
+        Threads; all available by default. The result does not depend on it.
+    progress : callable, optional
+        Called as ``progress("structure", done, n)``.
+
+    Returns
+    -------
+    Structure
+        One row a photon: ``basis[:, 0]`` runs along the contours of flux density, ``basis[:, 1]``
+        up its gradient. Without emitter ranges it serves iterations in space alone,
+        ``RelaxSettings(n_iterations=(0, 14))``.
+    """
+    settings = settings or GradientSettings()
+    threads = thread_count(n_threads)
+    report = Reporter(progress, "structure", len(photons))
+    found = empty_columns(len(photons))
+    for rows in neighbour_groups(photons):
+        tree, facing = photon_tree(photons.position, photons.normal, rows=rows, n_threads=threads)
+        sheet = _structure.Sheet(
+            rows=placed_rows(tree, rows), normal=photons.normal, range_radius=facing, reach=None
+        )
+        how = {"k": settings.k, "gain": settings.gain, "n_threads": threads}
+        for first, end in report.chunks(len(tree)):
+            _structure.detect(tree.kernel, first, end, sheet, found, **how)
+    return Structure(**found, emitter_range=None)

@@ -1,0 +1,257 @@
+"""Moving photons: iterations constrained in emitter space, then collapsed (SJ13 §4.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .._ext.relaxation import relax as _relax
+from .._util import validation
+from .._util.parallel import thread_count
+from .._util.progress import Progress, Reporter
+from .._util.validation import Floats, Rows
+from ..photons.neighbourhoods import NORMAL_RANGE, neighbour_groups, photon_tree, placed_rows
+from ..photons.photon_map import PhotonMap
+from ..scene.scene import Scene
+from .projection import Surfaces
+from .structure import Structure
+
+# Photons that are put back on their surfaces at a time, some thousand whole blocks for a thread.
+_PUT_BACK = 1 << 20
+
+
+@dataclass(frozen=True)
+class RelaxSettings:
+    """How photons are moved.
+
+    Attributes
+    ----------
+    n_iterations : (int, int)
+        Iterations constrained in emitter space, then in space alone (R = 7 each, SJ13 §5). More
+        are not always better: repulsion rests at uniform density only, so smooth gradients slowly
+        flow away. Photons emitted along a Halton sequence need fewer, (3, 3) say.
+    k : int
+        Photons that repel one another, the photon itself among them (K_f = 16, SJ13 Eq. 8).
+    step : float
+        Fraction of the force of Eq. 8 by which a photon moves; stable up to 2.5.
+    largest_step : float
+        Longest move in one iteration, as a fraction of the radius around the photon that held k
+        photons before the first. The force at an open edge would carry strays away.
+    """
+
+    n_iterations: tuple[int, int] = (7, 7)
+    k: int = 16
+    step: float = 1.0
+    largest_step: float = 0.1
+
+    def __post_init__(self) -> None:
+        iterations = self.n_iterations
+        if not isinstance(iterations, Iterable) or len(tuple(iterations)) != 2:
+            raise ValueError(
+                "RelaxSettings.n_iterations should be two numbers, constrained and collapsed, "
+                f"but is {self.n_iterations!r}"
+            )
+        numbers = tuple(
+            validation.count(n, "RelaxSettings.n_iterations", low=0) for n in iterations
+        )
+        object.__setattr__(self, "n_iterations", numbers)
+        object.__setattr__(self, "k", validation.count(self.k, "RelaxSettings.k", low=4))
+        object.__setattr__(self, "step", validation.positive(self.step, "RelaxSettings.step"))
+        largest = validation.positive(
+            self.largest_step, "RelaxSettings.largest_step", allow_inf=True
+        )
+        object.__setattr__(self, "largest_step", largest)
+
+
+def relax(
+    photons: PhotonMap,
+    structure: Structure,
+    settings: RelaxSettings | None = None,
+    *,
+    scene: Scene | None = None,
+    n_threads: int | None = None,
+    progress: Progress | None = None,
+) -> PhotonMap:
+    """Spread photons evenly within their sheets of light.
+
+    In each iteration every photon moves, all at once, by the repulsion of its nearest photons
+    (SJ13 Eq. 8), as far as its constraint basis allows (Eq. 9): first by that of photons in range
+    over the emitter coordinates, sheet by sheet, then by that of all of the emitter (Algorithm 1
+    lines 10–16). A photon with fewer than four in range stays, and photons at the same point repel
+    others but not one another.
+
+    Parameters
+    ----------
+    photons : PhotonMap
+        Photons, n of them, of about equal flux.
+    structure : Structure
+        What `detect_structure` found for this map, or `detect_gradient` for iterations in space.
+    settings : RelaxSettings, optional
+        Defaults are the paper's.
+    scene : Scene, optional
+        With it photons are put back on their objects by short rays along their normals, and stay
+        where they were if they would leave them. Without it they move in their tangent planes,
+        which is right for flat receivers that reach beyond their photons.
+    n_threads, progress : int, callable, optional
+        Threads, by default all; called as ``progress("relax", done, total)`` in moves of photons.
+
+    Returns
+    -------
+    PhotonMap
+        The same photons, `well_spaced`, with the normals where they are now. Flux is untouched.
+
+    Raises
+    ------
+    ValueError
+        If `structure` is not of this map, has no emitter range to constrain iterations with, or
+        the map's `object_id` is not of the scene.
+    """
+    settings = settings or RelaxSettings()
+    _check_structure(structure, photons, settings)
+    if not any(settings.n_iterations) or len(photons) == 0:
+        return photons
+    threads = thread_count(n_threads)
+    surfaces = None if scene is None else Surfaces(scene, photons, threads)
+    report = Reporter(progress, "relax", len(photons) * sum(settings.n_iterations))
+    sheets = _Sheets(photons, structure, settings, surfaces, threads, report)
+    position = np.empty_like(photons.position)
+    normal = photons.normal if surfaces is None else np.empty_like(photons.normal)
+    for rows in neighbour_groups(photons):
+        sheets.relax(rows, position, normal)
+    # The map copies arrays that could still be written to.
+    for array in (position, normal):
+        array.setflags(write=False)
+    return photons.replace(position=position, normal=normal, well_spaced=True)
+
+
+def _check_structure(structure: Structure, photons: PhotonMap, settings: RelaxSettings) -> None:
+    if len(structure) != len(photons):
+        raise ValueError(
+            f"structure should be of these {len(photons)} photons, but is of {len(structure)}"
+        )
+    ranged, located = structure.emitter_range is not None, photons.emitter_coords is not None
+    if settings.n_iterations[0] and ranged != located:
+        raise ValueError(
+            "structure should be of this map, but only one of them has emitter coordinates: "
+            "iterations in emitter space need both or neither"
+        )
+
+
+@dataclass(frozen=True)
+class _Sheets:
+    """All photons, and how they are to be moved."""
+
+    photons: PhotonMap
+    structure: Structure
+    settings: RelaxSettings
+    surfaces: Surfaces | None
+    n_threads: int
+    report: Reporter
+
+    def relax(self, rows: Rows, position: Floats, normal: Floats) -> None:
+        """Write positions and normals of a group of neighbours after all iterations."""
+        before = self.photons.position, self.photons.normal
+        for constrained, n in zip((True, False), self.settings.n_iterations, strict=True):
+            if n:
+                # A stage has no name, so its tree is dropped before the next is built.
+                _Stage(self, rows, *before, constrained=constrained).finish(n, position, normal)
+                before = position, normal
+
+
+class _Stage:
+    """Iterations of one kind, on one tree, of one group of neighbours; see `neighbour_groups`.
+
+    Photons move, but the tree they are searched in keeps its nodes, whose boxes are drawn anew.
+    What is read or written in every iteration is kept in the order of the tree.
+    """
+
+    def __init__(
+        self, sheets: _Sheets, rows: Rows, position: Floats, normal: Floats, *, constrained: bool
+    ) -> None:
+        photons, structure = sheets.photons, sheets.structure
+        self._sheets = sheets
+        coords = photons.emitter_coords if constrained else None
+        ranges = structure.emitter_range if constrained else None
+        tree, range_radius = photon_tree(
+            position, normal, coords, ranges, rows=rows, n_threads=sheets.n_threads
+        )
+        self._tree = tree.kernel
+        self._rows = placed_rows(tree, rows)
+        # Normals are range axes, the last three, of trees that have any of their own.
+        self._first_normal_axis = 3 if coords is None else 3 + coords.shape[1]
+        if range_radius is not None:
+            self._normal_scale = range_radius[rows].max() / NORMAL_RANGE
+        self._position = np.empty((len(tree), 3))
+        self._normal = self._placed_normals(normal)
+        # The radius that held n_found photons, scaled to hold k.
+        radius = structure.radius[self._rows]
+        radius *= np.sqrt(sheets.settings.k / structure.n_found[self._rows])
+        guess = np.square(radius) if constrained else np.full_like(radius, -1.0)
+        few = constrained & (structure.n_found[self._rows] < sheets.settings.k)
+        self._sheet = _relax.Sheet(
+            rows=self._rows,
+            normal=self._normal,
+            largest_step=sheets.settings.largest_step * radius,
+            squared_radius=guess,
+            too_few=few,
+            basis=structure.basis,
+            constraint=structure.constraint,
+            range_radius=range_radius,
+            reach=structure.reach if constrained else None,
+        )
+
+    def _placed_normals(self, normal: Floats) -> Floats:
+        """Return normals by place, one for all where they are alike and stay so."""
+        if self._sheets.surfaces is None and self._first_normal_axis == self._tree.n_axes:
+            return np.broadcast_to(normal[self._rows[:1]], self._position.shape)
+        return normal[self._rows]
+
+    def finish(self, n_iterations: int, position: Floats, normal: Floats) -> None:
+        """Iterate so often, then write positions and, on surfaces, normals to their rows."""
+        for _ in range(n_iterations):
+            self._move()
+            if self._sheets.surfaces is not None:
+                self._put_back(self._sheets.surfaces)
+            self._refit()
+        # Positions that have not been written yet take no memory; that of the tree will do.
+        del self._tree
+        position[self._rows] = self._position
+        if self._sheets.surfaces is not None:
+            normal[self._rows] = self._normal
+
+    def _move(self) -> None:
+        """Write where photons would like to be; where they are is still in the tree."""
+        settings, n_threads = self._sheets.settings, self._sheets.n_threads
+        for first, end in self._sheets.report.chunks(len(self._position)):
+            _relax.move(
+                *(self._tree, first, end, self._sheet),
+                k=settings.k,
+                step=settings.step,
+                moved=self._position,
+                n_threads=n_threads,
+            )
+
+    def _put_back(self, surfaces: Surfaces) -> None:
+        for first in range(0, len(self._position), _PUT_BACK):
+            part = slice(first, first + _PUT_BACK)
+            self._position[part], self._normal[part] = surfaces.put_back(
+                self._from_tree(part), self._normal[part], self._position[part], self._rows[part]
+            )
+
+    def _from_tree(self, part: slice) -> Floats:
+        """Return the positions in the tree of the points of some blocks."""
+        lanes = np.asarray(self._tree.coords)
+        block = lanes.shape[2]
+        position = lanes[part.start // block : part.stop // block, :3].transpose(0, 2, 1)
+        # Of a single block that would be a view.
+        return np.ascontiguousarray(position.reshape(-1, 3)[: len(self._position) - part.start])
+
+    def _refit(self) -> None:
+        n_threads = self._sheets.n_threads
+        self._tree.move(self._position, 0, 1.0, n_threads)
+        # Only surfaces turn photons.
+        if self._sheets.surfaces is not None and self._first_normal_axis < self._tree.n_axes:
+            self._tree.move(self._normal, self._first_normal_axis, self._normal_scale, n_threads)
+        self._tree.box(n_threads)

@@ -1,0 +1,296 @@
+"""Structure around each photon: PCA, noise attenuation, constraint basis (SJ13 §4.2–4.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._ext.relaxation import structure as _structure
+from .._ext.relaxation.structure import (
+    anisotropy_to_gradient,
+    constraint,
+    isotropic_mean,
+    isotropic_sd,
+    noise_attenuation,
+)
+from .._util import validation
+from .._util.parallel import thread_count
+from .._util.progress import Progress, Reporter
+from .._util.validation import Floats
+from ..photons.neighbourhoods import NORMAL_RANGE, neighbour_groups, photon_tree, placed_rows
+from ..photons.photon_map import PhotonMap
+
+__all__ = [
+    "NORMAL_RANGE",
+    "Structure",
+    "StructureSettings",
+    "anisotropy_to_gradient",
+    "chosen",
+    "constraint",
+    "detect_structure",
+    "emitter_range",
+    "empty_columns",
+    "isotropic_mean",
+    "isotropic_sd",
+    "noise_attenuation",
+    "principal_components",
+]
+
+
+@dataclass(frozen=True)
+class StructureSettings:
+    """How structure is detected.
+
+    Attributes
+    ----------
+    k : int
+        Photons in a neighbourhood, the photon itself among them (K_c = 50, SJ13 §5).
+    range_scale : float
+        Size of the range allowed over the emitter coordinates (β = 3, SJ13 Eq. 1).
+    reach_scale : float
+        Largest radius of a neighbourhood in range, in units of the radius that holds k photons of
+        whatever sheet. SJ13 has no such limit (infinity); but photons of a sheet of less than a
+        ninth of the light around them have their neighbours so far away that, moved by these,
+        they flow down its slopes, while their own noise is hidden by the other sheets'.
+    """
+
+    k: int = 50
+    range_scale: float = 3.0
+    reach_scale: float = 3.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "k", validation.count(self.k, "StructureSettings.k", low=4))
+        scale = validation.positive(self.range_scale, "StructureSettings.range_scale")
+        object.__setattr__(self, "range_scale", scale)
+        reach = validation.positive(
+            self.reach_scale, "StructureSettings.reach_scale", allow_inf=True
+        )
+        object.__setattr__(self, "reach_scale", reach)
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Structure of a photon map; row i belongs to photon i.
+
+    Attributes
+    ----------
+    eigenvalues : (n, 2) float array
+        Variances of the neighbourhood in the tangent plane over radius², larger first; 1/4 both
+        where photons are evenly spread. Zero where fewer than four photons are in range or all
+        are at one point.
+    constraint : (n,) float array
+        3π/4·M·Φ in [0, 1]: 0 leaves the photon free, 1 keeps it from moving along ``basis[:, 1]``
+        (SJ13 Eq. 7). Zero where structure cannot be told.
+    basis : (n, 2, 3) float array
+        Unit vectors in the tangent plane: the direction in which the photon is free, along the
+        structure, and the one in which it is constrained, across it.
+    radius : (n,) float array
+        Distance to the farthest neighbour, m.
+    n_found : (n,) int32 array
+        Photons in the neighbourhood; fewer than asked for where the range holds fewer.
+    emitter_range : (n,) float array or None
+        Radius allowed over the emitter coordinates (SJ13 Eq. 1); None in a map without them.
+    reach : (n,) float array or None
+        Radius allowed in space while that range is kept to, m; None in a map without one.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If shapes differ, values are not finite or a constraint is not in [0, 1].
+    """
+
+    eigenvalues: Floats
+    constraint: Floats
+    basis: Floats
+    radius: Floats
+    n_found: NDArray[np.int32]
+    emitter_range: Floats | None
+    reach: Floats | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.constraint)
+        shapes = {"eigenvalues": (n, 2), "constraint": (n,), "basis": (n, 2, 3), "radius": (n,)}
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, validation.float_array(getattr(self, name), name, shape))
+        for name in ("emitter_range", "reach"):
+            if getattr(self, name) is not None:
+                array = validation.float_array(getattr(self, name), name, (n,), finite=False)
+                object.__setattr__(self, name, array)
+        n_found = validation.int_array(self.n_found, "n_found", (n,), np.int32)
+        object.__setattr__(self, "n_found", n_found)
+        if n and not (self.constraint.min() >= 0.0 and self.constraint.max() <= 1.0):
+            raise ValueError("constraint should lie in [0, 1]")
+        if n and n_found.min() < 1:
+            raise ValueError("n_found should count the photon itself, but is below 1 somewhere")
+
+    def __len__(self) -> int:
+        return len(self.constraint)
+
+    def subset(self, rows: validation.Rows) -> Structure:
+        """Return the structure of some of the photons."""
+        columns: dict[str, Any] = {
+            field.name: chosen(getattr(self, field.name), rows) for field in fields(self)
+        }
+        return Structure(**columns)
+
+
+def detect_structure(
+    photons: PhotonMap,
+    settings: StructureSettings | None = None,
+    *,
+    n_threads: int | None = None,
+    progress: Progress | None = None,
+) -> Structure:
+    """Find in which direction, and how strongly, each photon must be kept from moving.
+
+    Each photon's k nearest photons in space are gathered among those of its emitter whose emitter
+    coordinates lie within a range of its own; the principal components of their positions in its
+    tangent plane tell an edge or a filament from evenly spread light (SJ13 §4.2–4.3, Algorithm 1
+    lines 2–9).
+
+    Parameters
+    ----------
+    photons : PhotonMap
+        Photons, n of them. Without emitter coordinates the search is limited by space alone.
+    settings : StructureSettings, optional
+        Defaults are the paper's.
+    n_threads : int, optional
+        Threads; all available by default. The result does not depend on it.
+    progress : callable, optional
+        Called as ``progress("structure", done, n)``.
+
+    Returns
+    -------
+    Structure
+        One row a photon.
+
+    Raises
+    ------
+    ValueError
+        If the map has emitter coordinates but no emitter density, or the other way round.
+    """
+    settings = settings or StructureSettings()
+    threads = thread_count(n_threads)
+    report = Reporter(progress, "structure", len(photons))
+    detection = _Detection(photons, settings, threads, report)
+    for rows in neighbour_groups(photons):
+        detection.fill(rows)
+    return Structure(**detection.found, emitter_range=detection.ranges, reach=detection.reach)
+
+
+def emitter_range(photons: PhotonMap, settings: StructureSettings) -> Floats | None:
+    """Return r_θφ = β √(K_c / (π ρ_θφ)) for each photon (SJ13 Eq. 1), None without coordinates.
+
+    In the chart of `emitter_coords`: m on an emitter plane; for points, the length of the chord
+    between unit vectors, whose ball cuts a cap of exactly π r² from the sphere of directions.
+
+    Raises
+    ------
+    ValueError
+        If one of coordinates and density is missing, or a density is zero.
+    """
+    coords, density = photons.emitter_coords, photons.emitter_density
+    if (coords is None) != (density is None):
+        given, missing = ("emitter_coords", "emitter_density")[:: 1 if density is None else -1]
+        raise ValueError(
+            f"photons have {given} but no {missing}: give both, or neither to work in space alone"
+        )
+    if density is None:
+        return None
+    if (density <= 0.0).any():
+        raise ValueError(f"emitter_density should be positive, but its least is {density.min()}")
+    return settings.range_scale * np.sqrt(settings.k / (np.pi * density))
+
+
+def principal_components(offsets: Floats, *, n_threads: int | None = None) -> tuple[Floats, Floats]:
+    """Return the principal components of sets of points in a plane (SJ13 §4.3.1).
+
+    Parameters
+    ----------
+    offsets : (n, k, 2) array_like
+        n sets of k points.
+
+    Returns
+    -------
+    eigenvalues : (n, 2) float array
+        Of the covariance about the mean with divisor k, larger first.
+    vectors : (n, 2) float array
+        Unit eigenvector of the larger; the other is perpendicular.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `offsets` is not a finite (n, k, 2) array with k >= 1.
+    """
+    array = validation.float_array(offsets, "offsets", (None, None, 2))
+    validation.count(array.shape[1], "k, the second axis of offsets,")
+    return _structure.principal_components(array, thread_count(n_threads))
+
+
+def chosen(array: NDArray | None, rows: validation.Rows) -> NDArray | None:
+    """Return rows of a column there may be."""
+    return None if array is None else array[rows]
+
+
+def empty_columns(n: int) -> dict[str, Any]:
+    """Return the columns of a `Structure` that kernels fill, n rows of anything."""
+    return {
+        "eigenvalues": np.empty((n, 2)),
+        "constraint": np.empty(n),
+        "basis": np.empty((n, 2, 3)),
+        "radius": np.empty(n),
+        "n_found": np.empty(n, dtype=np.int32),
+    }
+
+
+class _Detection:
+    """What is found of all photons, one group of neighbours after the other."""
+
+    def __init__(
+        self, photons: PhotonMap, settings: StructureSettings, n_threads: int, report: Reporter
+    ) -> None:
+        self._photons = photons
+        self._settings = settings
+        self._n_threads = n_threads
+        self._report = report
+        self.ranges = emitter_range(photons, settings)
+        self.reach = None if self.ranges is None else np.empty(len(photons))
+        self.found = empty_columns(len(photons))
+
+    def fill(self, rows: validation.Rows) -> None:
+        """Detect the structure of a group."""
+        photons, n_threads = self._photons, self._n_threads
+        if self.reach is not None:
+            self.reach[rows] = self._reach(rows)
+        tree, range_radius = photon_tree(
+            photons.position,
+            photons.normal,
+            photons.emitter_coords,
+            self.ranges,
+            rows=rows,
+            n_threads=n_threads,
+        )
+        sheet = _structure.Sheet(
+            rows=placed_rows(tree, rows),
+            normal=photons.normal,
+            range_radius=range_radius,
+            reach=self.reach,
+        )
+        for first, end in self._report.chunks(len(tree)):
+            _structure.detect(
+                tree.kernel, first, end, sheet, self.found, k=self._settings.k, n_threads=n_threads
+            )
+
+    def _reach(self, rows: validation.Rows) -> Floats:
+        """Return `reach_scale` times the radius that holds k photons of whatever sheet."""
+        photons, settings, n_threads = self._photons, self._settings, self._n_threads
+        tree, facing = photon_tree(photons.position, photons.normal, rows=rows, n_threads=n_threads)
+        reach = tree.farthest(settings.k, range_radius=chosen(facing, rows), n_threads=n_threads)
+        with np.errstate(invalid="ignore"):
+            reach *= settings.reach_scale
+        # An open reach stays open where photons coincide.
+        reach[np.isnan(reach)] = np.inf
+        return reach

@@ -1,0 +1,140 @@
+"""Pinhole and orthographic cameras, and the rays of their pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._util.frozen import frozen, set_field
+from .._util.validation import Floats, count, float_array, positive, unit_vectors
+
+if TYPE_CHECKING:
+    pass
+
+
+# Sine of the smallest angle between a camera's `up` and its line of sight.
+_MIN_UP_SINE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera, or an orthographic one.
+
+    Parameters
+    ----------
+    origin, target : (3,)
+        Where the camera is and the point at the centre of its picture, m.
+    up : (3,)
+        The direction that is up in the picture; not along the line of sight.
+    vertical_fov : float
+        Angle between the lower and upper edge of the picture, degrees, below 180.
+    width, height : int
+        Pixels.
+    orthographic_height : float, optional
+        Height of the picture in m; makes the camera orthographic and `vertical_fov` void.
+    """
+
+    origin: ArrayLike
+    target: ArrayLike
+    up: ArrayLike = (0.0, 0.0, 1.0)
+    vertical_fov: float = 45.0
+    width: int = 600
+    height: int = 600
+    orthographic_height: float | None = None
+
+    def __post_init__(self) -> None:
+        set_field(self, "origin", frozen(float_array(self.origin, "origin", (3,))))
+        set_field(self, "target", frozen(float_array(self.target, "target", (3,))))
+        set_field(self, "up", frozen(unit_vectors(self.up, "up", (3,))))
+        set_field(self, "vertical_fov", positive(self.vertical_fov, "vertical_fov"))
+        if self.vertical_fov >= 180.0:
+            raise ValueError(
+                f"vertical_fov should be below 180 degrees, but is {self.vertical_fov}"
+            )
+        set_field(self, "width", count(self.width, "width"))
+        set_field(self, "height", count(self.height, "height"))
+        if self.orthographic_height is not None:
+            height = positive(self.orthographic_height, "orthographic_height")
+            set_field(self, "orthographic_height", height)
+        self.axes()
+
+    def axes(self) -> tuple[Floats, Floats, Floats]:
+        """Return the unit vectors to the right, up and forward of the picture.
+
+        Raises
+        ------
+        ValueError
+            If the target is at the origin, or `up` is along the line of sight.
+        """
+        sight = np.subtract(self.target, self.origin)
+        if not sight.any():
+            both = np.asarray(self.target)
+            raise ValueError(f"target should differ from origin, but both are {both}")
+        forward = unit_vectors(sight, "target - origin", (3,))
+        up = np.asarray(self.up)
+        right = np.cross(forward, up)
+        if np.linalg.norm(right) < _MIN_UP_SINE:
+            raise ValueError(
+                f"up should not be along the line of sight, but is {up} looking along {forward}"
+            )
+        right /= np.linalg.norm(right)
+        return right, np.cross(right, forward), forward
+
+
+def pixel_rays(
+    camera: Camera,
+    rows: range,
+    supersampling: int = 1,
+    *,
+    offset: tuple[float, float] = (0.5, 0.5),
+) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    """Return the rays of some rows of the picture, row 0 at the top.
+
+    Parameters
+    ----------
+    camera : Camera
+        Pinhole or orthographic.
+    rows : range
+        Rows of pixels.
+    supersampling : int
+        s·s samples per pixel, on a regular grid.
+    offset : (float, float)
+        Where in the cells of that grid samples are, to the right and down, in [0, 1).
+
+    Returns
+    -------
+    origins, directions : (m, 3)
+        Unit directions; the samples of a pixel follow one another.
+    pixel : (m,) int64
+        Index of the pixel, row · width + column.
+
+    Raises
+    ------
+    ValueError
+        If there are no rows, or rows that are not in the picture.
+    """
+    if not len(rows) or min(rows) < 0 or max(rows) >= camera.height:
+        raise ValueError(f"rows should be some of [0, {camera.height}), but are {rows}")
+    s = count(supersampling, "supersampling")
+    row, column, i, j = np.meshgrid(rows, range(camera.width), range(s), range(s), indexing="ij")
+    # In half heights of the picture from its centre.
+    x = ((2 * (column + (j + offset[0]) / s) - camera.width) / camera.height).ravel()
+    y = (1 - 2 * (row + (i + offset[1]) / s) / camera.height).ravel()
+    pixel = (row * camera.width + column).astype(np.int64).ravel()
+    return *_film_rays(camera, x[:, None], y[:, None]), pixel
+
+
+def _film_rays(camera: Camera, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    right, up, forward = camera.axes()
+    origin = np.asarray(camera.origin)
+    if camera.orthographic_height is not None:
+        half = 0.5 * camera.orthographic_height
+        origins = origin + half * (x * right + y * up)
+        return origins, np.tile(forward, (len(x), 1))
+    half = np.tan(np.radians(0.5 * camera.vertical_fov))
+    directions = forward + half * (x * right + y * up)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return np.tile(origin, (len(x), 1)), directions

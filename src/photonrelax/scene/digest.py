@@ -1,0 +1,59 @@
+"""Digests that tell scenes apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import fields, is_dataclass
+from hashlib import blake2b
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .meshes import vertex_normals
+from .scene import Scene, SceneObject
+
+
+def scene_digests(scene: Scene) -> dict[str, str]:
+    """Return what two scenes share only if all that is rendered of them is the same, by part."""
+    parts = {"camera": scene.camera, "objects": scene.objects, "emitters": scene.emitters}
+    return {f"digest of the {name}": _digest(part) for name, part in parts.items()}
+
+
+def scene_digest(scene: Scene) -> str:
+    """Return what two scenes share only if they, and their names, are the same."""
+    return _digest(scene)
+
+
+def _digest(value: Any) -> str:
+    digest = blake2b(digest_size=16)
+    for part in _parts(value):
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def _parts(value: Any) -> Iterator[bytes]:
+    """Yield all that a scene is made of."""
+    if isinstance(value, SceneObject):
+        yield from _parts([value.material, value.smooth, *_mesh_arrays(value)])
+    elif is_dataclass(value):
+        yield type(value).__name__.encode()
+        for field in fields(value):
+            yield from _parts(getattr(value, field.name))
+    elif isinstance(value, np.ndarray):
+        yield f"{value.dtype.str}{value.shape}".encode()
+        yield np.ascontiguousarray(value).tobytes()
+    elif isinstance(value, list | tuple):
+        yield str(len(value)).encode()
+        for member in value:
+            yield from _parts(member)
+    else:
+        yield f"{value!r};".encode()
+
+
+def _mesh_arrays(item: SceneObject) -> Iterable[NDArray]:
+    mesh = item.mesh
+    yield np.asarray(mesh.vertices)
+    yield np.asarray(mesh.faces)
+    if item.smooth:
+        yield vertex_normals(mesh)

@@ -1,0 +1,164 @@
+"""What is rendered: objects with materials, emitters, a camera.
+
+Everything here is frozen data, validated once when it is made. Lengths are in scene units, here
+called m; power in W. Meshes are `trimesh.Trimesh`, but nothing here imports trimesh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import UnionType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .._util.frozen import set_field
+from .._util.validation import Floats
+from .meshes import check_mesh, check_winding, hittable_vertices
+
+if TYPE_CHECKING:
+    import trimesh
+from .camera import Camera
+from .emitters import Emitter
+from .materials import Dielectric, Diffuse, Material, MaterialTable, _tabulate
+
+_EMITTER_GAP = 1e-5  # of the scene's size
+
+
+@dataclass(frozen=True, eq=False)
+class SceneObject:
+    """A mesh and what it is made of.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        Triangles, at least one of them with an area; faces of no area are never hit. Closed
+        dielectrics wind outwards.
+    material : Diffuse, Mirror or Dielectric
+        The material of the whole mesh.
+    name : str
+        For people.
+    smooth : bool
+        Shade with interpolated vertex normals rather than face normals.
+    """
+
+    mesh: trimesh.Trimesh
+    material: Material
+    name: str = ""
+    smooth: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.material, Material):
+            raise TypeError(
+                "material should be a Diffuse, Mirror or Dielectric, "
+                f"but is {type(self.material).__name__}"
+            )
+        check_mesh(self.mesh)
+        if isinstance(self.material, Dielectric):
+            check_winding(self.mesh)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Objects, emitters and perhaps a camera.
+
+    Meshes are kept, not copied, and what is computed from them once is kept: do not change them.
+
+    Parameters
+    ----------
+    objects : sequence of SceneObject
+        At least one; an object's position in the sequence is its `object_id`.
+    emitters : sequence of CollimatedEmitter, PointEmitter or LambertianEmitter
+        At least one; an emitter's position in the sequence is its `emitter_id`.
+    camera : Camera, optional
+        Needed to render, not to trace photons.
+    name : str
+        For people.
+    """
+
+    objects: Sequence[SceneObject]
+    emitters: Sequence[Emitter]
+    camera: Camera | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        set_field(self, "objects", _members(self.objects, "objects", SceneObject))
+        set_field(self, "emitters", _members(self.emitters, "emitters", Emitter))
+        if self.camera is not None and not isinstance(self.camera, Camera):
+            raise TypeError(f"camera should be a Camera, but is {type(self.camera).__name__}")
+
+    @property
+    def specular_objects(self) -> tuple[int, ...]:
+        """The ids of the mirrors and dielectrics."""
+        return tuple(
+            i for i, item in enumerate(self.objects) if not isinstance(item.material, Diffuse)
+        )
+
+    @cached_property
+    def scale(self) -> float:
+        """Length of the diagonal of the box around all objects, m; computed once."""
+        low, high = self._bounds(range(len(self.objects)))
+        return float(np.linalg.norm(high - low))
+
+    @property
+    def emitter_gap(self) -> float:
+        """How far off a point-like emitter its rays start, for it may lie on a surface, m."""
+        return _EMITTER_GAP * self.scale
+
+    def bounding_sphere(self, object_ids: Iterable[int] | None = None) -> tuple[Floats, float]:
+        """Return centre (3,) and radius of a sphere around objects: all of them, or those named.
+
+        The centre is that of their bounding box; the radius is the largest distance to a vertex.
+
+        Raises
+        ------
+        ValueError
+            If `object_ids` is empty.
+        """
+        ids = tuple(range(len(self.objects)) if object_ids is None else object_ids)
+        if not ids:
+            raise ValueError("object_ids should name at least one object, but is empty")
+        low, high = self._bounds(ids)
+        centre = low + 0.5 * (high - low)
+        reach = [np.linalg.norm(self._vertices[i] - centre, axis=1).max() for i in ids]
+        return centre, float(max(reach))
+
+    def material_table(self) -> MaterialTable:
+        """Return the materials of all objects as arrays."""
+        materials = [item.material for item in self.objects]
+        n = len(materials)
+        table = MaterialTable(
+            kind=np.zeros(n, dtype=np.int32),
+            reflectance=np.ones((n, 3)),
+            ior=np.ones(n),
+            exterior_ior=np.ones(n),
+            absorption=np.zeros((n, 3)),
+        )
+        for i, material in enumerate(materials):
+            _tabulate(table, i, material)
+        return table
+
+    @cached_property
+    def _vertices(self) -> tuple[Floats, ...]:
+        """The vertices of each object that belong to a face rays can hit."""
+        return tuple(hittable_vertices(item.mesh) for item in self.objects)
+
+    def _bounds(self, object_ids: Iterable[int]) -> tuple[Floats, Floats]:
+        vertices = [self._vertices[i] for i in object_ids]
+        corners = [(v.min(axis=0), v.max(axis=0)) for v in vertices]
+        return np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
+
+
+def _members(values: Iterable, name: str, kind: type | UnionType) -> tuple:
+    if not isinstance(values, Iterable):
+        raise TypeError(f"{name} should be a sequence, but is {type(values).__name__}")
+    members = tuple(values)
+    if not members:
+        raise ValueError(f"{name} should not be empty")
+    for i, member in enumerate(members):
+        if not isinstance(member, kind):
+            wanted = getattr(kind, "__name__", str(kind)).replace("photonrelax.scene.scene.", "")
+            raise TypeError(f"{name}[{i}] should be {wanted}, but is {type(member).__name__}")
+    return members

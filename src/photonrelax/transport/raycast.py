@@ -1,0 +1,331 @@
+"""Rays in, intersections out: the only file that knows embree.
+
+Embree works in float32, and reads out of bounds when array lengths differ. So rays are checked
+here, moved into embree's recentred frame in float64, and what embree says they hit is resolved
+again in float64.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._ext.transport.raycast import Found, Frame, Triangles
+from .._util.parallel import thread_count
+from .._util.validation import Floats, float_array
+from ..scene.meshes import empty, hittable_faces, vertices_of
+from ..scene.scene import SceneObject
+
+if TYPE_CHECKING:
+    pass
+from ..scene.meshes import vertex_normals
+
+# Rays per call of embree: bounds the float32 copies and is the grain of parallel work.
+_CHUNK = 65536
+# Step off the surface left, as a fraction of the largest coordinate in the frame: some ten
+# roundings of float32. Half of all unstepped rays would hit the triangle they start on.
+_STEP = 1e-6
+_NO_RAYS = np.empty((0, 3))
+_NO_LIMITS = np.empty(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Intersections:
+    """What n rays hit first.
+
+    Attributes
+    ----------
+    object_id, face_id : (n,) int32
+        The object and the face in its mesh; -1 where nothing is hit.
+    distance : (n,)
+        From the ray's origin, m; inf where nothing is hit.
+    position : (n, 3)
+        m; NaN where nothing is hit, like the normals.
+    geometric_normal : (n, 3)
+        Unit normal by the winding of the face: outward for closed meshes.
+    shading_normal : (n, 3)
+        Interpolated between vertex normals on smooth objects, else the geometric normal; always
+        on the same side of the face as the geometric normal.
+    """
+
+    object_id: NDArray[np.int32]
+    face_id: NDArray[np.int32]
+    distance: Floats
+    position: Floats
+    geometric_normal: Floats
+    shading_normal: Floats
+
+    def __len__(self) -> int:
+        return len(self.object_id)
+
+    @property
+    def hit(self) -> NDArray[np.bool_]:
+        """Whether each ray hit anything, (n,)."""
+        return self.object_id >= 0
+
+    def __getitem__(self, rows: slice | NDArray) -> Intersections:
+        """Return the intersections of some of the rays: views for a slice."""
+        return Intersections(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+
+class RayCaster:
+    """Objects, ready to be hit by rays.
+
+    Safe to use from several threads at once: embree runs without the GIL.
+
+    Parameters
+    ----------
+    objects : sequence of SceneObject
+        At least one; positions in the sequence are the `object_id` of hits.
+
+    Attributes
+    ----------
+    frame : Frame
+        For kernels that bring their rays into embree's frame themselves.
+    triangles : Triangles
+        For kernels that resolve what `find` found themselves.
+
+    Raises
+    ------
+    ImportError
+        If embreex is not installed.
+    """
+
+    def __init__(self, objects: Sequence[SceneObject]) -> None:
+        if not objects:
+            raise ValueError("objects should not be empty")
+        whole = _joined([_hittable_part(item) for item in objects])
+        vertices = np.ascontiguousarray(whole.corners[:, :3])
+        embree = _embree(vertices, whole.faces[:, :3])
+        self._scene = embree.scene
+        relative = vertices - embree.origin
+        self.frame = _frame(relative, embree)
+        whole.corners[:, :3] = relative
+        smooth = np.array([item.smooth for item in objects], dtype=np.uint8)
+        self.triangles = Triangles(self.frame, whole.corners, whole.faces, whole.face_id, smooth)
+
+    def find(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> Found:
+        """Return what embree finds for rays (n, 3) that are in its frame already.
+
+        Raises
+        ------
+        ValueError
+            If shapes, types or layout are not what embree takes for granted.
+        """
+        for rays in (origins, directions):
+            of_type = rays.dtype == np.float32 and rays.flags.c_contiguous
+            if rays.shape != (len(origins), 3) or not of_type:
+                raise ValueError(
+                    f"rays should be C-contiguous float32 of shape ({len(origins)}, 3), "
+                    f"but are {rays.dtype} of shape {rays.shape} and strides {rays.strides}"
+                )
+        found = self._scene.run(origins, directions, query="INTERSECT", output=True)
+        return Found(found, len(origins))
+
+    def intersect(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        *,
+        leaving: ArrayLike | None = None,
+        n_threads: int | None = 1,
+    ) -> Intersections:
+        """Return what rays hit first.
+
+        Parameters
+        ----------
+        origins, directions : (n, 3)
+            Directions need not be unit.
+        leaving : (n, 3), optional
+            The geometric normal, of either sign, of the surface each ray starts on; a row of
+            zeros or NaN where it starts in free space. Keeps rays from hitting where they start.
+        n_threads : int, optional
+            Threads to use; None for every core.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If shapes differ, an origin is not finite or a direction is not finite or zero.
+        """
+        origins, directions, leaving = _check_rays(origins, directions, leaving)
+        out = empty_intersections(len(origins))
+
+        def work(rows: slice) -> None:
+            o, d = origins[rows], directions[rows]
+            enter = self._enter(o, d, leaving[rows], _NO_LIMITS, first=rows.start)
+            self.triangles.resolve(o, d, self.find(*enter[:2]), out[rows])
+
+        _for_chunks(work, len(origins), n_threads)
+        return out
+
+    def occluded(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        max_distance: ArrayLike,
+        *,
+        leaving: ArrayLike | None = None,
+        n_threads: int | None = 1,
+    ) -> NDArray[np.bool_]:
+        """Return whether rays hit anything nearer than `max_distance`, (n,).
+
+        Parameters
+        ----------
+        origins, directions, leaving, n_threads
+            As for `intersect`.
+        max_distance : float or (n,)
+            m, from the origin; inf for rays without end. It is compared in float32: hits within
+            1e-6 of the scene's size around it may go either way.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As for `intersect`, and if a `max_distance` is negative or NaN.
+        """
+        origins, directions, leaving = _check_rays(origins, directions, leaving)
+        limits = _check_limits(max_distance, len(origins))
+        out = np.empty(len(origins), dtype=bool)
+
+        def work(rows: slice) -> None:
+            enter = self._enter(
+                origins[rows], directions[rows], leaving[rows], limits[rows], first=rows.start
+            )
+            out[rows] = self._scene.run(*enter, query="OCCLUDED") >= 0
+
+        _for_chunks(work, len(origins), n_threads)
+        return out
+
+    def _enter(
+        self, origins: Floats, directions: Floats, leaving: Floats, limits: Floats, *, first: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """Return rays and their lengths in embree's frame; `first` numbers them in errors."""
+        out = (
+            np.empty(origins.shape, dtype=np.float32),
+            np.empty(origins.shape, dtype=np.float32),
+            np.empty(limits.shape, dtype=np.float32),
+        )
+        bad = self.frame.enter(origins, directions, leaving, limits, *out)
+        if bad >= 0:
+            raise ValueError(
+                "origins and directions should be finite and directions not zero, but ray "
+                f"{first + bad} goes from {origins[bad]} towards {directions[bad]}"
+            )
+        return out
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The part of an object that rays can hit, in numbers of its own; see `Triangles`."""
+
+    corners: Floats
+    faces: NDArray[np.int32]
+    face_id: NDArray[np.int32]
+
+
+def _hittable_part(item: SceneObject) -> _Part:
+    face_id, faces = hittable_faces(item.mesh)
+    # Vertices of no face would stretch the frame, at the price of precision.
+    used = vertices_of(faces, len(item.mesh.vertices))
+    corners = np.zeros((np.count_nonzero(used), 6))
+    corners[:, :3] = np.asarray(item.mesh.vertices)[used]
+    if item.smooth:
+        corners[:, 3:] = vertex_normals(item.mesh)[used]
+    numbered = np.zeros((len(faces), 4), dtype=np.int32)
+    numbered[:, :3] = (np.cumsum(used, dtype=np.int32) - 1)[faces]
+    return _Part(corners, numbered, face_id.astype(np.int32))
+
+
+def _joined(parts: list[_Part]) -> _Part:
+    """Number the vertices of all objects through, and write each face's object beside them."""
+    first = 0
+    for object_id, part in enumerate(parts):
+        part.faces[:, :3] += first
+        part.faces[:, 3] = object_id
+        first += len(part.corners)
+    return _Part(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Part)))
+
+
+def _embree(vertices: Floats, faces: NDArray[np.int32]) -> Any:
+    """Return trimesh's embree scene: `.scene` in the frame of `.origin` and `.scale`."""
+    try:
+        from trimesh.ray.ray_pyembree import RayMeshIntersector
+    except ImportError as error:
+        raise ImportError(
+            "tracing rays needs embreex, which is not installed: `pip install embreex`. It has "
+            "no wheel for Linux on ARM; there, trace photons on another machine and load them "
+            "with PhotonMap.load."
+        ) from error
+    import trimesh
+
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    intersector = RayMeshIntersector(mesh)
+    embree = intersector._scene
+    intersector._cache.clear()
+    empty(mesh)
+    # The first run completes the scene, which must not happen in two threads at once.
+    one_ray = np.ones((1, 3), dtype=np.float32)
+    embree.scene.run(one_ray, one_ray)
+    return embree
+
+
+def _frame(relative: Floats, embree: Any) -> Frame:
+    centre = 0.5 * (relative.min(axis=0) + relative.max(axis=0))
+    return Frame(
+        np.asarray(embree.origin, dtype=np.float64),
+        centre,
+        scale=embree.scale,
+        radius=np.linalg.norm(relative - centre, axis=1).max(),
+        step=_STEP * np.abs(relative).max(),
+    )
+
+
+def _check_rays(
+    origins: ArrayLike, directions: ArrayLike, leaving: ArrayLike | None
+) -> tuple[Floats, Floats, Floats]:
+    """Return rays with their shapes checked; their values are checked on the way into embree."""
+    origins = float_array(origins, "origins", (None, 3), finite=False)
+    directions = float_array(directions, "directions", (len(origins), 3), finite=False)
+    if leaving is None:
+        return origins, directions, _NO_RAYS
+    return origins, directions, float_array(leaving, "leaving", (len(origins), 3), finite=False)
+
+
+def _check_limits(max_distance: ArrayLike, n: int) -> Floats:
+    limits = float_array(max_distance, "max_distance", finite=False)
+    if limits.shape not in ((), (n,)):
+        raise ValueError(
+            f"max_distance should be one number or have shape ({n},), but has {limits.shape}"
+        )
+    if not (limits >= 0.0).all():
+        raise ValueError(f"max_distance should not be negative or NaN, but has {limits.min()}")
+    return np.ascontiguousarray(np.broadcast_to(limits, (n,)))
+
+
+def empty_intersections(n: int) -> Intersections:
+    """Return intersections of n rays, to be written."""
+    return Intersections(
+        object_id=np.empty(n, dtype=np.int32),
+        face_id=np.empty(n, dtype=np.int32),
+        distance=np.empty(n),
+        position=np.empty((n, 3)),
+        geometric_normal=np.empty((n, 3)),
+        shading_normal=np.empty((n, 3)),
+    )
+
+
+def _for_chunks(work: Callable[[slice], None], n: int, n_threads: int | None) -> None:
+    """Call `work` on slices that cover range(n); the result does not depend on the threads."""
+    chunks = [slice(start, min(start + _CHUNK, n)) for start in range(0, n, _CHUNK)]
+    threads = min(thread_count(n_threads), len(chunks))
+    if threads <= 1:
+        for rows in chunks:
+            work(rows)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        for future in [pool.submit(work, rows) for rows in chunks]:
+            future.result()

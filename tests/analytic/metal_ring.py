@@ -1,0 +1,126 @@
+"""A ring that reflects on its inner wall, standing on a floor, in tilted collimated light.
+
+The wall is the cylinder x² + y² = radius², from `gap` to `gap + height` over the floor z = 0; the
+light travels along (cos e, 0, -sin e) with elevation e. The lit part of the wall is sampled
+densely, each sample's flux follows the law of reflection down to the floor and is binned there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tests.analytic.interface import Floats
+
+
+@dataclass(frozen=True)
+class MetalRing:
+    """Inner wall of a metal ring; lengths in m, `elevation` of the light in radians."""
+
+    radius: float = 1.0
+    height: float = 0.5
+    gap: float = 1e-3
+    elevation: float = np.pi / 4
+    irradiance: float = 1.0
+    reflectance: float = 1.0
+
+    def deposits(self, n_samples: int = 1_000_000) -> tuple[Floats, Floats]:
+        """Return where light lands on the floor (m, 2) and the flux (m,) in W.
+
+        A vertical mirror turns the horizontal heading and leaves the rate of descent alone, so
+        light falls tan e per metre travelled along the floor, whatever it bounced off.
+        """
+        position, height, flux = self._lit_wall(n_samples)
+        slope = np.tan(self.elevation)
+        heading = np.tile([1.0, 0.0], (len(flux), 1))
+        landed = np.zeros_like(position)
+        going = np.arange(len(flux))
+        while len(going):
+            normal = position[going] / self.radius
+            across = (normal * heading[going]).sum(1, keepdims=True)
+            heading[going] -= 2 * across * normal
+            flux[going] *= self.reflectance
+            # The reflected ray leaves the wall at the angle it came, over the chord 2R cos i.
+            chord = 2 * self.radius * np.abs(across[:, 0])
+            meets_wall = height[going] - slope * chord > self.gap
+            run = np.where(meets_wall, chord, height[going] / slope)
+            position[going] += run[:, None] * heading[going]
+            height[going] -= slope * run
+            landed[going[~meets_wall]] = position[going[~meets_wall]]
+            going = going[meets_wall]
+        return landed, flux
+
+    def pixel_irradiance(self, edges: Floats, n_samples: int = 4_000_000) -> Floats:
+        """Return the mean irradiance of square pixels, W/m², indexed [x, y].
+
+        Parameters
+        ----------
+        edges : (n + 1,) array
+            Pixel borders along both axes, m, evenly spaced.
+        n_samples : int
+            Samples over the whole wall.
+        """
+        landed, flux = self.deposits(n_samples)
+        binned = np.histogram2d(landed[:, 0], landed[:, 1], bins=(edges, edges), weights=flux)[0]
+        return binned / np.outer(np.diff(edges), np.diff(edges))
+
+    def irradiance_at(self, points: Floats, n_azimuths: int = 40_001) -> Floats:
+        """Return the irradiance at points (m, 2) of the floor, W/m².
+
+        Light from azimuth a leaves the wall along -(cos 2a, sin 2a) and has E₀ sin e / |1 - 2s /
+        (R cos a)| after s metres over the floor; the azimuths whose light meets a point are where
+        the side changes on which it passes. Points should be so far inside that they see no light
+        that met the wall twice: that stays beyond R √(1 - (height / 2R tan e)²) of the middle.
+        """
+        azimuth = np.linspace(-np.pi / 2, np.pi / 2, n_azimuths)[1:-1]
+        wall = self.radius * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+        heading = -np.column_stack([np.cos(2 * azimuth), np.sin(2 * azimuth)])
+        return np.array([self._arriving(point - wall, heading, azimuth) for point in points])
+
+    def _arriving(self, offset: Floats, heading: Floats, azimuth: Floats) -> float:
+        """Return the irradiance at one point, given its (n, 2) offsets from all of the wall."""
+        side = offset[:, 0] * heading[:, 1] - offset[:, 1] * heading[:, 0]
+        before = np.flatnonzero((side[:-1] > 0) != (side[1:] > 0))
+        share = side[before] / (side[before] - side[before + 1])
+        run = (offset * heading).sum(axis=1)
+        run = run[before] + share * (run[before + 1] - run[before])
+        cosine = np.cos(azimuth[before] + share * (azimuth[1] - azimuth[0]))
+        left = run * np.tan(self.elevation)
+        top = self.gap + self.height
+        lit = (left >= self.gap) & (left <= top)
+        lit &= left + 2 * self.radius * cosine * np.tan(self.elevation) > top
+        spread = np.abs(1 - 2 * run[lit] / (self.radius * cosine[lit]))
+        falling = self.irradiance * np.sin(self.elevation)
+        with np.errstate(divide="ignore"):
+            return float((self.reflectance * falling / spread).sum())
+
+    def lit_flux(self) -> float:
+        """Return the flux that the inner wall intercepts directly, W, by quadrature.
+
+        At azimuth a the front wall leaves light to the uppermost 2R cos a · tan e of the wall,
+        where the irradiance is E₀ cos e cos a.
+        """
+        azimuth = (np.arange(100_000) + 0.5) / 100_000 * np.pi - np.pi / 2
+        lit = np.minimum(self.height, 2 * self.radius * np.cos(azimuth) * np.tan(self.elevation))
+        per_azimuth = self.irradiance * np.cos(self.elevation) * np.cos(azimuth) * lit
+        return float(per_azimuth.mean() * np.pi * self.radius)
+
+    def _lit_wall(self, n_samples: int) -> tuple[Floats, Floats, Floats]:
+        """Return positions (m, 2), heights (m,) and incident fluxes (m,) over the lit wall."""
+        first, second = _even_points(n_samples)
+        azimuth = (first - 0.5) * np.pi
+        height = self.gap + second * self.height
+        per_area = self.irradiance * np.cos(self.elevation) * np.cos(azimuth)
+        flux = per_area * np.pi * self.radius * self.height / n_samples
+        clearance = 2 * self.radius * np.cos(azimuth) * np.tan(self.elevation)
+        lit = height + clearance > self.gap + self.height
+        position = self.radius * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+        return position[lit], height[lit], flux[lit]
+
+
+def _even_points(n: int) -> tuple[Floats, Floats]:
+    """Return n points that fill the unit square evenly (Kronecker lattice of the plastic ratio)."""
+    plastic = 1.324717957244746
+    index = np.arange(n)
+    return (0.5 + index / plastic) % 1.0, (0.5 + index / plastic**2) % 1.0

@@ -1,0 +1,207 @@
+"""Numbers of photons that adapt: the rules by definition, uniform light, edges."""
+
+import numpy as np
+import pytest
+
+import photonrelax as pr
+from tests.helpers.photon_maps import flat_map, plane, uniform_map, unit_square
+
+REFINEMENTS = ("differential-checking", "bias-compensation")
+K_MIN, K = 15, 200
+KERNELS = {
+    "constant": lambda ratio: np.ones_like(ratio),
+    "cone": lambda ratio: 3 * (1 - np.sqrt(ratio)),
+    "epanechnikov": lambda ratio: 2 * (1 - ratio),
+}
+
+
+def refined(refinement, **others):
+    return pr.GatherSettings(k=K, k_min=K_MIN, refinement=refinement, **others)
+
+
+def checked(density, k_min, k):
+    """Differential checking: density[K] is the estimate of K photons."""
+    number, signs = k_min, []
+    while number < k and not (len(signs) >= 6 and abs(sum(signs[-6:])) == 6):
+        grown = min(max(int(1.2 * number), number + 1), k)
+        signs.append(np.sign(density[grown] - density[number]))
+        number = grown
+    return number
+
+
+def compensated(density, flux, k_min, k):
+    """Bias compensation: flux[i] is that of the i-th nearest."""
+    low, high = k_min, k
+    accepted = [k_min]
+    while low < high:
+        middle = (low + high + 1) // 2
+        mean = np.average(density[accepted], weights=accepted)
+        nearer = flux[: middle - 1]
+        unevenness = (nearer**2).mean() / nearer.mean() ** 2
+        variance = mean**2 * unevenness * (1 / (low - 1) - 1 / (middle - 1))
+        if abs(density[middle] - mean) > 2.576 * np.sqrt(variance):
+            high = middle - 1
+        else:
+            low = middle
+            accepted.append(middle)
+    return low
+
+
+def chosen(refinement, squared, flux, k_min=K_MIN):
+    """The number of photons for one list, nearest first, of squared distances and fluxes."""
+    density = np.full(len(squared) + 1, np.nan)
+    within = np.concatenate([[0.0], np.cumsum(flux)[:-1]])
+    density[1:] = within / (np.pi * squared)
+    if refinement == "differential-checking":
+        return checked(density, k_min, len(squared))
+    return compensated(density, flux, k_min, len(squared))
+
+
+@pytest.fixture(scope="module")
+def step():
+    """A step from 1 to 0.2 W/m² at x = 1/2, of photons of unequal flux, and points about it."""
+    rng = np.random.default_rng(0)
+    xy = rng.random((20_000, 2))
+    xy = xy[rng.random(20_000) < np.where(xy[:, 0] < 0.5, 1.0, 0.2)]
+    flux = rng.uniform(0.5, 1.5, (len(xy), 3)) / 20_000
+    points = np.column_stack([rng.uniform(0.3, 0.85, 300), rng.uniform(0.2, 0.8, 300)])
+    return flat_map(xy, 20_000).replace(flux=flux), *plane(points)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("refinement", REFINEMENTS)
+def test_estimates_equal_their_definition(refinement, kernel, step):
+    """Also of lists cut short by the gather radius, and where that is the bandwidth itself."""
+    photons, points, normals = step
+    radius = 0.034
+    reach = radius * np.sqrt(K / K_MIN)
+    settings = refined(refinement, kernel=kernel, gather_radius=radius)
+    estimates = pr.estimate_irradiance(photons, points, normals, settings)
+    cases = {"all": 0, "fewer": 0, "too few": 0}
+    for point, estimate in zip(points, estimates, strict=True):
+        squared = ((photons.position - point) ** 2).sum(axis=1)
+        order = np.argsort(squared)[:K]
+        order = order[squared[order] <= reach**2]
+        near = squared[order]
+        if near[K_MIN - 1] > radius**2:
+            bandwidth, order = radius**2, order[near <= radius**2]
+            cases["too few"] += 1
+        else:
+            number = chosen(refinement, near, photons.flux[order].mean(axis=1))
+            bandwidth, order = near[number - 1], order[: number - 1]
+            cases["all" if len(near) == K else "fewer"] += 1
+        weight = KERNELS[kernel](squared[order] / bandwidth) / (np.pi * bandwidth)
+        np.testing.assert_allclose(estimate, weight @ photons.flux[order], rtol=1e-9)
+    assert min(cases.values()) >= 20, cases
+
+
+def numbers(refinement, photons, points):
+    """How many photons estimates use, and what they are, by the definition."""
+    distance = pr.KDTree(photons.position).query(points, K).distance
+    flux = np.full(K, photons.flux[0, 0])
+    return np.array([chosen(refinement, row**2, flux) for row in distance])
+
+
+@pytest.mark.parametrize("refinement", REFINEMENTS)
+def test_uniform_light_uses_nearly_all_photons(refinement, interior):
+    """And keeps its mean: what is chosen is chosen by chance, 0.9 % low at most (measured)."""
+    points, normals = interior
+    used, means, noise = [], [], {K_MIN: [], K: [], refinement: []}
+    for seed in range(4):
+        photons = uniform_map(100_000, "random", seed)
+        inside = (np.abs(photons.position[:, :2] - 0.5) < 0.35).all(axis=1).mean() / 0.7**2
+        used.append(numbers(refinement, photons, points[:500]).mean())
+        for name, settings in (
+            (K_MIN, pr.GatherSettings(k=K_MIN)),
+            (K, pr.GatherSettings(k=K)),
+            (refinement, refined(refinement)),
+        ):
+            estimates = pr.estimate_irradiance(photons, points, normals, settings)[:, 0]
+            noise[name].append(estimates.std())
+        means.append(estimates.mean() / inside)
+    assert np.mean(used) > 0.85 * K
+    assert np.mean(means) == pytest.approx(1.0, abs=0.012)
+    assert np.mean(noise[refinement]) < 1.4 * np.mean(noise[K])
+    assert np.mean(noise[refinement]) < 0.4 * np.mean(noise[K_MIN])
+
+
+@pytest.mark.parametrize("refinement", REFINEMENTS)
+def test_an_edge_is_sharper_than_with_the_most_photons(refinement):
+    """1 W/m² left of x = 1/2: fewer photons right of it, and less light beyond the edge."""
+    n = 100_000
+    photons = flat_map(unit_square(n // 2, "random", 3) * [0.5, 1.0], n)
+    reach = np.sqrt(K / (np.pi * n))
+    rng = np.random.default_rng(0)
+    error = {}
+    for side, low in (("lit", -reach), ("dark", 0.0)):
+        x = 0.5 + rng.uniform(low, low + reach, 4000)
+        points, normals = plane(np.column_stack([x, rng.uniform(0.1, 0.9, 4000)]))
+        used = numbers(refinement, photons, points[:500]).mean()
+        assert used < (0.97 if side == "lit" else 0.5) * K, side
+        for settings in (pr.GatherSettings(k=K), refined(refinement)):
+            found = pr.estimate_irradiance(photons, points, normals, settings)[:, 0]
+            error[side, settings.refinement] = np.sqrt(np.mean((found - (x < 0.5)) ** 2))
+    assert error["dark", refinement] < 0.85 * error["dark", "none"]
+    assert error["lit", refinement] < error["lit", "none"]
+
+
+@pytest.mark.parametrize("refinement", REFINEMENTS)
+def test_all_that_photons_carry_comes_from_the_same_photons(refinement, step):
+    photons, points, normals = step
+    field = pr.IrradianceField(photons, refined(refinement))
+    values = np.random.default_rng(1).random((len(photons), 2))
+    values = np.hstack([photons.flux[:, :1], 3 * photons.flux[:, :1], values, np.ones_like(values)])
+    found = field.densities(values)(points, normals)
+    np.testing.assert_array_equal(found[:, 0], field(points, normals)[:, 0])
+    np.testing.assert_allclose(found[:, 1], 3 * found[:, 0])
+    means = found[:, 2] / found[:, 4]
+    assert (means > 0.0).all()
+    assert (means < 1.0).all()
+
+
+@pytest.mark.parametrize("refinement", REFINEMENTS)
+def test_same_bytes_for_every_number_of_threads_and_order_of_photons(refinement, step):
+    photons, points, normals = step
+    shuffled = photons.subset(np.random.default_rng(2).permutation(len(photons)))
+    one, *others = [
+        pr.IrradianceField(some, refined(refinement), n_threads=t)(points, normals).tobytes()
+        for some, t in ((photons, 1), (photons, 2), (photons, 7), (shuffled, 2))
+    ]
+    assert all(other == one for other in others)
+
+
+@pytest.mark.parametrize("refinement", REFINEMENTS)
+def test_faces_turned_away_and_maps_with_next_to_nothing(refinement):
+    top = uniform_map(5000, "random")
+    below = top.replace(normal=-top.normal, flux=5 * top.flux)
+    fields = ("position", "normal", "flux")
+    both = pr.PhotonMap(
+        **{f: np.concatenate([getattr(side, f) for side in (top, below)]) for f in fields}
+    )
+    points, normals = plane(np.random.default_rng(0).uniform(0.2, 0.8, (200, 2)))
+    settings = refined(refinement, gather_radius=0.05)
+    found = pr.estimate_irradiance(both, points, -normals, settings)
+    alone = pr.estimate_irradiance(below, points, -normals, settings)
+    np.testing.assert_allclose(found, alone, rtol=1e-12)
+    empty = flat_map(np.empty((0, 2)), 1)
+    assert (pr.estimate_irradiance(empty, points, normals, refined(refinement)) == 0.0).all()
+    black = top.replace(flux=np.zeros_like(top.flux))
+    assert (pr.estimate_irradiance(black, points, normals, refined(refinement)) == 0.0).all()
+    coincident = flat_map(np.full((20, 2), 0.5), 1)
+    here = plane(np.array([[0.5, 0.5]]))
+    found = pr.estimate_irradiance(coincident, *here, refined(refinement, gather_radius=0.1))
+    np.testing.assert_allclose(found, 20 * 2 / (np.pi * 0.1**2))
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"refinement": "sharp"}, "refinement should be one of none, differential-checking, bias"),
+        ({"refinement": "bias-compensation", "k": 10}, "k should be more than k_min, 15"),
+        ({"refinement": "differential-checking"}, "k_min, 15, .* but is 15: try k=200"),
+        ({"k_min": 1}, "k_min should be at least 2"),
+    ],
+)
+def test_bad_settings_are_refused(fields, message):
+    with pytest.raises(ValueError, match=message):
+        pr.GatherSettings(**fields)

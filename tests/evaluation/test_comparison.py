@@ -1,0 +1,351 @@
+"""Comparisons: the same photons for every method, honest errors, whole files."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image as Picture
+
+import photonrelax as pr
+from photonrelax import gallery
+from photonrelax.estimation.field import Field
+from photonrelax.estimation.methods import Settings
+from photonrelax.evaluation import (
+    METHODS_OF_SJ13,
+    DistributionSubject,
+    Plan,
+    SceneSubject,
+    compare,
+    reference,
+    subject,
+)
+from photonrelax.evaluation import comparison as comparisons
+from photonrelax.evaluation.report import folder, images
+from photonrelax.evaluation.report import table as tables
+from photonrelax.evaluation.report.contact_sheet import contact_sheet
+from photonrelax.imaging import metrics
+from photonrelax.imaging.image import read_exr, srgb
+
+SIZE = 32
+N = 10_000
+PAIR = ("standard", "parameterised")
+
+
+def ring():
+    return gallery.scene("ring", pixels=SIZE, sections=128)
+
+
+class Exact(Field):
+    """An estimate without error."""
+
+    structure = None
+
+    def __init__(self, photons, known):
+        self.photons, self.seconds, self.used, self._known = photons, {}, {}, known
+
+    def densities(self, values):
+        width = np.shape(values)[1]
+        return lambda points, normals, **_: self._known.irradiance(points)[:, :1].repeat(width, 1)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """A picture of the scene from other and more photons."""
+    return pr.render(ring(), method="standard", n_emitted=20 * N, seed=1, supersampling=1)
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return Plan(subject=SceneSubject(ring()), methods=PAIR, n_emitted=N, supersampling=1)
+
+
+@pytest.fixture(scope="module")
+def comparison(plan, truth):
+    return compare(plan, truth)
+
+
+@pytest.fixture(scope="module")
+def written(comparison, tmp_path_factory):
+    path = tmp_path_factory.mktemp("comparison")
+    folder.write(comparison, path)
+    return path
+
+
+def test_every_method_makes_the_picture_that_render_makes(comparison):
+    for entry in comparison.entries:
+        image = pr.render(ring(), method=entry.method, n_emitted=N, supersampling=1)
+        for name in ("radiance", "caustic", "direct", "N", "Z"):
+            np.testing.assert_array_equal(entry.image.layers[name], image.layers[name])
+        assert (entry.n_emitted, entry.n_stored) == (N, image.stats["stages"]["trace"]["stored"])
+
+
+def test_photons_and_camera_rays_are_traced_once(plan, truth, monkeypatch):
+    calls = []
+    for name in ("trace_photons", "look"):
+        work = getattr(subject, name)
+        monkeypatch.setattr(
+            subject,
+            name,
+            lambda *a, _name=name, _work=work, **k: calls.append(_name) or _work(*a, **k),
+        )
+    compare(plan, truth)
+    assert calls == ["trace_photons", "look"]
+
+
+def test_errors_are_those_of_the_layers(comparison, truth):
+    for entry in comparison.entries:
+        layers, errors = entry.image.layers, entry.errors
+        caustics = layers["caustic"], truth.layers["caustic"]
+        assert errors.relative_l1 == metrics.relative_l1(*caustics) > 0.0
+        assert errors.relative_l2 == metrics.relative_l2(*caustics)
+        assert errors.energy_bias == metrics.energy_bias(*caustics)
+        shown = srgb(layers["radiance"]), srgb(truth.layers["radiance"])
+        assert errors.ssim == metrics.ssim(*shown)
+        assert errors.flip == metrics.flip_map(*shown).mean() == layers["flip"].mean()
+        np.testing.assert_array_equal(
+            layers["difference"], layers["radiance"] - truth.layers["radiance"]
+        )
+
+
+def test_a_picture_has_no_error_against_itself(plan):
+    itself = pr.render(ring(), method="standard", n_emitted=N, supersampling=1)
+    entry, other = compare(plan, itself).entries
+    assert entry.errors == metrics.Errors(0.0, 0.0, 0.0, 1.0, 0.0)
+    assert other.errors.relative_l1 > 0.0
+
+
+def test_direct_light_is_taken_off_a_reference_that_is_one_picture(plan, truth, comparison):
+    bare = compare(plan, pr.Image({"radiance": truth.layers["radiance"]}))
+    for entry, expected in zip(bare.entries, comparison.entries, strict=True):
+        assert entry.errors.relative_l1 == pytest.approx(expected.errors.relative_l1, rel=1e-9)
+
+
+def test_exposure_changes_what_is_seen_and_nothing_else(plan, truth, comparison):
+    dark = compare(replace(plan, exposure=-3.0), truth)
+    for entry, expected in zip(dark.entries, comparison.entries, strict=True):
+        assert entry.errors.relative_l2 == expected.errors.relative_l2
+        assert entry.errors.flip != expected.errors.flip
+
+
+def test_methods_are_those_of_sj13(plan):
+    assert Plan(subject=SceneSubject(ring())).methods == METHODS_OF_SJ13
+    assert replace(plan, methods=("standard", "standard")).methods == ("standard",)
+    with pytest.raises(ValueError, match="method should be one of"):
+        replace(plan, methods=("magic",))
+
+
+def test_settings_and_sampler_reach_their_stages(plan, truth):
+    settings = Settings(gather=pr.GatherSettings(k=20), relax=pr.RelaxSettings((1, 0)))
+    made = compare(replace(plan, settings=settings, sampler="random"), truth)
+    assert made.entries[1].settings["relax"]["n_iterations"] == (1, 0)
+    assert [entry.settings["gather"]["k"] for entry in made.entries] == [20, 20]
+    photons = pr.trace_photons(ring(), N, sampler="random")
+    assert made.entries[0].n_stored == len(photons)
+
+
+def test_photons_without_a_scene_are_measured_against_their_exact_irradiance(tmp_path):
+    plan = Plan(subject=DistributionSubject("shapes", (40, 30)), n_emitted=4000, methods=PAIR)
+    truth = reference.kept(tmp_path / "none.exr", plan)
+    known = gallery.distribution("shapes")
+    expected = known.picture(lambda points, _: known.irradiance(points), 40, 30, 2) / np.pi
+    np.testing.assert_array_equal(truth.layers["radiance"], expected)
+    made = compare(plan, truth)
+    assert made.about_reference == "exact irradiance at the same points"
+    photons = gallery.distribution("shapes", n=4000, sampler="halton").photons
+    seen = gallery.distribution("shapes").picture(pr.irradiance_field(photons), 40, 30, 2)
+    layers = made.entries[1].image.layers
+    np.testing.assert_allclose(layers["radiance"], seen / np.pi, rtol=1e-12)
+    assert made.entries[1].errors.relative_l1 == metrics.relative_l1(seen / np.pi, expected)
+
+
+def test_the_exact_irradiance_of_shapes_has_no_error(tmp_path, monkeypatch):
+    """Means over the area of these pixels would make it 10 %.."""
+    plan = Plan(subject=DistributionSubject("shapes", (40, 30)), n_emitted=99, methods=PAIR[:1])
+    known = gallery.distribution("shapes")
+    monkeypatch.setattr(comparisons, "prepare", lambda method, task: Exact(task.photons, known))
+    (entry,) = compare(plan, reference.kept(tmp_path / "none.exr", plan)).entries
+    assert entry.errors == metrics.Errors(0.0, 0.0, 0.0, 1.0, 0.0)
+
+
+# --- what is written ------------------------------------------------------------------------------
+
+
+def test_the_folder_holds_what_is_promised(written):
+    kinds = [f"{method}{end}" for method in PAIR
+             for end in (".exr", ".png", "-flip.png", "-difference.png")]  # fmt: skip
+    photons = ["parameter-space.png", "path-edges.png", "constraints.png"]
+    others = ["reference.png", "sheet.png", "comparison.json", "index.html"]
+    assert sorted(p.name for p in written.iterdir()) == sorted([*kinds, *photons, *others])
+    for path in written.glob("*.png"):
+        with Picture.open(path) as picture:
+            picture.load()
+            assert path.name == "sheet.png" or picture.size == (SIZE, SIZE)
+
+
+def test_the_contact_sheet_says_whose_photons_were_dealt_to_passes(
+    comparison, tmp_path, monkeypatch
+):
+    shown = []
+
+    def sheet(groups, title):
+        shown.extend(caption for _, caption, _ in groups[0])
+        return contact_sheet(groups, title)
+
+    monkeypatch.setattr(folder, "contact_sheet", sheet)
+    first, second = comparison.entries
+    other = replace(second, name="progressive", method="progressive")
+    folder.write(replace(comparison, entries=(first, other)), tmp_path)
+    assert shown == ["standard", "progressive, dealt"]
+
+
+def test_pictures_are_written_as_they_are(written, comparison):
+    for entry in comparison.entries:
+        layers = read_exr(written / f"{entry.method}.exr").layers
+        np.testing.assert_array_equal(
+            layers["radiance"], np.float32(entry.image.layers["radiance"])
+        )
+        assert {"difference", "flip", "caustic"} <= layers.keys()
+        told = read_exr(written / f"{entry.name}.exr").metadata
+        assert told["photonrelax.method"] == entry.method
+        assert json.loads(told["photonrelax.settings"])["gather"]["k"] == 15
+        assert told["photonrelax.photons_emitted"] == str(N)
+        with Picture.open(written / f"{entry.method}.png") as shown:
+            expected = np.rint(255 * srgb(entry.image.layers["radiance"]))
+            np.testing.assert_array_equal(np.asarray(shown), expected)
+
+
+def test_numbers_are_all_in_one_file(written, comparison):
+    told = json.loads((written / "comparison.json").read_text())
+    assert (told["scene"], told["n_emitted"], told["sampler"]) == ("ring", N, "halton")
+    assert list(told["methods"]) == list(PAIR)
+    for entry in comparison.entries:
+        method = told["methods"][entry.method]
+        assert method["errors"] == entry.errors.to_dict()
+        assert method["total_seconds"] == pytest.approx(sum(method["seconds"].values()))
+    assert list(told["methods"]["parameterised"]["seconds"]) == [
+        *("cast", "camera", "structure", "relax", "gather")
+    ]
+
+
+def test_a_folder_used_again_keeps_nothing_of_other_methods(comparison, tmp_path):
+    for name in ("diffusion.exr", "diffusion-flip.png", "notes.txt", "reference.exr"):
+        (tmp_path / name).write_text("from before")
+    folder.write(comparison, tmp_path)
+    left = {path.name for path in tmp_path.iterdir()}
+    assert {"notes.txt", "reference.exr", "standard.exr", "constraints.png"} <= left
+    assert not [name for name in left if name.startswith("diffusion")]
+
+
+def test_settings_without_limit_are_told_as_null(plan, truth, tmp_path):
+    settings = Settings(gather=pr.GatherSettings(gather_radius=np.inf))
+    folder.write(compare(replace(plan, settings=settings, methods=("standard",)), truth), tmp_path)
+    told = json.loads((tmp_path / "comparison.json").read_text())
+    assert told["methods"]["standard"]["settings"]["gather"]["gather_radius"] is None
+
+
+def test_the_page_needs_nothing_else(written):
+    page = (written / "index.html").read_text()
+    assert "http" not in page.replace("http-equiv", "")
+    assert page.count("data:image/png;base64,") == 2 * 3 + 1 + 3
+
+
+def test_nothing_is_written_when_something_fails(comparison, tmp_path, monkeypatch):
+    monkeypatch.setattr(folder, "page", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        folder.write(comparison, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- the pictures ---------------------------------------------------------------------------------
+
+
+def test_differences_are_orange_where_too_bright_and_blue_where_too_dark():
+    colours = images._signed(np.array([[0.1, 0.0, -0.1]]))[0]
+    assert (colours[1] == 0.0).all()
+    assert colours[0, 0] > colours[0, 2]
+    assert colours[2, 2] > colours[2, 0]
+
+
+def test_a_picture_that_is_too_bright_is_orange_and_one_too_dark_blue(comparison):
+    """What is shown is the picture less the reference, not the reverse."""
+    entry = comparison.entries[0]
+    for factor, much, little in ((0.5, 0, 2), (2.0, 2, 0)):
+        scaled = pr.Image({"radiance": factor * np.asarray(entry.image.layers["radiance"])})
+        made = images.method_pictures(replace(comparison, reference=scaled))
+        colour = made[entry.name]["difference"].astype(float).mean(axis=(0, 1))
+        assert colour[much] > colour[little]
+
+
+def test_colours_that_cancel_are_a_difference_all_the_same():
+    found = images._largest(np.array([[[0.2, -0.1, -0.1], [0.1, 0.0, -0.3]]]))
+    np.testing.assert_array_equal(found, [[0.2, -0.3]])
+
+
+def test_path_edges_are_one_more_than_bounces(comparison):
+    """Light off a ring once has come along two edges, and a few photons along more."""
+    bounces = comparison.photon_layers["photons.bounces"]
+    assert np.median(bounces[bounces > 0.0]) == pytest.approx(1.0)
+    about = images.photon_pictures(comparison)["path-edges"]["about"]
+    assert "2 (blue) to" in about
+
+
+def test_constraints_are_those_of_sj13_where_they_are_known(plan, truth, comparison):
+    def seen(*methods):
+        return compare(replace(plan, methods=methods), truth).photon_layers
+
+    assert "photons.constraint" not in seen("standard")
+    original = seen("standard", "relaxation")["photons.constraint"]
+    expected = comparison.photon_layers["photons.constraint"]
+    assert not np.array_equal(original, expected)
+    found = seen("parameterised", "relaxation")["photons.constraint"]
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_constrained_photons_are_red(comparison):
+    red = np.array([[0.0, 1.0]])
+    colours = images._constraint_colours(red)[0]
+    assert np.ptp(colours[0]) == 0.0
+    assert colours[1, 0] > 10 * colours[1, 1]
+
+
+# --- the table ------------------------------------------------------------------------------------
+
+
+def test_the_table_has_the_rows_of_sj13_and_the_errors(comparison):
+    shown = tables.table(comparison)
+    assert shown.head == list(PAIR)
+    assert [name for name, *_ in shown.rows] == [
+        *("photons emitted", "photons absorbed", "photons per estimate", "photon cast"),
+        *("feature detection", "relaxation", "render", "total"),
+        *("relative L1", "relative L2", "SSIM", "FLIP", "energy bias"),
+    ]
+    cells = {name: cells for name, cells, _ in shown.rows}
+    assert cells["photons emitted"] == ["10,000", "10,000"]
+    assert cells["photons per estimate"] == ["15", "15"]
+    assert cells["relaxation"][0] == "–"
+    assert cells["photon cast"][0] == cells["photon cast"][1]
+
+
+def test_rows_of_the_table_add_up(comparison):
+    for entry in comparison.entries:
+        rows = tables.by_row(entry.seconds)
+        assert sum(rows.values()) == pytest.approx(sum(entry.seconds.values()))
+        assert rows["photon cast"] == entry.seconds["cast"]
+    assert tables.by_row(comparison.entries[1].seconds)["relaxation"] > 0.0
+
+
+def test_the_best_is_marked(comparison):
+    shown = tables.table(comparison)
+    best = {name: best for name, _, best in shown.rows}
+    ssim = [entry.errors.ssim for entry in comparison.entries]
+    assert best["SSIM"] == int(np.argmax(ssim))
+    assert best["total"] == 0
+    assert best["photons emitted"] is None
+
+
+def test_text_lines_up_and_says_what_the_reference_is(comparison):
+    lines = tables.table(comparison).text().splitlines()
+    assert lines[0].startswith("ring: 10,000 photons emitted (halton, seed 0), 32 x 32 pixels")
+    assert len({len(line) for line in lines[1:15]}) == 1
+    assert "reference: a picture given" in lines

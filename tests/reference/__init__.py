@@ -1,1 +1,0 @@
-"""Irradiance known without photonrelax: closed forms, quadrature and direct deposits."""

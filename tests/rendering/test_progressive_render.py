@@ -1,0 +1,352 @@
+"""Pictures made in passes: what they show, and that stopping and resuming leaves no trace."""
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import photonrelax as pr
+from photonrelax import gallery
+from photonrelax.estimation.progressive import first_radius
+from photonrelax.rendering.pass_statistics import Kept, MovingPoints, Recipe, View
+from photonrelax.rendering.progressive_render import pass_seed
+from photonrelax.scene.digest import scene_digest
+from tests.helpers.short_runs import FEW, layers_bytes
+
+
+def test_layers_are_those_of_render(ring):
+    image = pr.render_progressive(ring, n_passes=2, **FEW)
+    usual = pr.render(ring, n_emitted=4000, method="standard")
+    names = ["radiance", "caustic", "direct", "albedo", "N", "Z"]
+    assert sorted(image.layers) == sorted(names)
+    for name in names[2:]:
+        np.testing.assert_array_equal(image.layers[name], usual.layers[name])
+    np.testing.assert_allclose(
+        image.layers["radiance"], image.layers["caustic"] + image.layers["direct"]
+    )
+    assert image.layers["caustic"].mean() == pytest.approx(usual.layers["caustic"].mean(), rel=0.1)
+
+
+@pytest.mark.parametrize("stochastic", [False, True])
+def test_passes_lead_to_the_reflected_light_of_the_floor(stochastic):
+    """Albedo/π · E₀ cos θ from the mirror image of the light, W/(m² sr)."""
+    scene = mirrored_floor()
+    settings = pr.ProgressiveSettings(radius=0.3)
+    image = pr.render_progressive(
+        scene, n_passes=6, photons_per_pass=20_000, settings=settings, stochastic=stochastic
+    )
+    expected = np.array([0.8, 0.4, 0.2]) / np.pi * np.array([2, 3, 4]) * np.sqrt(0.5)
+    caustic = image.layers["caustic"]
+    np.testing.assert_allclose(caustic.mean(axis=(0, 1)), expected, rtol=0.02)
+    np.testing.assert_allclose(image.layers["direct"].mean(axis=(0, 1)), expected, rtol=1e-9)
+
+
+def mirrored_floor():
+    quad = trimesh.Trimesh([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], [[0, 1, 2], [0, 2, 3]])
+    mirror = trimesh.Trimesh(
+        [[4, -4, 0.001], [4, 4, 0.001], [4, 4, 8], [4, -4, 8]], [[0, 1, 2], [0, 2, 3]]
+    )
+    return pr.Scene(
+        [pr.SceneObject(quad, pr.Diffuse((0.8, 0.4, 0.2))), pr.SceneObject(mirror, pr.Mirror())],
+        [pr.CollimatedEmitter((1, 0, -1), irradiance=(2, 3, 4))],
+        pr.Camera((0, -1, 6), (0, 0, 0), width=4, height=4, vertical_fov=2.0),
+    )
+
+
+def test_moving_points_smooth_what_fixed_ones_see_as_steps():
+    """Over the edge of the floor, one sample a pixel: covered or not, or by how much."""
+    scene = mirrored_floor()
+    edge = replace(scene.camera, origin=(-9, 0, 50), target=(-9, 0, 0), up=(0.1, 1, 0))
+    scene = replace(scene, camera=replace(edge, width=12, height=12))
+    how = {"n_passes": 16, "photons_per_pass": 500, "supersampling": 1}
+    covered = {}
+    for stochastic in (False, True):
+        image = pr.render_progressive(scene, stochastic=stochastic, **how)
+        covered[stochastic] = image.layers["albedo"][..., 0] / 0.8
+        # Straight down: of all samples the nearest, however many passes there were.
+        seen = covered[stochastic] > 0.0
+        np.testing.assert_allclose(image.layers["Z"][seen], 50.0, rtol=1e-6)
+    exact = pr.render(scene, n_emitted=500, method="standard", supersampling=32)
+    exact = exact.layers["albedo"][..., 0] / 0.8
+    assert set(np.unique(covered[False])) == {0.0, 1.0}
+    assert np.abs(covered[True] - exact).max() < 0.1 < np.abs(covered[False] - exact).max()
+
+
+def test_discs_of_moving_points_start_with_the_least_radius_in_their_pixel(ring):
+    lasting = pr.ProgressiveSettings(alpha=1.0)
+    recipe = Recipe(lasting, 4000, seed=3, supersampling=2, stochastic=True, max_depth=8)
+    view, photons = View(ring, recipe, 1), pr.trace_photons(ring, 4000)
+    discs = MovingPoints(view).after(Kept(), photons, 0).discs
+    hits = next(view.bands(view.offset(0))).hits
+    radius = first_radius(photons, hits.position, hits.normal, lasting)
+    pixels = np.unique(hits.pixel)
+    expected = [radius[hits.pixel == pixel].min() for pixel in pixels]
+    np.testing.assert_allclose(discs.radius[pixels], expected, rtol=1e-12)
+    last = radius[len(radius) - 1 - np.unique(hits.pixel[::-1], return_index=True)[1]]
+    assert (last > 1.01 * np.array(expected)).sum() > 20
+
+
+def test_a_pass_has_a_seed_of_its_own():
+    seeds = {pass_seed(seed, number) for seed in range(20) for number in range(20)}
+    assert len(seeds) == 400
+    assert pass_seed(2**64 - 1, 5) == pass_seed(2**64 - 1, 5) < 2**64
+    # NumPy keeps this function as it is.
+    assert pass_seed(0, 0) == int(np.random.SeedSequence((0, 0)).generate_state(1, np.uint64)[0])
+
+
+@pytest.mark.parametrize("stochastic", [False, True])
+def test_same_bytes_for_every_number_of_threads(ring, stochastic):
+    images = [
+        layers_bytes(
+            pr.render_progressive(ring, n_passes=2, stochastic=stochastic, n_threads=n, **FEW)
+        )
+        for n in (1, 2, 7)
+    ]
+    assert images[0] == images[1] == images[2]
+
+
+@pytest.mark.parametrize("stochastic", [False, True])
+def test_a_run_resumed_is_a_run_never_stopped(ring, stochastic, tmp_path):
+    how = {"stochastic": stochastic, **FEW}
+    kept, whole = tmp_path / "kept.npz", tmp_path / "whole.npz"
+    straight = pr.render_progressive(
+        ring, n_passes=5, checkpoints=pr.Checkpoints(state=whole), **how
+    )
+    for n_passes in (1, 2, 5):
+        resumed = pr.render_progressive(
+            ring, n_passes=n_passes, checkpoints=pr.Checkpoints(state=kept), **how
+        )
+    assert layers_bytes(resumed) == layers_bytes(straight)
+    assert resumed.metadata == straight.metadata
+    assert kept.read_bytes() == whole.read_bytes()
+    assert resumed.stats["stages"]["passes"]["passes"] == 5
+
+
+def test_a_run_is_resumed_with_the_normals_it_began_with(tmp_path):
+    """In one process, of a mesh that came without any."""
+    ball = trimesh.creation.icosphere(3, 0.5)
+    ball = trimesh.Trimesh(np.add(ball.vertices, [4, 0, 1]), ball.faces, process=False)
+    scene = mirrored_floor()
+    glass = pr.SceneObject(ball, pr.Dielectric(), smooth=True)
+    scene = replace(scene, objects=[scene.objects[0], glass])
+    kept, whole = tmp_path / "kept.npz", tmp_path / "whole.npz"
+    for n_passes in (1, 3):
+        state = pr.Checkpoints(state=kept)
+        pr.render_progressive(scene, n_passes=n_passes, checkpoints=state, **FEW)
+    again = trimesh.Trimesh(ball.vertices, ball.faces, process=False)
+    scene = replace(scene, objects=[scene.objects[0], replace(glass, mesh=again)])
+    pr.render_progressive(scene, n_passes=3, checkpoints=pr.Checkpoints(state=whole), **FEW)
+    assert kept.read_bytes() == whole.read_bytes()
+
+
+def test_the_picture_so_far_is_shown_at_intervals(ring):
+    shown = []
+    on_image = pr.Checkpoints(interval=1e-9, on_image=shown.append)
+    last = pr.render_progressive(ring, n_passes=3, checkpoints=on_image, **FEW)
+    passes = [image.stats["stages"]["passes"]["passes"] for image in shown]
+    assert passes == [1, 2, 3, 3]
+    assert layers_bytes(shown[-1]) == layers_bytes(last)
+    two = pr.render_progressive(ring, n_passes=2, **FEW)
+    assert layers_bytes(shown[1]) == layers_bytes(two)
+    seldom = []
+    rarely = pr.Checkpoints(interval=np.inf, on_image=seldom.append)
+    pr.render_progressive(ring, n_passes=3, checkpoints=rarely, **FEW)
+    assert len(seldom) == 1
+
+
+def test_passes_go_on_for_a_time(ring):
+    seen = []
+    image = pr.render_progressive(
+        ring, seconds=0.5, progress=lambda *step: seen.append(step), **FEW
+    )
+    assert image.stats["seconds"] >= 0.5
+    assert image.stats["stages"]["passes"]["passes"] == len(seen) > 1
+    assert {(stage, total) for stage, _, total in seen} == {("seconds", 1)}
+    assert pr.render_progressive(ring, seconds=1e-6, **FEW).stats["stages"]["passes"]["passes"] == 1
+
+
+def test_progress_counts_passes(ring):
+    seen = []
+    pr.render_progressive(ring, n_passes=2, progress=lambda *step: seen.append(step), **FEW)
+    assert seen == [("passes", 1, 2), ("passes", 2, 2)]
+
+
+@pytest.mark.parametrize("stochastic", [False, True])
+def test_memory_does_not_grow_with_passes(ring, stochastic):
+    def peak(n_passes):
+        gc.collect()
+        tracemalloc.start()
+        pr.render_progressive(ring, n_passes=n_passes, stochastic=stochastic, n_threads=1, **FEW)
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return most
+
+    peak(3)
+    # Eight bytes for each hit point and pass would be twice as much.
+    assert peak(30) - peak(3) < 27 * 8 * 16 * 16 * 4 / 2
+
+
+# Is killed at the call of a function that has a number, before or after its work.
+RUN = """
+import os, signal, sys
+from pathlib import Path
+import photonrelax as pr
+from photonrelax import gallery
+from photonrelax._util import files
+from photonrelax.rendering import progressive_render
+
+state, kind, output, where, when, number = sys.argv[1:]
+owners = {"trace_photons": progressive_render, "fsync": os, "replace": Path, "write_exr": pr.Image}
+owner = owners[where]
+work, calls = getattr(owner, where), []
+
+def killed(*arguments, **more):
+    calls.append(where)
+    if when == "after":
+        work(*arguments, **more)
+    if len(calls) == int(number):
+        os.kill(os.getpid(), signal.SIGKILL)
+    if when == "before":
+        return work(*arguments, **more)
+
+setattr(owner, where, killed)
+output = files.output_path(Path(output))
+on_image = lambda image: image.write_exr(output)
+pr.render_progressive(
+    gallery.scene("ring", pixels=16, sections=64), n_passes=8, photons_per_pass=2000, seed=3,
+    checkpoints=pr.Checkpoints(state=state, interval=1e-9, on_image=on_image), n_threads=1,
+    stochastic=kind == "stochastic",
+)
+"""
+KILLS = [
+    ("trace_photons", "before", "1"),
+    ("fsync", "before", "1"),
+    ("replace", "before", "3"),  # every second one is that of the picture
+    ("replace", "after", "1"),
+    ("replace", "before", "2"),
+    ("trace_photons", "before", "2"),
+]
+
+
+@pytest.mark.parametrize("kind", ["fixed", "stochastic"])
+def test_killing_it_at_any_moment_leaves_no_trace(kind, tmp_path):
+    """SIGKILL, run after run, until one comes through: the bytes of one left in peace."""
+    state, output = tmp_path / "run.npz", tmp_path / "run.exr"
+    command = [sys.executable, "-c", RUN, str(state), kind, str(output)]
+    passes_left, half_written = [], 0
+    for kill in KILLS:
+        assert subprocess.run([*command, *kill]).returncode == -signal.SIGKILL
+        passes_left.append(int(np.load(state)["n_passes"]) if state.exists() else 0)
+        half_written += any(path.suffix == ".part" for path in tmp_path.iterdir())
+    assert passes_left == [0, 0, 1, 2, 3, 4]
+    assert half_written >= 3
+    subprocess.run([*command, "write_exr", "before", "0"], check=True)
+    peace = tmp_path / "peace.npz"
+    image = pr.render_progressive(
+        gallery.scene("ring", pixels=16, sections=64),
+        n_passes=8,
+        stochastic=kind == "stochastic",
+        checkpoints=pr.Checkpoints(state=peace),
+        **FEW,
+    )
+    image.write_exr(tmp_path / "peace.exr")
+    assert output.read_bytes() == (tmp_path / "peace.exr").read_bytes()
+    assert state.read_bytes() == peace.read_bytes()
+    # What was half written when a run was killed is cleared away by the next.
+    assert sorted(os.listdir(tmp_path)) == ["peace.exr", "peace.npz", "run.exr", "run.npz"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"seed": 4}, "holds another run: its seed is 3, not 4"),
+        ({"photons_per_pass": 100}, "its photons_per_pass is 2000, not 100"),
+        ({"supersampling": 1}, "its supersampling is 2, not 1"),
+        ({"stochastic": True}, "its stochastic is False, not True"),
+        ({"settings": pr.ProgressiveSettings(alpha=0.5)}, "its alpha is 0.7, not 0.5"),
+        ({"n_passes": 1}, "n_passes should be at least the 2 that .* holds already, but is 1"),
+    ],
+)
+def test_another_run_is_not_resumed(ring, change, message, tmp_path):
+    state = pr.Checkpoints(state=tmp_path / "run.npz")
+    pr.render_progressive(ring, n_passes=2, checkpoints=state, **FEW)
+    before = (tmp_path / "run.npz").read_bytes()
+    with pytest.raises(ValueError, match=message):
+        pr.render_progressive(ring, **{"n_passes": 3, "checkpoints": state, **FEW, **change})
+    assert (tmp_path / "run.npz").read_bytes() == before
+
+
+def test_another_scene_is_not_resumed(ring, tmp_path):
+    state = pr.Checkpoints(state=tmp_path / "run.npz")
+    pr.render_progressive(ring, n_passes=1, checkpoints=state, **FEW)
+    others = {
+        "emitters": gallery.scene("ring", pixels=16, sections=64, irradiance=2.0),
+        "objects": gallery.scene("ring", pixels=16, sections=65),
+        "camera": gallery.scene("ring", pixels=17, sections=64),
+    }
+    for part, other in others.items():
+        with pytest.raises(ValueError, match=f"its digest of the {part} is"):
+            pr.render_progressive(other, n_passes=2, checkpoints=state, **FEW)
+
+
+def test_scenes_that_differ_in_anything_have_other_digests(ring):
+    def with_first(item):
+        return replace(ring, objects=[item, *ring.objects[1:]])
+
+    floor = ring.objects[0]
+    lifted = np.add(floor.mesh.vertices, [0.0, 0.0, 1e-12])
+    moved = trimesh.Trimesh(lifted, floor.mesh.faces, process=False)
+    scenes = [
+        ring,
+        replace(ring, camera=replace(ring.camera, width=17)),
+        replace(ring, emitters=[*ring.emitters, pr.PointEmitter((0, 0, 1))]),
+        with_first(replace(floor, material=pr.Diffuse(0.5))),
+        with_first(replace(floor, material=pr.Mirror(0.5))),
+        with_first(replace(floor, smooth=True)),
+        with_first(replace(floor, mesh=moved)),
+    ]
+    assert len({scene_digest(scene) for scene in scenes}) == len(scenes)
+    assert scene_digest(gallery.scene("ring", pixels=16, sections=64)) == scene_digest(ring)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut off", b"no archive"])
+def test_a_file_that_is_no_run_is_refused_and_kept(ring, content, tmp_path):
+    path = tmp_path / "run.npz"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"run\.npz does not hold a run to be resumed"):
+        pr.render_progressive(ring, n_passes=1, checkpoints=pr.Checkpoints(state=path), **FEW)
+    assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({}, ValueError, "n_passes or seconds should be given"),
+        ({"n_passes": 0}, ValueError, "n_passes should be at least 1"),
+        ({"seconds": 0.0}, ValueError, "seconds should be a positive number"),
+        ({"n_passes": 1, "photons_per_pass": 0}, ValueError, "photons_per_pass should be at least"),
+        ({"n_passes": 1, "seed": -1}, ValueError, "seed should be at least 0"),
+        ({"n_passes": 1, "supersampling": 0}, ValueError, "supersampling should be at least 1"),
+        ({"n_passes": 1, "settings": 0.7}, TypeError, "settings should be ProgressiveSettings"),
+    ],
+)
+def test_bad_arguments_are_refused(ring, arguments, error, message):
+    with pytest.raises(error, match=message):
+        pr.render_progressive(ring, **arguments)
+
+
+def test_a_scene_without_a_camera_and_a_bad_interval_are_refused(ring):
+    with pytest.raises(ValueError, match="should have a camera"):
+        pr.render_progressive(replace(ring, camera=None), n_passes=1)
+    with pytest.raises(ValueError, match="interval should be a positive number"):
+        pr.Checkpoints(interval=0.0)
+    nowhere = pr.Checkpoints(state="/nowhere/run.npz")
+    with pytest.raises(FileNotFoundError, match="there is no folder"):
+        pr.render_progressive(ring, n_passes=1, checkpoints=nowhere)
