@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._arrays import Floats
-from ._facing import FacingTrees, near_order
+from ._facing import FacingTrees, morton_order
 from .photonmap import PhotonMap
 from .picture import Band, bands, joined
 from .progressive import Discs, FirstRadius, Pass, ProgressiveSettings
@@ -158,7 +158,7 @@ class FixedPoints:
             np.concatenate(column) for column in zip(*hits, strict=True)
         )
         self._points = position, normal
-        self._order = near_order(position, view.n_threads)
+        self._order = morton_order(position, view.n_threads)
         self._scale = np.concatenate(scale)
 
     def after(self, kept: Kept, photons: PhotonMap, number: int) -> Kept:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _arrays
 from ._arrays import Floats
-from ._facing import FacingTrees, near_order
+from ._facing import FacingTrees, morton_order
 from ._progress import Progress, Reporter
 from .estimate import Field
 from .photonmap import PhotonMap
@@ -135,7 +135,7 @@ class ProgressiveDensities:
             alpha=field.settings.alpha,
             n_threads=field._n_threads,
         )
-        order = near_order(points, field._n_threads)
+        order = morton_order(points, field._n_threads)
         for one in self._passes:
             found = one.within((points, normals), discs.radius, order)
             # What photons carry is divided by the number emitted in all passes already.

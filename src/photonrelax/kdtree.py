@@ -12,7 +12,7 @@ from ._arrays import Floats
 from ._ext.spatial import query as _neighbours
 from ._ext.spatial import tree as _kdtree
 from ._ext.spatial.blocks import bounds
-from ._ext.spatial.morton import curve_order
+from ._ext.spatial.morton import morton_order
 
 # Squared distances must stay finite.
 _LARGEST_EXTENT = 1e150
@@ -139,7 +139,7 @@ class KDTree:
         ids, distance = _neighbours.query(
             self.kernel,
             array,
-            curve_order(array, self.n_metric, _arrays.thread_count(n_threads)),
+            morton_order(array, self.n_metric, _arrays.thread_count(n_threads)),
             _arrays.count(k, "k"),
             ranges=self._ranges(len(array), half_range, range_radius),
             excluded=self._places() if exclude_self else None,

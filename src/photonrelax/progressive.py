@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import _arrays
 from ._arrays import Floats
 from ._ext.estimation import progressive as _kernel
-from ._ext.spatial.radius import Within
+from ._ext.spatial.radius import RadiusGather
 from ._facing import FacingTrees, Order
 from ._sheets import normal_range
 from .estimate import KERNELS, automatic_gather_radius
@@ -255,14 +255,14 @@ class Pass:
         self._trees = trees
         self._values = values
         self._n_threads = n_threads
-        self._sums: dict[int, Within] = {}
+        self._sums: dict[int, RadiusGather] = {}
 
     def within(
         self, hits: tuple[Floats, Floats], radius: Floats, order: Order | None = None
     ) -> tuple[NDArray[np.int64], Floats]:
         """Return numbers (m,) and sums (m, c) of photons within radii of positions and normals.
 
-        Hit points that are the same in every pass may bring their `near_order`.
+        Hit points that are the same in every pass may bring their `morton_order`.
         """
         counts = np.zeros(len(radius), dtype=np.int64)
         sums = np.zeros((len(radius), self._values.shape[1]))
@@ -272,10 +272,10 @@ class Pass:
             )
         return counts, sums
 
-    def _within(self, number: int) -> Within:
+    def _within(self, number: int) -> RadiusGather:
         if number not in self._sums:
             tree, rows = self._trees.tree(number)
-            self._sums[number] = Within(
+            self._sums[number] = RadiusGather(
                 tree.kernel,
                 self._values,
                 rows,
