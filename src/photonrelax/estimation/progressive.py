@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._ext.estimation import progressive as _kernel
-from .._ext.spatial.radius import Within
+from .._ext.spatial.radius import RadiusGather
 from .._util import validation
 from .._util.parallel import thread_count
 from .._util.validation import Floats
@@ -256,14 +256,14 @@ class Pass:
         self._trees = trees
         self._values = values
         self._n_threads = n_threads
-        self._sums: dict[int, Within] = {}
+        self._sums: dict[int, RadiusGather] = {}
 
     def within(
         self, hits: tuple[Floats, Floats], radius: Floats, order: Order | None = None
     ) -> tuple[NDArray[np.int64], Floats]:
         """Return numbers (m,) and sums (m, c) of photons within radii of positions and normals.
 
-        Hit points that are the same in every pass may bring their `near_order`.
+        Hit points that are the same in every pass may bring their `morton_order`.
         """
         counts = np.zeros(len(radius), dtype=np.int64)
         sums = np.zeros((len(radius), self._values.shape[1]))
@@ -273,10 +273,10 @@ class Pass:
             )
         return counts, sums
 
-    def _within(self, number: int) -> Within:
+    def _within(self, number: int) -> RadiusGather:
         if number not in self._sums:
             tree, rows = self._trees.tree(number)
-            self._sums[number] = Within(
+            self._sums[number] = RadiusGather(
                 tree.kernel,
                 self._values,
                 rows,

@@ -14,7 +14,7 @@ from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
 from ..photons.photon_map import PhotonMap
-from ..photons.photon_trees import FacingTrees, near_order
+from ..photons.photon_trees import FacingTrees, morton_order
 from ..relaxation.structure import Structure
 from .field import Field
 from .progressive import Discs, FirstRadius, Pass, ProgressiveSettings
@@ -136,7 +136,7 @@ class ProgressiveDensities:
             alpha=field.settings.alpha,
             n_threads=field._n_threads,
         )
-        order = near_order(points, field._n_threads)
+        order = morton_order(points, field._n_threads)
         for one in self._passes:
             found = one.within((points, normals), discs.radius, order)
             # What photons carry is divided by the number emitted in all passes already.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._ext.photons.normals import alike, distinct
-from .._ext.spatial.blocks import copy_rows
+from .._ext.spatial.blocks import copy_scaled_rows
 from .._util.validation import Floats, Rows
 from ..spatial.kdtree import KDTree
 from .photon_map import PhotonMap
@@ -82,7 +82,7 @@ def photon_tree(
             ranges = np.broadcast_to(NORMAL_RANGE, len(position))
         columns.append(normal)
         scales.append(ranges[rows].max() / NORMAL_RANGE)
-    points = side_by_side(columns, scales, rows, n_threads)
+    points = hstack_rows(columns, scales, rows, n_threads)
     return KDTree(points, n_metric=3, n_threads=n_threads), ranges
 
 
@@ -91,7 +91,7 @@ def normal_range(tree: KDTree) -> float:
     return NORMAL_RANGE if tree.n_axes > tree.n_metric else -1.0
 
 
-def side_by_side(columns: list[Floats], scales: list[float], rows: Rows, n_threads: int) -> Floats:
+def hstack_rows(columns: list[Floats], scales: list[float], rows: Rows, n_threads: int) -> Floats:
     """Return rows of arrays, each multiplied by its scale, as one array."""
     chosen = None if isinstance(rows, slice) else rows
     if chosen is None and len(columns) == 1:
@@ -100,7 +100,7 @@ def side_by_side(columns: list[Floats], scales: list[float], rows: Rows, n_threa
     points = np.empty((n, sum(column.shape[1] for column in columns)))
     first = 0
     for column, scale in zip(columns, scales, strict=True):
-        copy_rows(points, first, column, chosen, scale, n_threads)
+        copy_scaled_rows(points, first, column, chosen, scale, n_threads)
         first += column.shape[1]
     return points
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from .._util.validation import Floats
 from ..estimation.progressive import Discs, FirstRadius, Pass, ProgressiveSettings
 from ..photons.photon_map import PhotonMap
-from ..photons.photon_trees import FacingTrees, near_order
+from ..photons.photon_trees import FacingTrees, morton_order
 from ..scene.scene import Scene
 from ..transport.raycast import RayCaster
 from ..transport.sampling import halton, seed_shift
@@ -158,7 +158,7 @@ class FixedPoints:
             np.concatenate(column) for column in zip(*hits, strict=True)
         )
         self._points = position, normal
-        self._order = near_order(position, view.n_threads)
+        self._order = morton_order(position, view.n_threads)
         self._scale = np.concatenate(scale)
 
     def after(self, kept: Kept, photons: PhotonMap, number: int) -> Kept:

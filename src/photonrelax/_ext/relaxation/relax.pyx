@@ -8,15 +8,15 @@ import numpy as np
 
 from ..common.vec3 cimport cross, dot
 from ..spatial.batch cimport (
-    Batch, Query, limit_radius, limit_range, list_points, open_block, scratch,
+    Batch, Query, allocate_batches, gather_points, limit_radius, limit_range, open_block,
 )
 from ..spatial.tree cimport Tree
 from ..spatial.simd.kernels cimport BLOCK, prefetch_row
-from ..spatial.knn cimport find
+from ..spatial.knn cimport query_batch
 
 # A photon with fewer photons in range than this has no neighbourhood to spread out in.
 cdef enum:
-    FEWEST = 4
+    MIN_NEIGHBOURS = 4
 
 
 cdef class Sheet:
@@ -79,13 +79,13 @@ def move(
 
     All positions read are the tree's, so the update is simultaneous: no order among photons.
     """
-    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef unsigned char[:, ::1] batches = allocate_batches(tree, k, n_threads)
     cdef Py_ssize_t block
     for block in prange(
         first // BLOCK, (end + BLOCK - 1) // BLOCK, nogil=True, schedule="dynamic", chunksize=16,
         num_threads=n_threads
     ):
-        move_block(tree, <Batch*> &room[threadid(), 0], block, sheet, step, moved)
+        move_block(tree, <Batch*> &batches[threadid(), 0], block, sheet, step, moved)
 
 
 cdef void move_block(
@@ -107,8 +107,8 @@ cdef void move_block(
             limit_range(query, sheet.range_radius[row])
         if sheet.reach is not None:
             limit_radius(query, sheet.reach[row] * sheet.reach[row])
-    find(tree, batch)
-    list_points(tree, batch)
+    query_batch(tree, batch)
+    gather_points(tree, batch)
     for lane in range(batch.n_queries):
         move_one(tree, batch, lane, BLOCK * block + lane, sheet, step, moved)
 
@@ -133,17 +133,17 @@ cdef void move_one(
     cdef Py_ssize_t row = sheet.rows[place]
     cdef double[3] f
     f[0] = f[1] = f[2] = 0.0
-    if query.found.count >= FEWEST and query.found.squared_radius > 0.0:
-        tree.lanes.repulsion(
-            batch.points + 3 * lane * batch.stride, query.found.count,
-            query.found.squared_radius, query.reach.low, f
+    if query.candidates.count >= MIN_NEIGHBOURS and query.candidates.squared_radius > 0.0:
+        tree.simd.repulsion(
+            batch.points + 3 * lane * batch.stride, query.candidates.count,
+            query.candidates.squared_radius, query.bounds.low, f
         )
         project(f, &sheet.normal[place, 0], &sheet.basis[row, 0, 0], sheet.constraint[row])
         shorten(f, step, sheet.largest_step[place])
-    sheet.squared_radius[place] = query.found.squared_radius
-    sheet.too_few[place] = query.found.count < batch.k
+    sheet.squared_radius[place] = query.candidates.squared_radius
+    sheet.too_few[place] = query.candidates.count < batch.k
     for axis in range(3):
-        moved[place, axis] = query.reach.low[axis] + f[axis]
+        moved[place, axis] = query.bounds.low[axis] + f[axis]
 
 
 cdef void project(

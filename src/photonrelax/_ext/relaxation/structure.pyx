@@ -6,14 +6,14 @@ from libc.math cimport INFINITY, M_PI, erf, fabs, sqrt
 import numpy as np
 
 from ..common.vec3 cimport orthonormal_frame
-from ..spatial.batch cimport Batch, Query, limit_radius, limit_range, open_block, scratch
+from ..spatial.batch cimport Batch, Query, allocate_batches, limit_radius, limit_range, open_block
 from ..spatial.tree cimport Tree
 from ..spatial.simd.kernels cimport BLOCK, prefetch_row
-from ..spatial.knn cimport find
+from ..spatial.knn cimport query_batch
 
 # Below this many photons in range a neighbourhood says nothing about structure.
 cdef enum:
-    FEWEST = 4
+    MIN_NEIGHBOURS = 4
 
 
 cdef double MARGIN = 1.6
@@ -124,7 +124,7 @@ cdef class Targets:
         cdef Py_ssize_t count
         self.gain = gain
         self.isotropic = np.empty((most_found + 1, 2))
-        for count in range(FEWEST, most_found + 1):
+        for count in range(MIN_NEIGHBOURS, most_found + 1):
             self.isotropic[count, 0] = isotropic_mean(count)
             self.isotropic[count, 1] = isotropic_scale(count)
         self.eigenvalues = eigenvalues
@@ -223,13 +223,13 @@ def detect(
     principal components tell.
     """
     cdef Targets targets = Targets(min(k, tree.n_points), gain, **targets_by_name)
-    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef unsigned char[:, ::1] batches = allocate_batches(tree, k, n_threads)
     cdef Py_ssize_t block
     for block in prange(
         first // BLOCK, (end + BLOCK - 1) // BLOCK, nogil=True, schedule="dynamic", chunksize=16,
         num_threads=n_threads
     ):
-        detect_block(tree, <Batch*> &room[threadid(), 0], block, sheet, targets)
+        detect_block(tree, <Batch*> &batches[threadid(), 0], block, sheet, targets)
 
 
 cdef void detect_block(
@@ -257,16 +257,16 @@ cdef void detect_block(
             limit_radius(query, squared_reach)
             if squared_reach < INFINITY:
                 query.squared_guess = MARGIN * batch.share * squared_reach
-    find(tree, batch)
+    query_batch(tree, batch)
     for lane in range(batch.n_queries):
         row = sheet.rows[BLOCK * block + lane]
         detect_one(tree, &batch.queries[lane], row, &sheet.normal[row, 0], out)
         if sheet.reach is not None and sheet.reach[row] > 0.0:
             squared_reach = sheet.reach[row] * sheet.reach[row]
-            if batch.queries[lane].found.count < batch.k:
+            if batch.queries[lane].candidates.count < batch.k:
                 share += 1.0
             else:
-                share += batch.queries[lane].found.squared_radius / squared_reach
+                share += batch.queries[lane].candidates.squared_radius / squared_reach
     batch.share = share / batch.n_queries
 
 
@@ -293,21 +293,21 @@ cdef void detect_one(
     Tree tree, const Query* query, Py_ssize_t row, const double* normal, Targets out
 ) noexcept nogil:
     """Detect the structure around one photon from its neighbours; write its row only."""
-    cdef Py_ssize_t axis, count = query.found.count
+    cdef Py_ssize_t axis, count = query.candidates.count
     cdef Components pca
-    cdef double inverse, strength = 0.0, radius = sqrt(query.found.squared_radius)
+    cdef double inverse, strength = 0.0, radius = sqrt(query.candidates.squared_radius)
     cdef double[6] frame, scaled
     cdef double[5] moments
     orthonormal_frame(frame, frame + 3, normal)
     pca.first = pca.second = pca.sine = 0.0
     pca.cosine = 1.0
-    if count >= FEWEST and radius > 0.0:
+    if count >= MIN_NEIGHBOURS and radius > 0.0:
         # Dividing lengths, not squares, keeps very small and very large scenes in range.
         inverse = 1.0 / radius
         for axis in range(6):
             scaled[axis] = inverse * frame[axis]
-        tree.lanes.moments(
-            &tree.coords[0, 0, 0], tree.n_axes, &query.found, query.reach.low, scaled, moments
+        tree.simd.moments(
+            &tree.coords[0, 0, 0], tree.n_axes, &query.candidates, query.bounds.low, scaled, moments
         )
         pca = decompose(moments[0], moments[1], moments[2])
         if out.gain < 0.0:
