@@ -28,7 +28,7 @@ def near_order(points: Floats, n_threads: int) -> Order:
     return order
 
 
-class FacingTrees:
+class PhotonTrees:
     """Photons for points that face one way or another.
 
     Where photons lie on few faces, every set of faces that points on one of them see has a tree
