@@ -105,7 +105,7 @@ def side_by_side(columns: list[Floats], scales: list[float], rows: Rows, n_threa
     return points
 
 
-def placed_rows(tree: KDTree, rows: Rows) -> NDArray[np.intp]:
+def leaf_rows(tree: KDTree, rows: Rows) -> NDArray[np.intp]:
     """Return the row of the photon at each place of a tree of photons chosen by `rows`."""
     order = np.asarray(tree.kernel.ids)
     return order if isinstance(rows, slice) else rows[order]

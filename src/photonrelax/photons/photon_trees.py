@@ -13,7 +13,7 @@ from .._util import validation
 from .._util.progress import Reporter
 from .._util.validation import Floats, Rows
 from ..spatial.kdtree import KDTree
-from .neighbourhoods import MOST_FACES, NORMAL_RANGE, facing, placed_rows, side_by_side
+from .neighbourhoods import MOST_FACES, NORMAL_RANGE, facing, leaf_rows, side_by_side
 from .photon_map import PhotonMap
 
 Order = NDArray[np.intp]
@@ -86,7 +86,7 @@ class PhotonTrees:
             rows = np.flatnonzero(self._members[number][self._face])
         points = side_by_side(columns, [1.0] * len(columns), rows, self._n_threads)
         tree = KDTree(points, n_metric=3, n_threads=self._n_threads)
-        return tree, placed_rows(tree, rows)
+        return tree, leaf_rows(tree, rows)
 
     def parts(
         self, points: Floats, normals: Floats, order: Order | None = None

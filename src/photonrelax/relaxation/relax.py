@@ -12,7 +12,7 @@ from .._util import validation
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, Rows
-from ..photons.neighbourhoods import NORMAL_RANGE, neighbour_groups, photon_tree, placed_rows
+from ..photons.neighbourhoods import NORMAL_RANGE, leaf_rows, neighbour_groups, photon_tree
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
 from .projection import Surfaces
@@ -178,7 +178,7 @@ class _Stage:
             position, normal, coords, ranges, rows=rows, n_threads=sheets.n_threads
         )
         self._tree = tree.kernel
-        self._rows = placed_rows(tree, rows)
+        self._rows = leaf_rows(tree, rows)
         # Normals are range axes, the last three, of trees that have any of their own.
         self._first_normal_axis = 3 if coords is None else 3 + coords.shape[1]
         if range_radius is not None:
