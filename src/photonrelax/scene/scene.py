@@ -103,7 +103,7 @@ class Scene:
         return float(np.linalg.norm(high - low))
 
     @property
-    def emitter_gap(self) -> float:
+    def emitter_offset(self) -> float:
         """How far off a point-like emitter its rays start, for it may lie on a surface, m."""
         return _EMITTER_GAP * self.scale
 
