@@ -160,7 +160,7 @@ def plan_emission(scene: Scene, n_emitted: int, paths: str = "caustic") -> Emiss
         raise ValueError(
             f"emitters should shine on {what}, but all {len(regions)} have no power or face away"
         )
-    return EmissionPlan(regions, _shared(n_emitted, luminances))
+    return EmissionPlan(regions, _apportion(n_emitted, luminances))
 
 
 def emit(
@@ -362,7 +362,7 @@ def _frame(w: Floats, aside: Floats | None = None) -> Floats:
     return np.array([u, np.cross(w, u), w])
 
 
-def _shared(n: int, weights: list[float]) -> NDArray[np.int64]:
+def _apportion(n: int, weights: list[float]) -> NDArray[np.int64]:
     """Share n out in proportion, at least one to each positive weight (largest remainders)."""
     share = np.array(weights) / np.sum(weights)
     counts = np.maximum(np.floor(n * share), share > 0.0).astype(np.int64)
