@@ -13,7 +13,7 @@ from .._util import validation
 from .._util.progress import Reporter
 from .._util.validation import Floats, Rows
 from ..spatial.kdtree import KDTree
-from .neighbourhoods import MOST_FACES, NORMAL_RANGE, facing, leaf_rows, side_by_side
+from .neighbourhoods import MAX_NORMAL_CHORD, MOST_FACES, facing, leaf_rows, side_by_side
 from .photon_map import PhotonMap
 
 Order = NDArray[np.intp]
@@ -126,7 +126,7 @@ class PhotonTrees:
             return np.zeros(len(normals), dtype=np.int8)
         bits = np.uint64(1) << np.arange(len(self._faces), dtype=np.uint64)
         sets = (self._members * bits).sum(axis=1, dtype=np.uint64)
-        number = faced(normals, self._faces, sets, NORMAL_RANGE, self._n_threads)
+        number = faced(normals, self._faces, sets, MAX_NORMAL_CHORD, self._n_threads)
         if number.min(initial=0) < -1:
             validation.unit_vectors(normals, "normals", normals.shape)
         return number

@@ -20,11 +20,11 @@ from .._util import validation
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
-from ..photons.neighbourhoods import NORMAL_RANGE, leaf_rows, neighbour_groups, photon_tree
+from ..photons.neighbourhoods import MAX_NORMAL_CHORD, leaf_rows, neighbour_groups, photon_tree
 from ..photons.photon_map import PhotonMap
 
 __all__ = [
-    "NORMAL_RANGE",
+    "MAX_NORMAL_CHORD",
     "Structure",
     "StructureSettings",
     "anisotropy_to_gradient",

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from ..._ext.transport import trace as _kernel
 from ..._util.validation import Floats
 from ...photons.energy_ledger import FATES
+from ...photons.neighbourhoods import MIN_NORMAL_COSINE
 from ...scene.materials import DIFFUSE, MaterialTable
 from ...scene.scene import Scene
 from ..emission import ELLIPSE, LUMINANCE, PATHS, EmissionPlan, EmissionRegion, emission
@@ -44,8 +45,6 @@ _BETWEEN_SPOKES = np.cos(np.pi / _SPOKES) ** 2
 # How far the second order may carry a probe from where the first expects it, over its offset; and
 # by how much of itself the light there may differ: as roughness, both are alike.
 _STRAY = 0.5
-# Probes that land on a face turned by more than 60° see another one.
-_LEAST_ALIKE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,6 +313,6 @@ def _stray(
             ratio = np.linalg.norm(back, axis=1) / (scale * determinant)
             change = np.abs(probes.throughput / landings.throughput - 1.0).max(axis=1)
         ratio = np.maximum(ratio, change)
-        alike = np.einsum("ni,ni->n", probes.normal, landings.normal) > _LEAST_ALIKE
+        alike = np.einsum("ni,ni->n", probes.normal, landings.normal) > MIN_NORMAL_COSINE
         worst = np.maximum(worst, np.where(alike & ~np.isnan(ratio), ratio, np.inf))
     return worst
