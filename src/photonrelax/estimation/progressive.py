@@ -26,7 +26,7 @@ from .._util.parallel import thread_count
 from .._util.validation import Floats
 from ..photons.neighbourhoods import normal_range
 from ..photons.photon_map import PhotonMap
-from ..photons.photon_trees import FacingTrees, Order
+from ..photons.photon_trees import Order, PhotonTrees
 from .kernels import KERNELS, automatic_gather_radius
 
 # Radii are at least this fraction of the largest, also where k photons are at the hit point.
@@ -228,7 +228,7 @@ class ProgressiveStatistics(Discs):
         if least_radius is not None:
             least = _radii(least_radius, "least_radius", len(self.n))
         weight = pass_weight(photons) if weight is None else validation.positive(weight, "weight")
-        trees = FacingTrees(photons, self._n_threads)
+        trees = PhotonTrees(photons, self._n_threads)
         found = Pass(trees, photons.flux, self._n_threads).within(
             (self.positions, self.normals), self.radius
         )
@@ -252,7 +252,7 @@ def pass_weight(photons: PhotonMap) -> float:
 class Pass:
     """Photons of one pass, and numbers (n, c) they carry, ready to be summed within discs."""
 
-    def __init__(self, trees: FacingTrees, values: Floats, n_threads: int) -> None:
+    def __init__(self, trees: PhotonTrees, values: Floats, n_threads: int) -> None:
         self._trees = trees
         self._values = values
         self._n_threads = n_threads
@@ -314,7 +314,7 @@ class FirstRadius:
         Of the first pass.
     settings : ProgressiveSettings
     n_threads : int
-    trees : FacingTrees, optional
+    trees : PhotonTrees, optional
         Of these photons.
     """
 
@@ -323,11 +323,11 @@ class FirstRadius:
         photons: PhotonMap,
         settings: ProgressiveSettings,
         n_threads: int,
-        trees: FacingTrees | None = None,
+        trees: PhotonTrees | None = None,
     ) -> None:
         self._settings = settings
         self._n_threads = n_threads
-        self._trees = FacingTrees(photons, n_threads) if trees is None else trees
+        self._trees = PhotonTrees(photons, n_threads) if trees is None else trees
         # Of no photons none are found, however far.
         self.largest = 1.0 if settings.radius is None else settings.radius
         if settings.radius is None and len(photons):

@@ -14,7 +14,7 @@ from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
 from ..photons.photon_map import PhotonMap
-from ..photons.photon_trees import FacingTrees, morton_order
+from ..photons.photon_trees import PhotonTrees, morton_order
 from ..relaxation.structure import Structure
 from .field import Field
 from .progressive import Discs, FirstRadius, Pass, ProgressiveSettings
@@ -81,11 +81,11 @@ class ProgressiveField(Field):
         first = photons.subset(rows)
         self._first_radius = FirstRadius(first, settings, self._n_threads, trees)
 
-    def _dealt(self) -> Iterator[tuple[NDArray[np.intp], FacingTrees]]:
+    def _dealt(self) -> Iterator[tuple[NDArray[np.intp], PhotonTrees]]:
         number = dealt(self.photons, self.settings.n_passes)
         for one in range(self.settings.n_passes):
             rows = np.flatnonzero(number == one)
-            trees = FacingTrees(self.photons.subset(rows), self._n_threads)
+            trees = PhotonTrees(self.photons.subset(rows), self._n_threads)
             trees.build()
             yield rows, trees
 

@@ -13,7 +13,7 @@ from .._util import validation
 from .._util.progress import Reporter
 from .._util.validation import Floats, Rows
 from ..spatial.kdtree import KDTree
-from .neighbourhoods import MOST_FACES, NORMAL_RANGE, facing, hstack_rows, placed_rows
+from .neighbourhoods import MAX_NORMAL_CHORD, MOST_FACES, facing, hstack_rows, leaf_rows
 from .photon_map import PhotonMap
 
 Order = NDArray[np.intp]
@@ -28,7 +28,7 @@ def morton_order(points: Floats, n_threads: int) -> Order:
     return order
 
 
-class FacingTrees:
+class PhotonTrees:
     """Photons for points that face one way or another.
 
     Where photons lie on few faces, every set of faces that points on one of them see has a tree
@@ -86,7 +86,7 @@ class FacingTrees:
             rows = np.flatnonzero(self._members[number][self._face])
         points = hstack_rows(columns, [1.0] * len(columns), rows, self._n_threads)
         tree = KDTree(points, n_metric=3, n_threads=self._n_threads)
-        return tree, placed_rows(tree, rows)
+        return tree, leaf_rows(tree, rows)
 
     def parts(
         self, points: Floats, normals: Floats, order: Order | None = None
@@ -126,7 +126,7 @@ class FacingTrees:
             return np.zeros(len(normals), dtype=np.int8)
         bits = np.uint64(1) << np.arange(len(self._faces), dtype=np.uint64)
         sets = (self._members * bits).sum(axis=1, dtype=np.uint64)
-        number = faced(normals, self._faces, sets, NORMAL_RANGE, self._n_threads)
+        number = faced(normals, self._faces, sets, MAX_NORMAL_CHORD, self._n_threads)
         if number.min(initial=0) < -1:
             validation.unit_vectors(normals, "normals", normals.shape)
         return number

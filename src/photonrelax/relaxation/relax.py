@@ -12,7 +12,7 @@ from .._util import validation
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, Rows
-from ..photons.neighbourhoods import NORMAL_RANGE, neighbour_groups, photon_tree, placed_rows
+from ..photons.neighbourhoods import MAX_NORMAL_CHORD, leaf_rows, neighbour_groups, photon_tree
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
 from .projection import Surfaces
@@ -178,11 +178,11 @@ class _Stage:
             position, normal, coords, ranges, rows=rows, n_threads=sheets.n_threads
         )
         self._tree = tree.kernel
-        self._rows = placed_rows(tree, rows)
+        self._rows = leaf_rows(tree, rows)
         # Normals are range axes, the last three, of trees that have any of their own.
         self._first_normal_axis = 3 if coords is None else 3 + coords.shape[1]
         if range_radius is not None:
-            self._normal_scale = range_radius[rows].max() / NORMAL_RANGE
+            self._normal_scale = range_radius[rows].max() / MAX_NORMAL_CHORD
         self._position = np.empty((len(tree), 3))
         self._normal = self._placed_normals(normal)
         # The radius that held n_found photons, scaled to hold k.

@@ -20,11 +20,11 @@ from .._util import validation
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
-from ..photons.neighbourhoods import NORMAL_RANGE, neighbour_groups, photon_tree, placed_rows
+from ..photons.neighbourhoods import MAX_NORMAL_CHORD, leaf_rows, neighbour_groups, photon_tree
 from ..photons.photon_map import PhotonMap
 
 __all__ = [
-    "NORMAL_RANGE",
+    "MAX_NORMAL_CHORD",
     "Structure",
     "StructureSettings",
     "anisotropy_to_gradient",
@@ -274,7 +274,7 @@ class _Detection:
             n_threads=n_threads,
         )
         sheet = _structure.Sheet(
-            rows=placed_rows(tree, rows),
+            rows=leaf_rows(tree, rows),
             normal=photons.normal,
             range_radius=range_radius,
             reach=self.reach,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from .._util.validation import Floats
 from ..estimation.progressive import Discs, FirstRadius, Pass, ProgressiveSettings
 from ..photons.photon_map import PhotonMap
-from ..photons.photon_trees import FacingTrees, morton_order
+from ..photons.photon_trees import PhotonTrees, morton_order
 from ..scene.scene import Scene
 from ..transport.raycast import RayCaster
 from ..transport.sampling import halton, seed_shift
@@ -86,7 +86,7 @@ class Look:
     """A pass of photons as hit points look at it."""
 
     def __init__(self, view: View, photons: PhotonMap) -> None:
-        trees = FacingTrees(photons, view.n_threads)
+        trees = PhotonTrees(photons, view.n_threads)
         settings = view.recipe.settings
         self.found = Pass(trees, photons.flux, view.n_threads).within
         self.weight = float(view.recipe.photons_per_pass)
