@@ -17,7 +17,7 @@ from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees, morton_order
 from ..relaxation.structure import Structure
 from .field import Field
-from .progressive import Discs, FirstRadius, Pass, ProgressiveSettings
+from .progressive import HitPointStatistics, InitialRadius, PhotonPass, ProgressiveSettings
 
 
 def dealt(photons: PhotonMap, n_passes: int) -> NDArray[np.intp]:
@@ -79,7 +79,7 @@ class ProgressiveField(Field):
         self._passes = list(self._dealt())
         rows, trees = self._passes[0]
         first = photons.subset(rows)
-        self._first_radius = FirstRadius(first, settings, self._n_threads, trees)
+        self._initial_radius = InitialRadius(first, settings, self._n_threads, trees)
 
     def _dealt(self) -> Iterator[tuple[NDArray[np.intp], PhotonTrees]]:
         number = dealt(self.photons, self.settings.n_passes)
@@ -112,7 +112,7 @@ class ProgressiveDensities:
         self._field = field
         self._n_channels = values.shape[1]
         self._passes = [
-            Pass(trees, values[rows], field._n_threads) for rows, trees in field._passes
+            PhotonPass(trees, values[rows], field._n_threads) for rows, trees in field._passes
         ]
 
     def __call__(
@@ -130,8 +130,8 @@ class ProgressiveDensities:
         """Estimate at no more than so many points that what is kept of them is small."""
         field = self._field
         normals = validation.unit_vectors(normals, "normals", points.shape, field._n_threads)
-        discs = Discs(
-            field._first_radius(points, normals),
+        discs = HitPointStatistics(
+            field._initial_radius(points, normals),
             self._n_channels,
             alpha=field.settings.alpha,
             n_threads=field._n_threads,
@@ -140,5 +140,5 @@ class ProgressiveDensities:
         for one in self._passes:
             found = one.within((points, normals), discs.radius, order)
             # What photons carry is divided by the number emitted in all passes already.
-            discs.narrow(*found, 1.0, field.least_radius(points, normals, discs.radius))
+            discs.update(*found, 1.0, field.least_radius(points, normals, discs.radius))
         return discs.n_passes * discs.densities()

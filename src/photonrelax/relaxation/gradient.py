@@ -100,10 +100,10 @@ def detect_gradient(
     found = empty_columns(len(photons))
     for rows in neighbour_groups(photons):
         tree, facing = photon_tree(photons.position, photons.normal, rows=rows, n_threads=threads)
-        sheet = _structure.Sheet(
+        inputs = _structure.StructureInputs(
             rows=leaf_rows(tree, rows), normal=photons.normal, range_radius=facing, reach=None
         )
         how = {"k": settings.k, "gain": settings.gain, "n_threads": threads}
         for first, end in report.chunks(len(tree)):
-            _structure.detect(tree.kernel, first, end, sheet, found, **how)
+            _structure.detect(tree.kernel, first, end, inputs, found, **how)
     return Structure(**found, emitter_range=None)

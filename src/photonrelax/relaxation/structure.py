@@ -273,7 +273,7 @@ class _Detection:
             rows=rows,
             n_threads=n_threads,
         )
-        sheet = _structure.Sheet(
+        inputs = _structure.StructureInputs(
             rows=leaf_rows(tree, rows),
             normal=photons.normal,
             range_radius=range_radius,
@@ -281,7 +281,7 @@ class _Detection:
         )
         for first, end in self._report.chunks(len(tree)):
             _structure.detect(
-                tree.kernel, first, end, sheet, self.found, k=self._settings.k, n_threads=n_threads
+                tree.kernel, first, end, inputs, self.found, k=self._settings.k, n_threads=n_threads
             )
 
     def _reach(self, rows: validation.Rows) -> Floats:

@@ -58,7 +58,7 @@ cdef void reach_batch(
         )
 
 
-def narrow(
+def update(
     double[::1] n, double[:, ::1] tau, double[::1] radius, *,
     const int64_t[::1] counts, const double[:, ::1] sums, const double[::1] least,
     double alpha, double weight, int n_threads
@@ -76,10 +76,10 @@ def narrow(
         raise ValueError("numbers, sums and radii do not fit one another")
     for i in prange(n.shape[0], nogil=True, schedule="static", num_threads=n_threads):
         if counts[i] > 0:
-            narrow_one(i, n, tau, radius, counts[i], sums, least, alpha, weight)
+            update_one(i, n, tau, radius, counts[i], sums, least, alpha, weight)
 
 
-cdef void narrow_one(
+cdef void update_one(
     Py_ssize_t row, double[::1] n, double[:, ::1] tau, double[::1] radius, int64_t found,
     const double[:, ::1] sums, const double[::1] least, double alpha, double weight
 ) noexcept nogil:

@@ -77,8 +77,8 @@ cpdef double gradient_constraint(double shift, double gain) noexcept nogil:
     return min(gain * 0.75 * M_PI * shift, 1.0)
 
 
-cdef class Sheet:
-    """What is read of photons.
+cdef class StructureInputs:
+    """What is read of inputs.
 
     Parameters
     ----------
@@ -214,8 +214,8 @@ cdef void write_components(
 
 
 def detect(
-    Tree tree, Py_ssize_t first, Py_ssize_t end, Sheet sheet, targets_by_name, *, Py_ssize_t k,
-    double gain=-1.0, int n_threads
+    Tree tree, Py_ssize_t first, Py_ssize_t end, StructureInputs inputs, targets_by_name, *,
+    Py_ssize_t k, double gain=-1.0, int n_threads
 ):
     """Fill the rows of the photons at places first … end, whole blocks, of the tree.
 
@@ -229,40 +229,40 @@ def detect(
         first // BLOCK, (end + BLOCK - 1) // BLOCK, nogil=True, schedule="dynamic", chunksize=16,
         num_threads=n_threads
     ):
-        detect_block(tree, <Batch*> &batches[threadid(), 0], block, sheet, targets)
+        detect_block(tree, <Batch*> &batches[threadid(), 0], block, inputs, targets)
 
 
 cdef void detect_block(
-    Tree tree, Batch* batch, Py_ssize_t block, Sheet sheet, Targets out
+    Tree tree, Batch* batch, Py_ssize_t block, StructureInputs inputs, Targets out
 ) noexcept nogil:
     """Detect the structure around the photons of a block; write their rows only.
 
     How much of its reach a photon has to look at, all of it where too few are in range, is much
-    the same next to it, if not where a sheet ends; hence the margin.
+    the same next to it, if not where a inputs ends; hence the margin.
     """
     cdef Py_ssize_t lane, row
     cdef Query* query
     cdef double squared_reach, share = 0.0
     open_block(tree, batch, block)
-    prefetch_limits(tree, block + 1, sheet)
+    prefetch_limits(tree, block + 1, inputs)
     for lane in range(batch.n_queries):
         query = &batch.queries[lane]
-        row = sheet.rows[BLOCK * block + lane]
+        row = inputs.rows[BLOCK * block + lane]
         prefetch(out, row)
-        prefetch_row(&sheet.normal[row, 0], 3 * sizeof(double))
-        if sheet.range_radius is not None:
-            limit_range(query, sheet.range_radius[row])
-        if sheet.reach is not None:
-            squared_reach = sheet.reach[row] * sheet.reach[row]
+        prefetch_row(&inputs.normal[row, 0], 3 * sizeof(double))
+        if inputs.range_radius is not None:
+            limit_range(query, inputs.range_radius[row])
+        if inputs.reach is not None:
+            squared_reach = inputs.reach[row] * inputs.reach[row]
             limit_radius(query, squared_reach)
             if squared_reach < INFINITY:
                 query.squared_guess = MARGIN * batch.share * squared_reach
     query_batch(tree, batch)
     for lane in range(batch.n_queries):
-        row = sheet.rows[BLOCK * block + lane]
-        detect_one(tree, &batch.queries[lane], row, &sheet.normal[row, 0], out)
-        if sheet.reach is not None and sheet.reach[row] > 0.0:
-            squared_reach = sheet.reach[row] * sheet.reach[row]
+        row = inputs.rows[BLOCK * block + lane]
+        detect_one(tree, &batch.queries[lane], row, &inputs.normal[row, 0], out)
+        if inputs.reach is not None and inputs.reach[row] > 0.0:
+            squared_reach = inputs.reach[row] * inputs.reach[row]
             if batch.queries[lane].candidates.count < batch.k:
                 share += 1.0
             else:
@@ -270,14 +270,16 @@ cdef void detect_block(
     batch.share = share / batch.n_queries
 
 
-cdef inline void prefetch_limits(Tree tree, Py_ssize_t block, Sheet sheet) noexcept nogil:
+cdef inline void prefetch_limits(
+    Tree tree, Py_ssize_t block, StructureInputs inputs
+) noexcept nogil:
     """Have the limits that the next block reads brought into the cache."""
     cdef Py_ssize_t place
     for place in range(BLOCK * block, min(BLOCK * block + BLOCK, tree.n_points)):
-        if sheet.range_radius is not None:
-            prefetch_row(&sheet.range_radius[sheet.rows[place]], sizeof(double))
-        if sheet.reach is not None:
-            prefetch_row(&sheet.reach[sheet.rows[place]], sizeof(double))
+        if inputs.range_radius is not None:
+            prefetch_row(&inputs.range_radius[inputs.rows[place]], sizeof(double))
+        if inputs.reach is not None:
+            prefetch_row(&inputs.reach[inputs.rows[place]], sizeof(double))
 
 
 cdef inline void prefetch(Targets out, Py_ssize_t row) noexcept nogil:
