@@ -9,7 +9,7 @@ import photonrelax as pr
 from bench.speed.inputs import Sheet
 from bench.speed.morton import Floats, Ids
 from bench.speed.peers import Found
-from photonrelax.relaxation.structure import NORMAL_RANGE
+from photonrelax.relaxation.structure import MAX_NORMAL_CHORD
 
 _SAMPLE = 2000
 # Distances nearer than this, relatively, are ties, among which any may be chosen.
@@ -67,7 +67,7 @@ def _neighbourhood(
     apart = np.linalg.norm(photons.emitter_coords - photons.emitter_coords[row], axis=1)
     distance = np.linalg.norm(photons.position - photons.position[row], axis=1)
     near = (apart <= structure.emitter_range[row]) & (distance <= structure.reach[row])
-    near &= np.linalg.norm(photons.normal - photons.normal[row], axis=1) <= NORMAL_RANGE
+    near &= np.linalg.norm(photons.normal - photons.normal[row], axis=1) <= MAX_NORMAL_CHORD
     nearest = np.sort(distance[near])[:k]
     return len(nearest), nearest[-1]
 

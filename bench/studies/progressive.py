@@ -16,7 +16,7 @@ from tests.analytic.metal_ring import MetalRing
 
 import photonrelax as pr
 from photonrelax import gallery
-from photonrelax.estimation.progressive import first_radius
+from photonrelax.estimation.progressive import initial_radius
 from photonrelax.rendering.progressive_render import pass_seed
 from photonrelax.transport.raycast import RayCaster
 
@@ -125,7 +125,7 @@ def _started(
     case: Case, photons: pr.PhotonMap, settings: pr.ProgressiveSettings
 ) -> pr.ProgressiveStatistics:
     up = np.tile([0.0, 0.0, 1.0], (len(case.points), 1))
-    radius = first_radius(photons, case.points, up, settings)
+    radius = initial_radius(photons, case.points, up, settings)
     return pr.ProgressiveStatistics(case.points, up, radius, alpha=settings.alpha)
 
 

@@ -5,7 +5,7 @@ import pytest
 from photonrelax._ext.estimation.progressive import kth_distance
 
 import photonrelax as pr
-from photonrelax.estimation.progressive import first_radius
+from photonrelax.estimation.progressive import initial_radius
 from photonrelax.estimation.split_passes import dealt
 from photonrelax.spatial.kdtree import KDTree
 from tests.helpers.photon_maps import flat_map, plane, uniform_map
@@ -146,7 +146,7 @@ def slope(values):
 def test_discs_start_just_short_of_the_kth_photon():
     photons, points = uniform_map(2000, "random"), np.random.default_rng(7).random((50, 2))
     settings = pr.ProgressiveSettings(k=9)
-    radius = first_radius(photons, *plane(points), settings)
+    radius = initial_radius(photons, *plane(points), settings)
     gaps = np.linalg.norm(photons.position[:, :2] - points[:, np.newaxis], axis=2)
     ninth = np.sort(gaps, axis=1)[:, 8]
     reached = ninth < radius.max()
@@ -155,7 +155,7 @@ def test_discs_start_just_short_of_the_kth_photon():
     assert (radius[reached] < ninth[reached]).all()
     assert (ninth[~reached] >= radius.max()).all()
     given = pr.ProgressiveSettings(radius=0.25)
-    np.testing.assert_array_equal(first_radius(photons, *plane(points), given), 0.25)
+    np.testing.assert_array_equal(initial_radius(photons, *plane(points), given), 0.25)
 
 
 def test_distances_are_written_where_they_belong_alone():
@@ -173,7 +173,7 @@ def test_distances_are_written_where_they_belong_alone():
 def test_discs_have_a_size_where_photons_lie_on_their_centre():
     photons = uniform_map(2000, "random")
     spot = photons.replace(position=np.vstack([photons.position[:-50], [CENTRE[0][0]] * 50]))
-    assert 0.0 < first_radius(spot, *CENTRE)[0] < 1e-4
+    assert 0.0 < initial_radius(spot, *CENTRE)[0] < 1e-4
     assert np.isfinite(pr.irradiance_field(spot, method="progressive")(*CENTRE)).all()
 
 

@@ -6,7 +6,7 @@ import pytest
 import photonrelax as pr
 from photonrelax.estimation.kernels import automatic_gather_radius
 from photonrelax.estimation.methods import METHODS
-from photonrelax.photons.photon_trees import FacingTrees
+from photonrelax.photons.photon_trees import PhotonTrees
 
 SLANTED = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0)
 N = 700
@@ -126,7 +126,7 @@ def test_one_normal_of_many_roundings_faces_one_way(method, roundings):
 def test_few_faces_need_no_axes_for_normals(scene, n_sets):
     """Unless photons would be in many trees."""
     rng = np.random.default_rng(2)
-    trees = FacingTrees(photons_of(scene(rng), rng), 1)
+    trees = PhotonTrees(photons_of(scene(rng), rng), 1)
     assert trees.n_sets == n_sets
     assert all(trees.tree(number)[0].n_axes == 3 for number in range(n_sets))
     assert trees.tree(n_sets)[0].n_axes == 6

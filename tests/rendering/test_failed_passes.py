@@ -14,8 +14,8 @@ from tests.helpers.short_runs import FEW, layers_bytes
 
 PLACES = {
     "trace_photons": progressive_render,
-    "Pass": pass_statistics,
-    "narrow": progressive.Discs,
+    "PhotonPass": pass_statistics,
+    "update": progressive.HitPointStatistics,
     "Kept": pass_statistics,
 }
 

@@ -14,7 +14,7 @@ import trimesh
 
 import photonrelax as pr
 from photonrelax import gallery
-from photonrelax.estimation.progressive import first_radius
+from photonrelax.estimation.progressive import initial_radius
 from photonrelax.rendering.pass_statistics import Kept, MovingPoints, Recipe, View
 from photonrelax.rendering.progressive_render import pass_seed
 from photonrelax.scene.digest import scene_digest
@@ -85,7 +85,7 @@ def test_discs_of_moving_points_start_with_the_least_radius_in_their_pixel(ring)
     view, photons = View(ring, recipe, 1), pr.trace_photons(ring, 4000)
     discs = MovingPoints(view).after(Kept(), photons, 0).discs
     hits = next(view.bands(view.offset(0))).hits
-    radius = first_radius(photons, hits.position, hits.normal, lasting)
+    radius = initial_radius(photons, hits.position, hits.normal, lasting)
     pixels = np.unique(hits.pixel)
     expected = [radius[hits.pixel == pixel].min() for pixel in pixels]
     np.testing.assert_allclose(discs.radius[pixels], expected, rtol=1e-12)

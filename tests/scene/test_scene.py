@@ -6,7 +6,7 @@ import trimesh
 
 import photonrelax as pr
 from photonrelax.scene.materials import DIELECTRIC, DIFFUSE, MIRROR
-from photonrelax.scene.meshes import hittable_faces
+from photonrelax.scene.meshes import nondegenerate_faces
 
 
 def box(centre=(0.0, 0.0, 0.0), size=1.0, material=None):
@@ -112,7 +112,7 @@ def test_a_glass_body_inside_out_is_refused(split, offset):
 def test_faces_without_area_are_left_out_at_any_scale(size):
     vertices = size * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0]])
     mesh = bad_mesh(vertices, [[0, 1, 3], [0, 1, 2], [1, 1, 2]])
-    ids, faces = hittable_faces(mesh)
+    ids, faces = nondegenerate_faces(mesh)
     np.testing.assert_array_equal(ids, [1])
     np.testing.assert_array_equal(faces, [[0, 1, 2]])
 

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from photonrelax._ext.spatial import build as order
-from photonrelax._ext.spatial import morton as curve
+from photonrelax._ext.spatial import build, morton
 
 BLOCK = 16
 
@@ -129,7 +128,7 @@ def test_every_node_is_split_at_its_median(kind, n, d, n_threads, seed):
     axis_scale = rng.choice([0.0, 0.25, 1.0, 1.0], d)
     axis_scale[rng.integers(d)] = 1.0
     expected = split_order(points, axis_scale)
-    np.testing.assert_array_equal(order.median_order(points, axis_scale, n_threads), expected)
+    np.testing.assert_array_equal(build.median_order(points, axis_scale, n_threads), expected)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -138,27 +137,27 @@ def test_many_points_are_split_at_their_medians_by_any_number_of_threads(kind):
     axis_scale = np.array([1.0, 0.5, 1.0])
     expected = split_order(points, axis_scale)
     for n_threads in (1, 2, 3, 7):
-        np.testing.assert_array_equal(order.median_order(points, axis_scale, n_threads), expected)
+        np.testing.assert_array_equal(build.median_order(points, axis_scale, n_threads), expected)
 
 
 @pytest.mark.parametrize("d", [10, 20, 255])
 def test_points_may_have_many_axes(d):
     points = np.random.default_rng(2).random((1000, d))
     expected = split_order(points, np.ones(d))
-    np.testing.assert_array_equal(order.median_order(points, np.ones(d), 2), expected)
+    np.testing.assert_array_equal(build.median_order(points, np.ones(d), 2), expected)
 
 
 def test_axes_of_scale_zero_are_as_good_as_absent():
     points = np.random.default_rng(3).random((5000, 300))
     axis_scale = np.zeros(300)
     axis_scale[[1, 4]] = 1.0
-    expected = order.median_order(points[:, [1, 4]].copy(), np.ones(2), 1)
-    np.testing.assert_array_equal(order.median_order(points, axis_scale, 1), expected)
+    expected = build.median_order(points[:, [1, 4]].copy(), np.ones(2), 1)
+    np.testing.assert_array_equal(build.median_order(points, axis_scale, 1), expected)
 
 
 def test_without_an_axis_to_split_on_ids_ascend():
     points = np.random.default_rng(4).random((100, 2))
-    np.testing.assert_array_equal(order.median_order(points, np.zeros(2), 1), np.arange(100))
+    np.testing.assert_array_equal(build.median_order(points, np.zeros(2), 1), np.arange(100))
 
 
 @pytest.mark.parametrize(
@@ -167,7 +166,7 @@ def test_without_an_axis_to_split_on_ids_ascend():
 )
 def test_scales_that_do_not_fit_are_refused(d, axis_scale, message):
     with pytest.raises(ValueError, match=message):
-        order.median_order(np.zeros((20, d)), axis_scale, 1)
+        build.median_order(np.zeros((20, d)), axis_scale, 1)
 
 
 @given(*any_points(st.integers(1, 300), 5))
@@ -175,7 +174,7 @@ def test_scales_that_do_not_fit_are_refused(d, axis_scale, message):
 def test_points_follow_the_curve(kind, n, n_axes, n_threads, seed):
     rng = np.random.default_rng(seed)
     points = kind(rng, n, n_axes) * rng.choice([0.01, 1.0, 3.0], n_axes)
-    ordered = curve.curve_order(np.hstack([points, rng.random((n, 1))]), n_axes, n_threads)
+    ordered = morton.morton_order(np.hstack([points, rng.random((n, 1))]), n_axes, n_threads)
     np.testing.assert_array_equal(ordered, morton_order(points))
 
 
@@ -184,13 +183,13 @@ def test_many_points_follow_the_curve_with_any_number_of_threads(kind):
     points = kind(np.random.default_rng(5), 60_001, 3)
     expected = morton_order(points)
     for n_threads in (1, 2, 3, 7):
-        np.testing.assert_array_equal(curve.curve_order(points, 3, n_threads), expected)
+        np.testing.assert_array_equal(morton.morton_order(points, 3, n_threads), expected)
 
 
 @pytest.mark.parametrize("n_axes", [1, 2, 3, 6])
 def test_points_that_follow_each_other_are_near(n_axes):
     points = np.random.default_rng(6).random((20_000, n_axes))
-    along = np.diff(points[curve.curve_order(points, n_axes, 1)], axis=0)
+    along = np.diff(points[morton.morton_order(points, n_axes, 1)], axis=0)
     at_random = np.diff(points, axis=0)
     mean_step = [np.linalg.norm(step, axis=1).mean() for step in (along, at_random)]
     assert mean_step[0] < 2.0 * 20_000 ** (-1 / n_axes) < mean_step[1]
@@ -198,10 +197,10 @@ def test_points_that_follow_each_other_are_near(n_axes):
 
 @pytest.mark.parametrize(("n", "n_axes"), [(0, 3), (1, 3), (5, 0)])
 def test_there_may_be_nothing_to_follow(n, n_axes):
-    np.testing.assert_array_equal(curve.curve_order(np.ones((n, 3)), n_axes, 2), np.arange(n))
+    np.testing.assert_array_equal(morton.morton_order(np.ones((n, 3)), n_axes, 2), np.arange(n))
 
 
 @pytest.mark.parametrize("n_axes", [-1, 4])
 def test_axes_that_are_not_there_are_refused(n_axes):
     with pytest.raises(ValueError, match=f"n_axes.*3.*{n_axes}"):
-        curve.curve_order(np.ones((5, 3)), n_axes, 1)
+        morton.morton_order(np.ones((5, 3)), n_axes, 1)

@@ -317,7 +317,7 @@ def moved(tree, guess, k=16, reach=None):
     """Return new positions and squared radii, by place, of free photons in the plane z = 0."""
     n = tree.n_points
     squared_radius = np.array(np.broadcast_to(guess, n), dtype=float)
-    sheet = relax.Sheet(
+    inputs = relax.RelaxInputs(
         rows=np.arange(n),
         normal=np.tile([0.0, 0.0, 1.0], (n, 1)),
         basis=np.tile(np.eye(3)[:2], (n, 1, 1)),
@@ -328,7 +328,7 @@ def moved(tree, guess, k=16, reach=None):
         squared_radius=squared_radius,
     )
     out = np.empty((n, 3))
-    relax.move(tree.kernel, 0, n, sheet, k, 1.0, out, 1)
+    relax.move(tree.kernel, 0, n, inputs, k, 1.0, out, 1)
     return out, squared_radius
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from photonrelax._ext.spatial.radius import Within
+from photonrelax._ext.spatial.radius import RadiusGather
 
 from photonrelax.estimation.kernels import KERNELS
 from photonrelax.spatial.kdtree import KDTree
@@ -19,12 +19,12 @@ def gathered(points, values, queries, radius, *, n_metric=3, kernel="constant", 
     ball, n_threads = how.get("ball", -1.0), how.get("n_threads", 2)
     tree = KDTree(points, n_metric)
     rows = np.asarray(tree.kernel.ids)
-    within = Within(
+    gather = RadiusGather(
         tree.kernel, values, rows, KERNELS[kernel], normal_range=ball, n_threads=n_threads
     )
     out, counts = np.full((len(queries), values.shape[1]), np.nan), np.full(len(queries), -1)
     order = how.get("order", np.arange(len(queries)))
-    within.sums(queries, order, radius, out=out, counts=counts, n_threads=n_threads)
+    gather.sums(queries, order, radius, out=out, counts=counts, n_threads=n_threads)
     return out, counts
 
 

@@ -43,7 +43,7 @@ from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
 from ..photons.neighbourhoods import normal_range
 from ..photons.photon_map import PhotonMap
-from ..photons.photon_trees import FacingTrees
+from ..photons.photon_trees import PhotonTrees
 from .field import Field
 from .kernels import Rows, Scale, automatic_gather_radius, sites_in_chunks
 
@@ -173,7 +173,7 @@ class DiffusionField(Field):
         self.photons = photons
         self.isotropic = isotropic
         self._n_threads = thread_count(n_threads)
-        self._trees = FacingTrees(photons, self._n_threads)
+        self._trees = PhotonTrees(photons, self._n_threads)
         self.settings = self._with_bandwidth(settings or DiffusionSettings())
         self._trees.build()
         self._towards = _towards(photons)

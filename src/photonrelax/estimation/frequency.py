@@ -35,7 +35,7 @@ from .._util import validation
 from .._util.validation import Floats
 from ..photons.neighbourhoods import normal_range
 from ..photons.photon_map import PhotonMap
-from ..photons.photon_trees import FacingTrees
+from ..photons.photon_trees import PhotonTrees
 from ..transport.frequency import operators
 from .progressive import ProgressiveSettings
 from .split_passes import ProgressiveField
@@ -122,8 +122,8 @@ class FrequencyField(ProgressiveField):
         return np.where(known, np.minimum(allowed, radius), 0.0)
 
     @cached_property
-    def _trees(self) -> FacingTrees:
-        return FacingTrees(self._carriers, self._n_threads)
+    def _trees(self) -> PhotonTrees:
+        return PhotonTrees(self._carriers, self._n_threads)
 
     @cached_property
     def _bounded(self) -> dict[int, Bounds]:

@@ -13,7 +13,7 @@ from .._util.parallel import thread_count
 from .._util.progress import Reporter
 from .._util.validation import Floats
 from ..photons.neighbourhoods import normal_range
-from ..photons.photon_trees import FacingTrees
+from ..photons.photon_trees import PhotonTrees
 from ..spatial.kdtree import KDTree
 
 Rows = NDArray[np.intp]
@@ -22,7 +22,7 @@ Scale = tuple[float, int | None]
 
 
 def sites_in_chunks(
-    trees: FacingTrees,
+    trees: PhotonTrees,
     points: Floats,
     normals: Floats,
     *,

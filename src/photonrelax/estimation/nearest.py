@@ -16,7 +16,7 @@ from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
 from ..photons.neighbourhoods import normal_range
 from ..photons.photon_map import PhotonMap
-from ..photons.photon_trees import FacingTrees
+from ..photons.photon_trees import PhotonTrees
 from ..relaxation.structure import Structure
 from ..spatial.kdtree import KDTree
 from .field import Field
@@ -125,7 +125,7 @@ class IrradianceField(Field):
         self.structure = structure
         self.seconds = seconds or {}
         self._n_threads = thread_count(n_threads)
-        self._trees = FacingTrees(photons, self._n_threads)
+        self._trees = PhotonTrees(photons, self._n_threads)
         if settings.gather_radius is None and len(photons):
             tree = self._trees.whole()
             radius = automatic_gather_radius(tree, settings.k_reached, n_threads=self._n_threads)

@@ -20,13 +20,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._ext.estimation import progressive as _kernel
-from .._ext.spatial.radius import Within
+from .._ext.spatial.radius import RadiusGather
 from .._util import validation
 from .._util.parallel import thread_count
 from .._util.validation import Floats
 from ..photons.neighbourhoods import normal_range
 from ..photons.photon_map import PhotonMap
-from ..photons.photon_trees import FacingTrees, Order
+from ..photons.photon_trees import Order, PhotonTrees
 from .kernels import KERNELS, automatic_gather_radius
 
 # Radii are at least this fraction of the largest, also where k photons are at the hit point.
@@ -97,7 +97,7 @@ class ProgressiveSettings:
             object.__setattr__(self, "radius", radius)
 
 
-class Discs:
+class HitPointStatistics:
     """The discs that passes of photons are counted in: all that is kept of them.
 
     Attributes
@@ -125,7 +125,7 @@ class Discs:
         self._alpha = alpha
         self._n_threads = n_threads
 
-    def narrow(
+    def update(
         self,
         counts: NDArray[np.int64],
         sums: Floats,
@@ -133,7 +133,7 @@ class Discs:
         least_radius: Floats | None = None,
     ) -> None:
         """Count in numbers (m,) and sums (m, c) found by a pass, and shrink the discs."""
-        _kernel.narrow(
+        _kernel.update(
             self.n,
             self.tau,
             self.radius,
@@ -147,9 +147,11 @@ class Discs:
         self.weight += weight
         self.n_passes += 1
 
-    def copy(self) -> Discs:
+    def copy(self) -> HitPointStatistics:
         """Return discs that may be narrowed beside these."""
-        c = Discs(self.radius, self.tau.shape[1], alpha=self._alpha, n_threads=self._n_threads)
+        c = HitPointStatistics(
+            self.radius, self.tau.shape[1], alpha=self._alpha, n_threads=self._n_threads
+        )
         c.n, c.tau = self.n.copy(), self.tau.copy()
         c.weight, c.n_passes = self.weight, self.n_passes
         return c
@@ -161,7 +163,7 @@ class Discs:
         return self.tau / (np.pi * self.weight * self.radius**2)[:, np.newaxis]
 
 
-class ProgressiveStatistics(Discs):
+class ProgressiveStatistics(HitPointStatistics):
     """Hit points and what passes of photons have told about each; memory does not grow.
 
     Parameters
@@ -170,7 +172,7 @@ class ProgressiveStatistics(Discs):
         Points on surfaces, m, and directions of any length. Photons on faces turned by more than
         60° are not counted.
     radius : float or (m,) array_like
-        Of the discs at the start, m; see `first_radius`.
+        Of the discs at the start, m; see `initial_radius`.
     alpha : float
         Share of photons kept.
     n_threads : int, optional
@@ -228,11 +230,11 @@ class ProgressiveStatistics(Discs):
         if least_radius is not None:
             least = _radii(least_radius, "least_radius", len(self.n))
         weight = pass_weight(photons) if weight is None else validation.positive(weight, "weight")
-        trees = FacingTrees(photons, self._n_threads)
-        found = Pass(trees, photons.flux, self._n_threads).within(
+        trees = PhotonTrees(photons, self._n_threads)
+        found = PhotonPass(trees, photons.flux, self._n_threads).within(
             (self.positions, self.normals), self.radius
         )
-        self.narrow(*found, weight, least)
+        self.update(*found, weight, least)
 
     def irradiance(self) -> Floats:
         """Return the irradiance (m, 3), W/m², as far as it is known by now."""
@@ -249,21 +251,21 @@ def pass_weight(photons: PhotonMap) -> float:
     return float(photons.n_emitted)
 
 
-class Pass:
+class PhotonPass:
     """Photons of one pass, and numbers (n, c) they carry, ready to be summed within discs."""
 
-    def __init__(self, trees: FacingTrees, values: Floats, n_threads: int) -> None:
+    def __init__(self, trees: PhotonTrees, values: Floats, n_threads: int) -> None:
         self._trees = trees
         self._values = values
         self._n_threads = n_threads
-        self._sums: dict[int, Within] = {}
+        self._sums: dict[int, RadiusGather] = {}
 
     def within(
         self, hits: tuple[Floats, Floats], radius: Floats, order: Order | None = None
     ) -> tuple[NDArray[np.int64], Floats]:
         """Return numbers (m,) and sums (m, c) of photons within radii of positions and normals.
 
-        Hit points that are the same in every pass may bring their `near_order`.
+        Hit points that are the same in every pass may bring their `morton_order`.
         """
         counts = np.zeros(len(radius), dtype=np.int64)
         sums = np.zeros((len(radius), self._values.shape[1]))
@@ -273,10 +275,10 @@ class Pass:
             )
         return counts, sums
 
-    def _within(self, number: int) -> Within:
+    def _within(self, number: int) -> RadiusGather:
         if number not in self._sums:
             tree, rows = self._trees.tree(number)
-            self._sums[number] = Within(
+            self._sums[number] = RadiusGather(
                 tree.kernel,
                 self._values,
                 rows,
@@ -301,7 +303,7 @@ def _radii(value: ArrayLike, name: str, m: int) -> Floats:
     return np.ascontiguousarray(np.broadcast_to(array, (m,)))
 
 
-class FirstRadius:
+class InitialRadius:
     """Radii to start with at any hit point, from the photons of the first pass.
 
     A disc reaches just short of the k-th nearest photon, so that of photons at random its k - 1
@@ -314,7 +316,7 @@ class FirstRadius:
         Of the first pass.
     settings : ProgressiveSettings
     n_threads : int
-    trees : FacingTrees, optional
+    trees : PhotonTrees, optional
         Of these photons.
     """
 
@@ -323,11 +325,11 @@ class FirstRadius:
         photons: PhotonMap,
         settings: ProgressiveSettings,
         n_threads: int,
-        trees: FacingTrees | None = None,
+        trees: PhotonTrees | None = None,
     ) -> None:
         self._settings = settings
         self._n_threads = n_threads
-        self._trees = FacingTrees(photons, n_threads) if trees is None else trees
+        self._trees = PhotonTrees(photons, n_threads) if trees is None else trees
         # Of no photons none are found, however far.
         self.largest = 1.0 if settings.radius is None else settings.radius
         if settings.radius is None and len(photons):
@@ -364,7 +366,7 @@ class FirstRadius:
         return np.maximum(radius, _LEAST_RADIUS * self.largest)
 
 
-def first_radius(
+def initial_radius(
     photons: PhotonMap,
     positions: ArrayLike,
     normals: ArrayLike,
@@ -372,7 +374,7 @@ def first_radius(
     *,
     n_threads: int | None = None,
 ) -> Floats:
-    """Return radii (m,), m, to start with at hit points; see `FirstRadius`.
+    """Return radii (m,), m, to start with at hit points; see `InitialRadius`.
 
     Raises
     ------
@@ -382,5 +384,5 @@ def first_radius(
     """
     positions = validation.float_array(positions, "positions", (None, 3))
     normals = validation.float_array(normals, "normals", positions.shape)
-    start = FirstRadius(photons, settings or ProgressiveSettings(), thread_count(n_threads))
+    start = InitialRadius(photons, settings or ProgressiveSettings(), thread_count(n_threads))
     return start(positions, normals)

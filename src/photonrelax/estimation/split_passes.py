@@ -14,10 +14,10 @@ from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
 from ..photons.photon_map import PhotonMap
-from ..photons.photon_trees import FacingTrees, near_order
+from ..photons.photon_trees import PhotonTrees, morton_order
 from ..relaxation.structure import Structure
 from .field import Field
-from .progressive import Discs, FirstRadius, Pass, ProgressiveSettings
+from .progressive import HitPointStatistics, InitialRadius, PhotonPass, ProgressiveSettings
 
 
 def dealt(photons: PhotonMap, n_passes: int) -> NDArray[np.intp]:
@@ -79,13 +79,13 @@ class ProgressiveField(Field):
         self._passes = list(self._dealt())
         rows, trees = self._passes[0]
         first = photons.subset(rows)
-        self._first_radius = FirstRadius(first, settings, self._n_threads, trees)
+        self._initial_radius = InitialRadius(first, settings, self._n_threads, trees)
 
-    def _dealt(self) -> Iterator[tuple[NDArray[np.intp], FacingTrees]]:
+    def _dealt(self) -> Iterator[tuple[NDArray[np.intp], PhotonTrees]]:
         number = dealt(self.photons, self.settings.n_passes)
         for one in range(self.settings.n_passes):
             rows = np.flatnonzero(number == one)
-            trees = FacingTrees(self.photons.subset(rows), self._n_threads)
+            trees = PhotonTrees(self.photons.subset(rows), self._n_threads)
             trees.build()
             yield rows, trees
 
@@ -112,7 +112,7 @@ class ProgressiveDensities:
         self._field = field
         self._n_channels = values.shape[1]
         self._passes = [
-            Pass(trees, values[rows], field._n_threads) for rows, trees in field._passes
+            PhotonPass(trees, values[rows], field._n_threads) for rows, trees in field._passes
         ]
 
     def __call__(
@@ -130,15 +130,15 @@ class ProgressiveDensities:
         """Estimate at no more than so many points that what is kept of them is small."""
         field = self._field
         normals = validation.unit_vectors(normals, "normals", points.shape, field._n_threads)
-        discs = Discs(
-            field._first_radius(points, normals),
+        discs = HitPointStatistics(
+            field._initial_radius(points, normals),
             self._n_channels,
             alpha=field.settings.alpha,
             n_threads=field._n_threads,
         )
-        order = near_order(points, field._n_threads)
+        order = morton_order(points, field._n_threads)
         for one in self._passes:
             found = one.within((points, normals), discs.radius, order)
             # What photons carry is divided by the number emitted in all passes already.
-            discs.narrow(*found, 1.0, field.least_radius(points, normals, discs.radius))
+            discs.update(*found, 1.0, field.least_radius(points, normals, discs.radius))
         return discs.n_passes * discs.densities()

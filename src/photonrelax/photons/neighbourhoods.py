@@ -6,14 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._ext.photons.normals import alike, distinct
-from .._ext.spatial.blocks import copy_rows
+from .._ext.spatial.blocks import copy_scaled_rows
 from .._util.validation import Floats, Rows
 from ..spatial.kdtree import KDTree
 from .photon_map import PhotonMap
 
-# Photons on a face turned by more than 60° belong to another surface; this is the length of the
-# chord between unit normals at that angle.
-NORMAL_RANGE = 1.0
+# Faces whose normals are more than 60° apart belong to different surfaces. The same limit as the
+# chord between unit normals, and as the cosine of the angle.
+MAX_NORMAL_CHORD = 1.0
+MIN_NORMAL_COSINE = 1.0 - 0.5 * MAX_NORMAL_CHORD**2
 # With more distinct normals than this a surface counts as curved.
 MOST_FACES = 64
 
@@ -35,7 +36,7 @@ def neighbour_groups(photons: PhotonMap) -> list[Rows]:
 
 
 def _facing_label(normal: Floats) -> tuple[NDArray, NDArray]:
-    """Return the same number for normals (n, 3) joined by steps of up to NORMAL_RANGE, and all.
+    """Return the same number for normals (n, 3) joined by steps of up to MAX_NORMAL_CHORD, and all.
 
     Zero for every normal where there are too many to compare them all.
     """
@@ -51,10 +52,10 @@ def _facing_label(normal: Floats) -> tuple[NDArray, NDArray]:
 
 
 def facing(faces: Floats) -> NDArray[np.bool_]:
-    """Tell which of few normals (f, 3) are within NORMAL_RANGE of which, (f, f)."""
+    """Tell which of few normals (f, 3) are within MAX_NORMAL_CHORD of which, (f, f)."""
     chord = faces[:, np.newaxis] - faces
     # Squared, as searches compare them.
-    return np.square(chord).sum(axis=2) <= NORMAL_RANGE**2
+    return np.square(chord).sum(axis=2) <= MAX_NORMAL_CHORD**2
 
 
 def photon_tree(
@@ -71,7 +72,7 @@ def photon_tree(
     Range axes are the emitter coordinates, if given with their ranges, and the normals, unless
     all are the same but for roundings: photons on the other side of a plate or round a corner are
     no neighbours.
-    Normals are scaled so that NORMAL_RANGE between two of them uses up the largest of the ranges.
+    Normals are scaled so that MAX_NORMAL_CHORD between two of them uses up the largest range.
     """
     columns, scales = [position], [1.0]
     if coords is not None and ranges is not None:
@@ -79,19 +80,19 @@ def photon_tree(
         scales.append(1.0)
     if not alike(normal, None if isinstance(rows, slice) else rows):
         if ranges is None:
-            ranges = np.broadcast_to(NORMAL_RANGE, len(position))
+            ranges = np.broadcast_to(MAX_NORMAL_CHORD, len(position))
         columns.append(normal)
-        scales.append(ranges[rows].max() / NORMAL_RANGE)
-    points = side_by_side(columns, scales, rows, n_threads)
+        scales.append(ranges[rows].max() / MAX_NORMAL_CHORD)
+    points = hstack_rows(columns, scales, rows, n_threads)
     return KDTree(points, n_metric=3, n_threads=n_threads), ranges
 
 
 def normal_range(tree: KDTree) -> float:
     """Return the radius of the ball over the normals of a tree, -1 if it has no axes for them."""
-    return NORMAL_RANGE if tree.n_axes > tree.n_metric else -1.0
+    return MAX_NORMAL_CHORD if tree.n_axes > tree.n_metric else -1.0
 
 
-def side_by_side(columns: list[Floats], scales: list[float], rows: Rows, n_threads: int) -> Floats:
+def hstack_rows(columns: list[Floats], scales: list[float], rows: Rows, n_threads: int) -> Floats:
     """Return rows of arrays, each multiplied by its scale, as one array."""
     chosen = None if isinstance(rows, slice) else rows
     if chosen is None and len(columns) == 1:
@@ -100,12 +101,12 @@ def side_by_side(columns: list[Floats], scales: list[float], rows: Rows, n_threa
     points = np.empty((n, sum(column.shape[1] for column in columns)))
     first = 0
     for column, scale in zip(columns, scales, strict=True):
-        copy_rows(points, first, column, chosen, scale, n_threads)
+        copy_scaled_rows(points, first, column, chosen, scale, n_threads)
         first += column.shape[1]
     return points
 
 
-def placed_rows(tree: KDTree, rows: Rows) -> NDArray[np.intp]:
+def leaf_rows(tree: KDTree, rows: Rows) -> NDArray[np.intp]:
     """Return the row of the photon at each place of a tree of photons chosen by `rows`."""
     order = np.asarray(tree.kernel.ids)
     return order if isinstance(rows, slice) else rows[order]

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._ext.photons.normals import distinct, faced
-from .._ext.spatial.morton import curve_order
+from .._ext.spatial import morton
 from .._util import validation
 from .._util.progress import Reporter
 from .._util.validation import Floats, Rows
 from ..spatial.kdtree import KDTree
-from .neighbourhoods import MOST_FACES, NORMAL_RANGE, facing, placed_rows, side_by_side
+from .neighbourhoods import MAX_NORMAL_CHORD, MOST_FACES, facing, hstack_rows, leaf_rows
 from .photon_map import PhotonMap
 
 Order = NDArray[np.intp]
@@ -22,13 +22,13 @@ Order = NDArray[np.intp]
 _MOST_COPIES = 3
 
 
-def near_order(points: Floats, n_threads: int) -> Order:
+def morton_order(points: Floats, n_threads: int) -> Order:
     """Return an order (m,) of points (m, 3) in which near ones follow each other."""
-    order: Order = curve_order(points, 3, n_threads)
+    order: Order = morton.morton_order(points, 3, n_threads)
     return order
 
 
-class FacingTrees:
+class PhotonTrees:
     """Photons for points that face one way or another.
 
     Where photons lie on few faces, every set of faces that points on one of them see has a tree
@@ -84,16 +84,16 @@ class FacingTrees:
             columns = [position, normal]
         elif self._face is not None:
             rows = np.flatnonzero(self._members[number][self._face])
-        points = side_by_side(columns, [1.0] * len(columns), rows, self._n_threads)
+        points = hstack_rows(columns, [1.0] * len(columns), rows, self._n_threads)
         tree = KDTree(points, n_metric=3, n_threads=self._n_threads)
-        return tree, placed_rows(tree, rows)
+        return tree, leaf_rows(tree, rows)
 
     def parts(
         self, points: Floats, normals: Floats, order: Order | None = None
     ) -> Iterator[tuple[int, Floats, Order]]:
         """Divide points (m, 3) by the tree that serves them; those that see no face are left out.
 
-        Points that are asked about again and again may bring their `near_order`. Yields the
+        Points that are asked about again and again may bring their `morton_order`. Yields the
         tree's number, queries of which some rows are to be searched for, and these rows in an
         order in which near points follow each other.
 
@@ -104,7 +104,7 @@ class FacingTrees:
         """
         number = self._numbers(normals)
         if order is None:
-            order = near_order(points, self._n_threads)
+            order = morton_order(points, self._n_threads)
         for one, rows in _divided(number, order):
             yield one, self._queries(one, points, normals), rows
 
@@ -126,7 +126,7 @@ class FacingTrees:
             return np.zeros(len(normals), dtype=np.int8)
         bits = np.uint64(1) << np.arange(len(self._faces), dtype=np.uint64)
         sets = (self._members * bits).sum(axis=1, dtype=np.uint64)
-        number = faced(normals, self._faces, sets, NORMAL_RANGE, self._n_threads)
+        number = faced(normals, self._faces, sets, MAX_NORMAL_CHORD, self._n_threads)
         if number.min(initial=0) < -1:
             validation.unit_vectors(normals, "normals", normals.shape)
         return number
@@ -135,7 +135,7 @@ class FacingTrees:
         if number < self.n_sets:
             return points
         normals = validation.unit_vectors(normals, "normals", normals.shape, self._n_threads)
-        return side_by_side([points, normals], [1.0, 1.0], slice(None), self._n_threads)
+        return hstack_rows([points, normals], [1.0, 1.0], slice(None), self._n_threads)
 
 
 def _divided(number: NDArray[np.int8], order: Order) -> Iterator[tuple[int, Order]]:

@@ -36,7 +36,7 @@ from .._ext.relaxation.structure import gradient_constraint
 from .._util import validation
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
-from ..photons.neighbourhoods import neighbour_groups, photon_tree, placed_rows
+from ..photons.neighbourhoods import leaf_rows, neighbour_groups, photon_tree
 from ..photons.photon_map import PhotonMap
 from .structure import Structure, empty_columns
 
@@ -100,10 +100,10 @@ def detect_gradient(
     found = empty_columns(len(photons))
     for rows in neighbour_groups(photons):
         tree, facing = photon_tree(photons.position, photons.normal, rows=rows, n_threads=threads)
-        sheet = _structure.Sheet(
-            rows=placed_rows(tree, rows), normal=photons.normal, range_radius=facing, reach=None
+        inputs = _structure.StructureInputs(
+            rows=leaf_rows(tree, rows), normal=photons.normal, range_radius=facing, reach=None
         )
         how = {"k": settings.k, "gain": settings.gain, "n_threads": threads}
         for first, end in report.chunks(len(tree)):
-            _structure.detect(tree.kernel, first, end, sheet, found, **how)
+            _structure.detect(tree.kernel, first, end, inputs, found, **how)
     return Structure(**found, emitter_range=None)

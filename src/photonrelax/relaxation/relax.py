@@ -12,7 +12,7 @@ from .._util import validation
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, Rows
-from ..photons.neighbourhoods import NORMAL_RANGE, neighbour_groups, photon_tree, placed_rows
+from ..photons.neighbourhoods import MAX_NORMAL_CHORD, leaf_rows, neighbour_groups, photon_tree
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
 from .projection import Surfaces
@@ -115,11 +115,11 @@ def relax(
     threads = thread_count(n_threads)
     surfaces = None if scene is None else Surfaces(scene, photons, threads)
     report = Reporter(progress, "relax", len(photons) * sum(settings.n_iterations))
-    sheets = _Sheets(photons, structure, settings, surfaces, threads, report)
+    relaxation = _Relaxation(photons, structure, settings, surfaces, threads, report)
     position = np.empty_like(photons.position)
     normal = photons.normal if surfaces is None else np.empty_like(photons.normal)
     for rows in neighbour_groups(photons):
-        sheets.relax(rows, position, normal)
+        relaxation.relax(rows, position, normal)
     # The map copies arrays that could still be written to.
     for array in (position, normal):
         array.setflags(write=False)
@@ -140,7 +140,7 @@ def _check_structure(structure: Structure, photons: PhotonMap, settings: RelaxSe
 
 
 @dataclass(frozen=True)
-class _Sheets:
+class _Relaxation:
     """All photons, and how they are to be moved."""
 
     photons: PhotonMap
@@ -168,32 +168,38 @@ class _Stage:
     """
 
     def __init__(
-        self, sheets: _Sheets, rows: Rows, position: Floats, normal: Floats, *, constrained: bool
+        self,
+        relaxation: _Relaxation,
+        rows: Rows,
+        position: Floats,
+        normal: Floats,
+        *,
+        constrained: bool,
     ) -> None:
-        photons, structure = sheets.photons, sheets.structure
-        self._sheets = sheets
+        photons, structure = relaxation.photons, relaxation.structure
+        self._relaxation = relaxation
         coords = photons.emitter_coords if constrained else None
         ranges = structure.emitter_range if constrained else None
         tree, range_radius = photon_tree(
-            position, normal, coords, ranges, rows=rows, n_threads=sheets.n_threads
+            position, normal, coords, ranges, rows=rows, n_threads=relaxation.n_threads
         )
         self._tree = tree.kernel
-        self._rows = placed_rows(tree, rows)
+        self._rows = leaf_rows(tree, rows)
         # Normals are range axes, the last three, of trees that have any of their own.
         self._first_normal_axis = 3 if coords is None else 3 + coords.shape[1]
         if range_radius is not None:
-            self._normal_scale = range_radius[rows].max() / NORMAL_RANGE
+            self._normal_scale = range_radius[rows].max() / MAX_NORMAL_CHORD
         self._position = np.empty((len(tree), 3))
         self._normal = self._placed_normals(normal)
         # The radius that held n_found photons, scaled to hold k.
         radius = structure.radius[self._rows]
-        radius *= np.sqrt(sheets.settings.k / structure.n_found[self._rows])
+        radius *= np.sqrt(relaxation.settings.k / structure.n_found[self._rows])
         guess = np.square(radius) if constrained else np.full_like(radius, -1.0)
-        few = constrained & (structure.n_found[self._rows] < sheets.settings.k)
-        self._sheet = _relax.Sheet(
+        few = constrained & (structure.n_found[self._rows] < relaxation.settings.k)
+        self._inputs = _relax.RelaxInputs(
             rows=self._rows,
             normal=self._normal,
-            largest_step=sheets.settings.largest_step * radius,
+            largest_step=relaxation.settings.largest_step * radius,
             squared_radius=guess,
             too_few=few,
             basis=structure.basis,
@@ -204,7 +210,7 @@ class _Stage:
 
     def _placed_normals(self, normal: Floats) -> Floats:
         """Return normals by place, one for all where they are alike and stay so."""
-        if self._sheets.surfaces is None and self._first_normal_axis == self._tree.n_axes:
+        if self._relaxation.surfaces is None and self._first_normal_axis == self._tree.n_axes:
             return np.broadcast_to(normal[self._rows[:1]], self._position.shape)
         return normal[self._rows]
 
@@ -212,21 +218,21 @@ class _Stage:
         """Iterate so often, then write positions and, on surfaces, normals to their rows."""
         for _ in range(n_iterations):
             self._move()
-            if self._sheets.surfaces is not None:
-                self._put_back(self._sheets.surfaces)
+            if self._relaxation.surfaces is not None:
+                self._put_back(self._relaxation.surfaces)
             self._refit()
         # Positions that have not been written yet take no memory; that of the tree will do.
         del self._tree
         position[self._rows] = self._position
-        if self._sheets.surfaces is not None:
+        if self._relaxation.surfaces is not None:
             normal[self._rows] = self._normal
 
     def _move(self) -> None:
         """Write where photons would like to be; where they are is still in the tree."""
-        settings, n_threads = self._sheets.settings, self._sheets.n_threads
-        for first, end in self._sheets.report.chunks(len(self._position)):
+        settings, n_threads = self._relaxation.settings, self._relaxation.n_threads
+        for first, end in self._relaxation.report.chunks(len(self._position)):
             _relax.move(
-                *(self._tree, first, end, self._sheet),
+                *(self._tree, first, end, self._inputs),
                 k=settings.k,
                 step=settings.step,
                 moved=self._position,
@@ -249,9 +255,9 @@ class _Stage:
         return np.ascontiguousarray(position.reshape(-1, 3)[: len(self._position) - part.start])
 
     def _refit(self) -> None:
-        n_threads = self._sheets.n_threads
+        n_threads = self._relaxation.n_threads
         self._tree.move(self._position, 0, 1.0, n_threads)
         # Only surfaces turn photons.
-        if self._sheets.surfaces is not None and self._first_normal_axis < self._tree.n_axes:
+        if self._relaxation.surfaces is not None and self._first_normal_axis < self._tree.n_axes:
             self._tree.move(self._normal, self._first_normal_axis, self._normal_scale, n_threads)
         self._tree.box(n_threads)

@@ -20,11 +20,11 @@ from .._util import validation
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
-from ..photons.neighbourhoods import NORMAL_RANGE, neighbour_groups, photon_tree, placed_rows
+from ..photons.neighbourhoods import MAX_NORMAL_CHORD, leaf_rows, neighbour_groups, photon_tree
 from ..photons.photon_map import PhotonMap
 
 __all__ = [
-    "NORMAL_RANGE",
+    "MAX_NORMAL_CHORD",
     "Structure",
     "StructureSettings",
     "anisotropy_to_gradient",
@@ -273,15 +273,15 @@ class _Detection:
             rows=rows,
             n_threads=n_threads,
         )
-        sheet = _structure.Sheet(
-            rows=placed_rows(tree, rows),
+        inputs = _structure.StructureInputs(
+            rows=leaf_rows(tree, rows),
             normal=photons.normal,
             range_radius=range_radius,
             reach=self.reach,
         )
         for first, end in self._report.chunks(len(tree)):
             _structure.detect(
-                tree.kernel, first, end, sheet, self.found, k=self._settings.k, n_threads=n_threads
+                tree.kernel, first, end, inputs, self.found, k=self._settings.k, n_threads=n_threads
             )
 
     def _reach(self, rows: validation.Rows) -> Floats:

@@ -11,9 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._util.validation import Floats
-from ..estimation.progressive import Discs, FirstRadius, Pass, ProgressiveSettings
+from ..estimation.progressive import (
+    HitPointStatistics,
+    InitialRadius,
+    PhotonPass,
+    ProgressiveSettings,
+)
 from ..photons.photon_map import PhotonMap
-from ..photons.photon_trees import FacingTrees, near_order
+from ..photons.photon_trees import PhotonTrees, morton_order
 from ..scene.scene import Scene
 from ..transport.raycast import RayCaster
 from ..transport.sampling import halton, seed_shift
@@ -74,9 +79,11 @@ class View:
         """Return a pass of photons, ready to be gathered."""
         return Look(self, photons)
 
-    def discs(self, radius: Floats, n_before: int) -> Discs:
+    def discs(self, radius: Floats, n_before: int) -> HitPointStatistics:
         """Return discs that found nothing in so many passes."""
-        discs = Discs(radius, 3, alpha=self.recipe.settings.alpha, n_threads=self.n_threads)
+        discs = HitPointStatistics(
+            radius, 3, alpha=self.recipe.settings.alpha, n_threads=self.n_threads
+        )
         discs.n_passes = n_before
         discs.weight = float(n_before * self.recipe.photons_per_pass)
         return discs
@@ -86,14 +93,14 @@ class Look:
     """A pass of photons as hit points look at it."""
 
     def __init__(self, view: View, photons: PhotonMap) -> None:
-        trees = FacingTrees(photons, view.n_threads)
+        trees = PhotonTrees(photons, view.n_threads)
         settings = view.recipe.settings
-        self.found = Pass(trees, photons.flux, view.n_threads).within
+        self.found = PhotonPass(trees, photons.flux, view.n_threads).within
         self.weight = float(view.recipe.photons_per_pass)
         self.is_empty = len(photons) == 0
-        self._first = partial(FirstRadius, photons, settings, view.n_threads, trees)
+        self._first = partial(InitialRadius, photons, settings, view.n_threads, trees)
 
-    def first_radius(self) -> FirstRadius:
+    def initial_radius(self) -> InitialRadius:
         return self._first()
 
 
@@ -103,13 +110,13 @@ class Kept:
 
     Attributes
     ----------
-    discs : Discs or None
+    discs : HitPointStatistics or None
         None until a photon was stored: there is no telling how far to look for it.
     seen : dict
         Sums over passes of the layers that need no photons, where these change.
     """
 
-    discs: Discs | None = None
+    discs: HitPointStatistics | None = None
     seen: dict[str, Floats] = field(default_factory=dict)
 
     def arrays(self) -> dict[str, Any]:
@@ -158,7 +165,7 @@ class FixedPoints:
             np.concatenate(column) for column in zip(*hits, strict=True)
         )
         self._points = position, normal
-        self._order = near_order(position, view.n_threads)
+        self._order = morton_order(position, view.n_threads)
         self._scale = np.concatenate(scale)
 
     def after(self, kept: Kept, photons: PhotonMap, number: int) -> Kept:
@@ -166,9 +173,9 @@ class FixedPoints:
         if discs is None:
             if look.is_empty:
                 return kept
-            discs = self._view.discs(look.first_radius()(*self._points), number)
+            discs = self._view.discs(look.initial_radius()(*self._points), number)
         discs = discs.copy()
-        discs.narrow(*look.found(self._points, discs.radius, self._order), look.weight)
+        discs.update(*look.found(self._points, discs.radius, self._order), look.weight)
         return Kept(discs)
 
     def layers(self, kept: Kept, n_passes: int) -> dict[str, Floats]:
@@ -193,7 +200,7 @@ class MovingPoints:
     def after(self, kept: Kept, photons: PhotonMap, number: int) -> Kept:
         look, discs = self._view.looked_at(photons), kept.discs
         if discs is None and not look.is_empty:
-            discs = self._view.discs(self._first_radius(look, number), number)
+            discs = self._view.discs(self._initial_radius(look, number), number)
         layers, found = [], []
         for band in self._view.bands(self._view.offset(number)):
             layers.append(band.fixed_layers())
@@ -202,12 +209,12 @@ class MovingPoints:
         if discs is not None:
             counts, sums = (np.concatenate(column) for column in zip(*found, strict=True))
             discs = discs.copy()
-            discs.narrow(counts, sums, look.weight)
+            discs.update(counts, sums, look.weight)
         return Kept(discs, _merged(kept.seen, joined(layers)))
 
-    def _first_radius(self, look: Look, number: int) -> Floats:
+    def _initial_radius(self, look: Look, number: int) -> Floats:
         """Return the least radius of the hit points of each pixel."""
-        first = look.first_radius()
+        first = look.initial_radius()
         radius = np.full(self._view.shape, first.largest).ravel()
         for band in self._view.bands(self._view.offset(number)):
             np.minimum.at(radius, band.hits.pixel, first(band.hits.position, band.hits.normal))

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._util import validation
-from .._util.files import alone, check_writable
+from .._util.files import check_writable, file_lock
 from .._util.parallel import thread_count
 from .._util.progress import Progress
 from .._util.validation import check_seed
@@ -178,7 +178,7 @@ def _kept_alone(state: str | os.PathLike[str] | None) -> Iterator[None]:
         yield
         return
     check_writable(state)
-    with alone(state):
+    with file_lock(state):
         yield
 
 

@@ -114,13 +114,13 @@ def _difference(emitted: Floats, scene: Scene, paths: str) -> str:
     if len(emitted) != len(scene.emitters):
         return f"which has {len(scene.emitters)} emitters, but are of one with {len(emitted)}"
     try:
-        aims = plan_emission(scene, len(emitted), paths).aims
+        regions = plan_emission(scene, len(emitted), paths).regions
     except ValueError as error:
         return f"in which they cannot have been traced: {error}"
-    for number, (aim, flux) in enumerate(zip(aims, emitted, strict=True)):
-        if not np.allclose(aim.flux, flux, rtol=_SAME_FLUX, atol=0.0):
+    for number, (region, flux) in enumerate(zip(regions, emitted, strict=True)):
+        if not np.allclose(region.flux, flux, rtol=_SAME_FLUX, atol=0.0):
             return (
-                f"whose emitter {number} sends out {aim.flux.tolist()} W, "
+                f"whose emitter {number} sends out {region.flux.tolist()} W, "
                 f"but it sent out {flux.tolist()} W for them"
             )
     return ""

@@ -24,7 +24,7 @@ _SLIVER = 1e-12
 _ROUNDING = 1e-12
 
 
-def hittable_faces(mesh: trimesh.Trimesh) -> tuple[NDArray[np.intp], NDArray]:
+def nondegenerate_faces(mesh: trimesh.Trimesh) -> tuple[NDArray[np.intp], NDArray]:
     """Return ids (f,) and vertex indices (f, 3) of the faces that have an area."""
     faces = np.asarray(mesh.faces)
     a, b, c = np.moveaxis(np.asarray(mesh.vertices)[faces], 1, 0)
@@ -34,10 +34,10 @@ def hittable_faces(mesh: trimesh.Trimesh) -> tuple[NDArray[np.intp], NDArray]:
     return ids, faces[ids]
 
 
-def hittable_vertices(mesh: trimesh.Trimesh) -> Floats:
+def nondegenerate_vertices(mesh: trimesh.Trimesh) -> Floats:
     """Return the vertices (v, 3) that belong to a face with an area."""
     vertices = np.asarray(mesh.vertices)
-    return vertices[vertices_of(hittable_faces(mesh)[1], len(vertices))]
+    return vertices[vertices_of(nondegenerate_faces(mesh)[1], len(vertices))]
 
 
 def vertices_of(faces: NDArray, n_vertices: int) -> NDArray[np.bool_]:
@@ -60,7 +60,7 @@ def check_mesh(mesh: trimesh.Trimesh) -> None:
             f"mesh.faces should be indices of its {len(vertices)} vertices, "
             f"but range from {faces.min()} to {faces.max()}"
         )
-    if len(hittable_faces(mesh)[0]) == 0:
+    if len(nondegenerate_faces(mesh)[0]) == 0:
         raise ValueError(
             f"mesh should have a face with an area, but none of its {len(faces)} faces has"
         )
@@ -78,7 +78,7 @@ def check_winding(mesh: trimesh.Trimesh) -> None:
         )
 
 
-def empty(mesh: trimesh.Trimesh) -> None:
+def release_arrays(mesh: trimesh.Trimesh) -> None:
     """Free the arrays of a mesh that is not needed any more.
 
     Meshes refer to themselves: these would stay until garbage is collected.
@@ -125,5 +125,5 @@ def vertex_normals(mesh: trimesh.Trimesh) -> Floats:
 def _own_normals(mesh: trimesh.Trimesh, vertices: Floats) -> Floats:
     own = type(mesh)(vertices, mesh.faces, process=False)
     normals = np.asarray(own.vertex_normals)
-    empty(own)
+    release_arrays(own)
     return normals

@@ -16,7 +16,7 @@ import numpy as np
 
 from .._util.frozen import set_field
 from .._util.validation import Floats
-from .meshes import check_mesh, check_winding, hittable_vertices
+from .meshes import check_mesh, check_winding, nondegenerate_vertices
 
 if TYPE_CHECKING:
     import trimesh
@@ -103,7 +103,7 @@ class Scene:
         return float(np.linalg.norm(high - low))
 
     @property
-    def emitter_gap(self) -> float:
+    def emitter_offset(self) -> float:
         """How far off a point-like emitter its rays start, for it may lie on a surface, m."""
         return _EMITTER_GAP * self.scale
 
@@ -143,7 +143,7 @@ class Scene:
     @cached_property
     def _vertices(self) -> tuple[Floats, ...]:
         """The vertices of each object that belong to a face rays can hit."""
-        return tuple(hittable_vertices(item.mesh) for item in self.objects)
+        return tuple(nondegenerate_vertices(item.mesh) for item in self.objects)
 
     def _bounds(self, object_ids: Iterable[int]) -> tuple[Floats, Floats]:
         vertices = [self._vertices[i] for i in object_ids]

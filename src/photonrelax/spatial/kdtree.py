@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._ext.spatial import query as _neighbours
 from .._ext.spatial import tree as _kdtree
 from .._ext.spatial.blocks import bounds
-from .._ext.spatial.morton import curve_order
+from .._ext.spatial.morton import morton_order
 from .._util import validation
 from .._util.parallel import thread_count
 from .._util.validation import Floats
@@ -140,7 +140,7 @@ class KDTree:
         ids, distance = _neighbours.query(
             self.kernel,
             array,
-            curve_order(array, self.n_metric, thread_count(n_threads)),
+            morton_order(array, self.n_metric, thread_count(n_threads)),
             validation.count(k, "k"),
             ranges=self._ranges(len(array), half_range, range_radius),
             excluded=self._places() if exclude_self else None,

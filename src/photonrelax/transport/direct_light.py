@@ -23,7 +23,7 @@ def direct_irradiance(
     """Return the irradiance at points from emitters in plain sight.
 
     Every object blocks the light, transparent ones too: what passes through them is the
-    photons' part. Points nearer to an emitter than `Scene.emitter_gap` get nothing from it: the
+    photons' part. Points nearer to an emitter than `Scene.emitter_offset` get nothing from it: the
     inverse square of their distance is no measure of what reaches a pixel.
 
     Parameters
@@ -50,13 +50,13 @@ def direct_irradiance(
     normal = unit_vectors(normal, "normal", (len(position), 3))
     total = np.zeros_like(position)
     for emitter in scene.emitters:
-        direction, distance, irradiance = _arriving(emitter, position, scene.emitter_gap)
+        direction, distance, irradiance = _arriving(emitter, position, scene.emitter_offset)
         irradiance *= np.maximum(np.einsum("ij,ij->i", direction, normal), 0.0)[:, None]
         lit = np.flatnonzero(irradiance.any(axis=1))
         blocked = caster.occluded(
             position[lit],
             direction[lit],
-            distance[lit] - scene.emitter_gap,
+            distance[lit] - scene.emitter_offset,
             leaving=normal[lit],
             n_threads=threads,
         )

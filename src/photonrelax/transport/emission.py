@@ -20,7 +20,7 @@ from ..scene.scene import Scene
 from .sampling import seed_shift
 
 DISK, CAP, SPHERE, ELLIPSE = range(4)
-"""Values of `Aim.kind`; the kernel knows them too."""
+"""Values of `EmissionRegion.kind`; the kernel knows them too."""
 
 PATHS = ("caustic", "global", "all")
 SAMPLERS = ("halton", "random")
@@ -32,7 +32,7 @@ _CLEARANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Aim:
+class EmissionRegion:
     """The region one emitter is sampled over, and what leaves through it.
 
     Attributes
@@ -52,7 +52,7 @@ class Aim:
         Of the region: m², sr, or projected sr.
     flux : (3,) float64
         Leaving through the region, W.
-    lead : float
+    start_distance : float
         How far from the point rays start, m: off the surface it may lie on, and where the scene
         begins. Rays from afar would lose their digits in float32 otherwise.
     """
@@ -63,7 +63,7 @@ class Aim:
     shape: Floats
     area: float
     flux: Floats
-    lead: float = 0.0
+    start_distance: float = 0.0
 
     @property
     def is_plane(self) -> bool:
@@ -77,19 +77,19 @@ class EmissionPlan:
 
     Attributes
     ----------
-    aims : tuple of Aim
+    regions : tuple of EmissionRegion
         One per emitter.
     counts : (n_emitters,) int64
         Photons of each emitter; none where its aimed flux is zero.
     """
 
-    aims: tuple[Aim, ...]
+    regions: tuple[EmissionRegion, ...]
     counts: NDArray[np.int64]
 
     @property
     def flux_per_photon(self) -> Floats:
         """W carried by each photon of each emitter, (n_emitters, 3)."""
-        flux = np.array([aim.flux for aim in self.aims])
+        flux = np.array([region.flux for region in self.regions])
         return flux / np.maximum(self.counts, 1)[:, np.newaxis]
 
 
@@ -152,15 +152,15 @@ def plan_emission(scene: Scene, n_emitted: int, paths: str = "caustic") -> Emiss
     n_emitted = count(n_emitted, "n_emitted")
     target = _target(scene, paths)
     whole = scene.bounding_sphere()
-    gap = scene.emitter_gap
-    aims = tuple(_aim(emitter, *target, whole=whole, gap=gap) for emitter in scene.emitters)
-    luminances = [float(aim.flux @ LUMINANCE) for aim in aims]
+    gap = scene.emitter_offset
+    regions = tuple(_region(emitter, *target, whole=whole, gap=gap) for emitter in scene.emitters)
+    luminances = [float(region.flux @ LUMINANCE) for region in regions]
     if not any(luminances):
         what = "the specular objects" if paths == "caustic" else "the scene"
         raise ValueError(
-            f"emitters should shine on {what}, but all {len(aims)} have no power or face away"
+            f"emitters should shine on {what}, but all {len(regions)} have no power or face away"
         )
-    return EmissionPlan(aims, _shared(n_emitted, luminances))
+    return EmissionPlan(regions, _apportion(n_emitted, luminances))
 
 
 def emit(
@@ -205,7 +205,7 @@ def emit(
     planned = int(plan.counts[emitter_id])
     if photons.step != 1 or photons.start < 0 or photons.stop > planned:
         raise ValueError(f"photons should lie in {range(planned)} in steps of 1, but is {photons}")
-    rays = _empty_rays(emitter_id, len(photons), plan.aims[emitter_id])
+    rays = _empty_rays(emitter_id, len(photons), plan.regions[emitter_id])
     _kernel.emit(
         emission(plan, emitter_id, seed=seed, sampler=sampler),
         photons.start,
@@ -220,24 +220,26 @@ def emit(
 
 def emission(plan: EmissionPlan, emitter_id: int, *, seed: int, sampler: str) -> _kernel.Emission:
     """Return what kernels need to emit the photons of one emitter, each from its index."""
-    aim, planned = plan.aims[emitter_id], int(plan.counts[emitter_id])
-    per_area = planned / aim.area if planned else 0.0
+    region, planned = plan.regions[emitter_id], int(plan.counts[emitter_id])
+    per_area = planned / region.area if planned else 0.0
     return _kernel.Emission(
-        _kernel.Aim(aim.kind, aim.origin, aim.frame, aim.shape, aim.lead, per_area),
+        _kernel.EmissionRegion(
+            region.kind, region.origin, region.frame, region.shape, region.start_distance, per_area
+        ),
         check_seed(seed),
         emitter_id,
         np.array(seed_shift(seed, emitter_id) if sampler == "halton" else ()),
     )
 
 
-def _empty_rays(emitter_id: int, n: int, aim: Aim) -> PrimalRays:
+def _empty_rays(emitter_id: int, n: int, region: EmissionRegion) -> PrimalRays:
     return PrimalRays(
         emitter_id,
         origin=np.empty((n, 3)),
         direction=np.empty((n, 3)),
-        emitter_coords=np.empty((n, 2 if aim.is_plane else 3)),
+        emitter_coords=np.empty((n, 2 if region.is_plane else 3)),
         emitter_density=np.empty(n),
-        travelled=aim.lead,
+        travelled=region.start_distance,
     )
 
 
@@ -253,25 +255,25 @@ def _target(scene: Scene, paths: str) -> tuple[Floats, float]:
     return scene.bounding_sphere(scene.specular_objects)
 
 
-def _aim(
+def _region(
     emitter: Emitter, centre: Floats, radius: float, *, whole: tuple[Floats, float], gap: float
-) -> Aim:
+) -> EmissionRegion:
     if isinstance(emitter, CollimatedEmitter):
         return _aim_plane(emitter, centre, radius, whole)
-    lead = max(_clearance(np.asarray(emitter.position), whole), gap)
+    start_distance = max(_clearance(np.asarray(emitter.position), whole), gap)
     if isinstance(emitter, PointEmitter):
-        return _aim_point(emitter, centre, radius, lead)
-    return _aim_lambertian(emitter, centre, radius, lead)
+        return _aim_point(emitter, centre, radius, start_distance)
+    return _aim_lambertian(emitter, centre, radius, start_distance)
 
 
 def _aim_plane(
     emitter: CollimatedEmitter, centre: Floats, radius: float, whole: tuple[Floats, float]
-) -> Aim:
+) -> EmissionRegion:
     """Cover the target's shadow with a disk, upstream of the whole scene."""
     direction = np.asarray(emitter.direction)
     upstream = (whole[0] - centre) @ direction - (1.0 + _CLEARANCE) * whole[1]
     area = np.pi * radius**2
-    return Aim(
+    return EmissionRegion(
         DISK,
         centre + upstream * direction,
         _frame(direction),
@@ -281,28 +283,34 @@ def _aim_plane(
     )
 
 
-def _aim_point(emitter: PointEmitter, centre: Floats, radius: float, lead: float) -> Aim:
+def _aim_point(
+    emitter: PointEmitter, centre: Floats, radius: float, start_distance: float
+) -> EmissionRegion:
     """Cover the target with a cone, or shine all around from inside it."""
     position, power = np.asarray(emitter.position), np.asarray(emitter.power)
     axis, distance = _towards(centre, position)
     shape = np.zeros(4)
     if distance <= radius:
-        return Aim(SPHERE, position, np.eye(3), shape, 4.0 * np.pi, power, lead)
+        return EmissionRegion(
+            SPHERE, position, np.eye(3), shape, 4.0 * np.pi, power, start_distance
+        )
     sin, cos = _half_angle(radius, distance)
     # 1 - cos, without its cancellation for thin cones.
     shape[0] = sin**2 / (1.0 + cos)
-    return Aim(
+    return EmissionRegion(
         CAP,
         position,
         _frame(axis),
         shape,
         2.0 * np.pi * shape[0],
         0.5 * shape[0] * power,
-        lead,
+        start_distance,
     )
 
 
-def _aim_lambertian(emitter: LambertianEmitter, centre: Floats, radius: float, lead: float) -> Aim:
+def _aim_lambertian(
+    emitter: LambertianEmitter, centre: Floats, radius: float, start_distance: float
+) -> EmissionRegion:
     """Cover the target with a cone if that is wholly in front, else shine into the hemisphere."""
     position, normal = np.asarray(emitter.position), np.asarray(emitter.direction)
     axis, distance = _towards(centre, position)
@@ -315,14 +323,14 @@ def _aim_lambertian(emitter: LambertianEmitter, centre: Floats, radius: float, l
         sin_tilt = float(np.linalg.norm(aside))
     # A target wholly behind the emitter gets nothing.
     projected = max(sin**2 * cos_tilt, 0.0)
-    return Aim(
+    return EmissionRegion(
         ELLIPSE,
         position,
         _frame(normal, aside),
         np.array([cos_tilt, sin_tilt, cos, sin]),
         np.pi * projected,
         projected * np.asarray(emitter.power),
-        lead,
+        start_distance,
     )
 
 
@@ -354,7 +362,7 @@ def _frame(w: Floats, aside: Floats | None = None) -> Floats:
     return np.array([u, np.cross(w, u), w])
 
 
-def _shared(n: int, weights: list[float]) -> NDArray[np.int64]:
+def _apportion(n: int, weights: list[float]) -> NDArray[np.int64]:
     """Share n out in proportion, at least one to each positive weight (largest remainders)."""
     share = np.array(weights) / np.sum(weights)
     counts = np.maximum(np.floor(n * share), share > 0.0).astype(np.int64)

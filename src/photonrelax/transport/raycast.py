@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._ext.transport.raycast import Found, Frame, Triangles
 from .._util.parallel import thread_count
 from .._util.validation import Floats, float_array
-from ..scene.meshes import empty, hittable_faces, vertices_of
+from ..scene.meshes import nondegenerate_faces, release_arrays, vertices_of
 from ..scene.scene import SceneObject
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ class RayCaster:
     def __init__(self, objects: Sequence[SceneObject]) -> None:
         if not objects:
             raise ValueError("objects should not be empty")
-        whole = _joined([_hittable_part(item) for item in objects])
+        whole = _joined([_nondegenerate_part(item) for item in objects])
         vertices = np.ascontiguousarray(whole.corners[:, :3])
         embree = _embree(vertices, whole.faces[:, :3])
         self._scene = embree.scene
@@ -227,8 +227,8 @@ class _Part:
     face_id: NDArray[np.int32]
 
 
-def _hittable_part(item: SceneObject) -> _Part:
-    face_id, faces = hittable_faces(item.mesh)
+def _nondegenerate_part(item: SceneObject) -> _Part:
+    face_id, faces = nondegenerate_faces(item.mesh)
     # Vertices of no face would stretch the frame, at the price of precision.
     used = vertices_of(faces, len(item.mesh.vertices))
     corners = np.zeros((np.count_nonzero(used), 6))
@@ -266,7 +266,7 @@ def _embree(vertices: Floats, faces: NDArray[np.int32]) -> Any:
     intersector = RayMeshIntersector(mesh)
     embree = intersector._scene
     intersector._cache.clear()
-    empty(mesh)
+    release_arrays(mesh)
     # The first run completes the scene, which must not happen in two threads at once.
     one_ray = np.ones((1, 3), dtype=np.float32)
     embree.scene.run(one_ray, one_ray)

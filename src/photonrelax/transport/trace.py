@@ -210,7 +210,7 @@ class _Tracer:
         self.how = how
         self._flux = plan.flux_per_photon
         self._emissions = [
-            emission(plan, e, seed=how.seed, sampler=how.sampler) for e in range(len(plan.aims))
+            emission(plan, e, seed=how.seed, sampler=how.sampler) for e in range(len(plan.regions))
         ]
         self._put_away: list[_kernel.Paths] = []
 
@@ -236,7 +236,7 @@ class _Tracer:
         """Return which photons of a batch, written from a row on, are to get spectra."""
         emitter_id, n = batch.account.emitter_id, batch.account.n_paths
         drawn = np.empty(n, dtype=np.uint8)
-        self._emissions[emitter_id].chosen(batch.first, drawn, self.how.frequency_share)
+        self._emissions[emitter_id].spectrum_photons(batch.first, drawn, self.how.frequency_share)
         ends = batch.paths.deposits.ends()
         starts = np.concatenate([[0], ends[:-1]])
         path = np.flatnonzero((drawn > 0) & (ends > starts))
@@ -284,8 +284,8 @@ class _Columns:
     """The columns of a photon map that grows batch by batch, in place."""
 
     def __init__(self, plan: EmissionPlan) -> None:
-        emitting = (aim for aim, n in zip(plan.aims, plan.counts, strict=True) if n)
-        coords_width = 2 if all(aim.is_plane for aim in emitting) else 3
+        emitting = (region for region, n in zip(plan.regions, plan.counts, strict=True) if n)
+        coords_width = 2 if all(region.is_plane for region in emitting) else 3
         self._widths = _WIDTHS | {"emitter_coords": coords_width}
         self._arrays = self._empty(0)
         self._flux = plan.flux_per_photon
@@ -372,7 +372,7 @@ def _photon_map(
 
 
 def _ledger(plan: EmissionPlan, accounts: list[_Account]) -> EnergyLedger:
-    n_emitters, flux = len(plan.aims), plan.flux_per_photon
+    n_emitters, flux = len(plan.regions), plan.flux_per_photon
     totals = np.zeros((len(FATES), n_emitters, 3))
     ends = np.zeros((len(FATES), n_emitters), dtype=np.int64)
     for e in range(n_emitters):

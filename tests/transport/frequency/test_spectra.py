@@ -48,9 +48,9 @@ def test_operators_tell_where_neighbouring_rays_land(way, point):
         towards = np.asarray(scene.emitters[0].direction)
         lamp = pr.PointEmitter(scene.bounding_sphere([1])[0] - 15.0 * towards)
         scene = pr.Scene(scene.objects, [lamp])
-    aim = plan_emission(scene, 1000).aims[0]
+    region = plan_emission(scene, 1000).regions[0]
     n = len(places)
-    bundle = bundle_at(aim, np.array(places))
+    bundle = bundle_at(region, np.array(places))
     ways = Ways(np.repeat(objects, n, 0), np.repeat(reflected, n, 0), np.full(n, len(objects[0])))
     follower = Follower(scene, RayCaster(scene.objects))
     landings = follower.follow(bundle.beams(), ways)
@@ -68,13 +68,13 @@ def test_operators_tell_where_neighbouring_rays_land(way, point):
         assert (np.linalg.norm(found - stretch @ axis, axis=1) < limit).all()
 
 
-def bundle_at(aim, places):
-    if aim.is_plane:
-        origin = aim.origin + places @ aim.frame[:2]
-        return _Bundle(aim, origin, np.tile(aim.frame[2], (len(places), 1)))
-    direction = aim.frame[2] + places / 15.0 @ aim.frame[:2]
+def bundle_at(region, places):
+    if region.is_plane:
+        origin = region.origin + places @ region.frame[:2]
+        return _Bundle(region, origin, np.tile(region.frame[2], (len(places), 1)))
+    direction = region.frame[2] + places / 15.0 @ region.frame[:2]
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    return _Bundle(aim, aim.origin + aim.lead * direction, direction)
+    return _Bundle(region, region.origin + region.start_distance * direction, direction)
 
 
 @pytest.mark.parametrize("paths", ["caustic", "all"])
@@ -167,10 +167,10 @@ def test_throughput_is_that_of_fresnel_and_of_beer_and_lambert(kappa):
     """Straight down through a slab, as if nothing were reflected within."""
     glass = pr.SceneObject(box([4, 4, 0.5], [0, 0, 1]), pr.Dielectric(1.5, absorption=kappa))
     scene = pr.Scene([floor(), glass], [DOWN])
-    aim = plan_emission(scene, 10).aims[0]
+    region = plan_emission(scene, 10).regions[0]
     ways = Ways(np.array([[1, 1, 0]]), np.zeros((1, 3), dtype=bool), np.array([3]))
     follower = Follower(scene, RayCaster(scene.objects))
-    landings = follower.follow(bundle_at(aim, np.array([[0.1, 0.2]])).beams(), ways)
+    landings = follower.follow(bundle_at(region, np.array([[0.1, 0.2]])).beams(), ways)
     np.testing.assert_allclose(landings.throughput, 0.96**2 * np.exp(-0.5 * kappa), rtol=1e-9)
 
 

@@ -12,9 +12,9 @@ from ..spatial.tree cimport Tree
 from ..spatial.simd.kernels cimport BLOCK, lowest_bit
 from ..relaxation.structure cimport Components, decompose
 from .tangent_plane cimport Photons, Plane, Sites, along, fit, open_plane, project
-from ..spatial.radius cimport visit_within
+from ..spatial.radius cimport visit_radius
 
-from ..spatial.blocks import in_blocks
+from ..spatial.blocks import to_soa_blocks
 
 
 cdef class Shaping:
@@ -88,7 +88,7 @@ cdef void write_gradient(
     slope.flux = &photons.carried[0, 0, 0]
     slope.n_columns = photons.carried.shape[1]
     slope.u = slope.v = 0.0
-    visit_within(photons.tree, &slope.plane.reach, add_slope, &slope)
+    visit_radius(photons.tree, &slope.plane.bounds, add_slope, &slope)
     units = photons.unit / slope.plane.bandwidth
     scale = 4.0 / M_PI * units * units * units
     for axis in range(3):
@@ -140,7 +140,7 @@ cdef void measure(Tensor* tensor, Photons photons, Sites sites, Py_ssize_t row) 
     open_plane(&tensor.plane, photons, sites, row)
     tensor.carried = &photons.carried[0, 0, 0]
     tensor.weight = tensor.flux = tensor.uu = tensor.uv = tensor.vv = 0.0
-    visit_within(photons.tree, &tensor.plane.reach, add_tensor, tensor)
+    visit_radius(photons.tree, &tensor.plane.bounds, add_tensor, tensor)
     tensor.cosine = 1.0
     tensor.sine = tensor.edge = 0.0
     if tensor.weight > 0.0:
@@ -277,7 +277,7 @@ cdef class Values:
     cdef const double[:, :, ::1] blocks
 
     def __init__(self, values, rows, n_threads):
-        self.blocks = in_blocks(values, rows, n_threads)
+        self.blocks = to_soa_blocks(values, rows, n_threads)
 
 
 cdef struct Gathered:
@@ -324,7 +324,7 @@ cdef void gather_one(
         gathered.out[channel] = 0.0
     measure(&tensor, photons, sites, row)
     shape(&tensor, photons, shaping)
-    visit_within(photons.tree, &tensor.plane.reach, gather, &gathered)
+    visit_radius(photons.tree, &tensor.plane.bounds, gather, &gathered)
     area = M_PI * tensor.plane.bandwidth * tensor.plane.bandwidth
     area *= sqrt(tensor.length * tensor.width)
     for channel in range(gathered.n_channels):

@@ -3,10 +3,10 @@
 from cython.parallel cimport prange
 
 from ..spatial.tree cimport Tree
-from ..spatial.simd.kernels cimport BLOCK, Reach, lowest_bit
-from ..spatial.radius cimport visit_within
+from ..spatial.simd.kernels cimport BLOCK, SearchBounds, lowest_bit
+from ..spatial.radius cimport visit_radius
 
-from ..spatial.blocks import in_blocks
+from ..spatial.blocks import to_soa_blocks
 
 
 cdef struct Largest:
@@ -48,7 +48,7 @@ cdef class Bounds:
 
     def __init__(self, tree, values, rows, *, normal_range, n_threads):
         self.tree = tree
-        self.values = in_blocks(values, rows, n_threads)
+        self.values = to_soa_blocks(values, rows, n_threads)
         self.squared_range = normal_range * normal_range if normal_range >= 0.0 else -1.0
 
     def raise_to(
@@ -79,15 +79,15 @@ cdef void raise_one(
 ) noexcept nogil:
     """Raise the bounds around one query; write its row only."""
     cdef Largest largest
-    cdef Reach reach
-    reach.low = reach.high = &queries[row, 0]
-    reach.squared_limit = radius[row] * radius[row]
-    reach.squared_range = photons.squared_range
-    reach.half_range = NULL
-    reach.n_metric = photons.tree.n_metric
-    reach.n_axes = photons.tree.n_axes
+    cdef SearchBounds bounds
+    bounds.low = bounds.high = &queries[row, 0]
+    bounds.squared_limit = radius[row] * radius[row]
+    bounds.squared_range = photons.squared_range
+    bounds.half_range = NULL
+    bounds.n_metric = photons.tree.n_metric
+    bounds.n_axes = photons.tree.n_axes
     # Of no points there are no values.
     largest.values = &photons.values[0, 0, 0] if photons.values.shape[0] > 0 else NULL
     largest.n_channels = photons.values.shape[1]
     largest.out = &out[row, 0]
-    visit_within(photons.tree, &reach, compare, &largest)
+    visit_radius(photons.tree, &bounds, compare, &largest)

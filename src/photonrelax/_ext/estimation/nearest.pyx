@@ -3,15 +3,15 @@
 from cython.parallel cimport prange, threadid
 from libc.math cimport M_PI
 
-from ..spatial.batch cimport Batch, Query, limit_radius, limit_range, open_query, scratch
+from ..spatial.batch cimport Batch, Query, allocate_batches, limit_radius, limit_range, open_query
 from ..spatial.tree cimport Tree
 from ..spatial.simd.kernels cimport (
-    BLOCK, CONE_WEIGHTS, CONSTANT_WEIGHTS, EPANECHNIKOV_WEIGHTS, OUTSIDE, Weights, last_found,
-    prefetch_row,
+    BLOCK, CONE_WEIGHTS, CONSTANT_WEIGHTS, EPANECHNIKOV_WEIGHTS, OUTSIDE_KEY, Weights,
+    farthest_candidate, prefetch_row,
 )
-from ..spatial.knn cimport find
+from ..spatial.knn cimport query_batch
 
-from ..spatial.blocks import in_blocks
+from ..spatial.blocks import to_soa_blocks
 
 CONSTANT = CONSTANT_WEIGHTS
 CONE = CONE_WEIGHTS
@@ -56,7 +56,7 @@ cdef class Gather:
         if len(rows) != tree.n_points:
             raise ValueError("photons should have a row for each point of the tree")
         self.tree = tree
-        self.values = in_blocks(values, rows, n_threads)
+        self.values = to_soa_blocks(values, rows, n_threads)
         self.k = k
         self.kernel = kernel
         self.nearest_scale = nearest_scale
@@ -72,7 +72,7 @@ cdef class Gather:
         Queries that follow each other there should be near each other.
         """
         cdef Py_ssize_t n_batches = (order.shape[0] + BLOCK - 1) // BLOCK
-        cdef unsigned char[:, ::1] room = scratch(self.tree, self.k, n_threads)
+        cdef unsigned char[:, ::1] batches = allocate_batches(self.tree, self.k, n_threads)
         cdef Py_ssize_t i
         if not (
             queries.shape[0] == out.shape[0] and queries.shape[1] >= self.tree.n_axes
@@ -82,7 +82,7 @@ cdef class Gather:
         for i in prange(
             n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
         ):
-            gather_batch(self, <Batch*> &room[threadid(), 0], queries, order, i, out)
+            gather_batch(self, <Batch*> &batches[threadid(), 0], queries, order, i, out)
 
 
 cdef void gather_batch(
@@ -100,7 +100,7 @@ cdef void gather_batch(
         if photons.normal_range >= 0.0:
             limit_range(query, photons.normal_range)
     prefetch_queries(queries, order, BLOCK * number + BLOCK)
-    find(photons.tree, batch)
+    query_batch(photons.tree, batch)
     for i in range(batch.n_queries):
         prefetch_row(&out[order[BLOCK * number + i], 0], 8 * out.shape[1])
     for i in range(batch.n_queries):
@@ -124,17 +124,18 @@ cdef void gather_one(Gather photons, Query* query, double* out) noexcept nogil:
     With fewer, or k at the query itself, the bandwidth is the gather radius and all found count:
     of photons that share a place more are not looked for, as there may be any number.
     """
-    cdef Py_ssize_t channel, n_channels = photons.values.shape[1]
+    cdef Py_ssize_t farthest, channel, n_channels = photons.values.shape[1]
     cdef double scale = 1.0
     cdef Weights weights
     weights.shape = photons.kernel
     weights.squared_bandwidth = photons.radius * photons.radius
-    if query.found.count == photons.k and query.found.squared_radius > 0.0:
-        query.found.keys[last_found(&query.found, &photons.tree.ids[0])] = OUTSIDE
-        weights.squared_bandwidth = query.found.squared_radius
+    if query.candidates.count == photons.k and query.candidates.squared_radius > 0.0:
+        farthest = farthest_candidate(&query.candidates, &photons.tree.ids[0])
+        query.candidates.rank_keys[farthest] = OUTSIDE_KEY
+        weights.squared_bandwidth = query.candidates.squared_radius
         scale = photons.nearest_scale
-    photons.tree.lanes.weigh(
-        &photons.tree.coords[0, 0, 0], &query.reach, &query.found, &weights,
+    photons.tree.simd.weighted_sum(
+        &photons.tree.coords[0, 0, 0], &query.bounds, &query.candidates, &weights,
         &photons.values[0, 0, 0], n_channels, out
     )
     for channel in range(n_channels):

@@ -4,10 +4,10 @@ from cython.parallel cimport prange, threadid
 from libc.math cimport sqrt
 from libc.stdint cimport int64_t
 
-from ..spatial.batch cimport Batch, Query, limit_radius, limit_range, open_query, scratch
+from ..spatial.batch cimport Batch, Query, allocate_batches, limit_radius, limit_range, open_query
 from ..spatial.tree cimport Tree
 from ..spatial.simd.kernels cimport BLOCK
-from ..spatial.knn cimport find
+from ..spatial.knn cimport query_batch
 
 
 def kth_distance(
@@ -26,13 +26,13 @@ def kth_distance(
         and (normal_range < 0.0 or queries.shape[1] == tree.n_axes)
     ):
         raise ValueError("queries, their order and distances do not fit one another")
-    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef unsigned char[:, ::1] batches = allocate_batches(tree, k, n_threads)
     cdef Py_ssize_t i
     for i in prange(
         n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
     ):
         reach_batch(
-            tree, <Batch*> &room[threadid(), 0], queries, order, i, k, radius, normal_range, out
+            tree, <Batch*> &batches[threadid(), 0], queries, order, i, k, radius, normal_range, out
         )
 
 
@@ -50,15 +50,15 @@ cdef void reach_batch(
         limit_radius(query, radius * radius)
         if normal_range >= 0.0:
             limit_range(query, normal_range)
-    find(tree, batch)
+    query_batch(tree, batch)
     for i in range(batch.n_queries):
         query = &batch.queries[i]
         out[order[BLOCK * number + i]] = (
-            sqrt(query.found.squared_radius) if query.found.count == k else radius
+            sqrt(query.candidates.squared_radius) if query.candidates.count == k else radius
         )
 
 
-def narrow(
+def update(
     double[::1] n, double[:, ::1] tau, double[::1] radius, *,
     const int64_t[::1] counts, const double[:, ::1] sums, const double[::1] least,
     double alpha, double weight, int n_threads
@@ -76,10 +76,10 @@ def narrow(
         raise ValueError("numbers, sums and radii do not fit one another")
     for i in prange(n.shape[0], nogil=True, schedule="static", num_threads=n_threads):
         if counts[i] > 0:
-            narrow_one(i, n, tau, radius, counts[i], sums, least, alpha, weight)
+            update_one(i, n, tau, radius, counts[i], sums, least, alpha, weight)
 
 
-cdef void narrow_one(
+cdef void update_one(
     Py_ssize_t row, double[::1] n, double[:, ::1] tau, double[::1] radius, int64_t found,
     const double[:, ::1] sums, const double[::1] least, double alpha, double weight
 ) noexcept nogil:

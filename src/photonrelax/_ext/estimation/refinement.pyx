@@ -7,13 +7,13 @@ from libc.stdint cimport int64_t
 
 import numpy as np
 
-from ..spatial.batch cimport Batch, Query, limit_radius, limit_range, open_query, scratch
+from ..spatial.batch cimport Batch, Query, allocate_batches, limit_radius, limit_range, open_query
 from ..spatial.tree cimport Tree
 from ..spatial.simd.kernels cimport BLOCK
-from ..spatial.knn cimport find
+from ..spatial.knn cimport query_batch
 from ..spatial.radius cimport weight_of
 
-from ..spatial.blocks import in_blocks
+from ..spatial.blocks import to_soa_blocks
 
 cdef enum Rule:
     CHECKING
@@ -104,7 +104,7 @@ cdef class Gather:
         if len(rows) != tree.n_points:
             raise ValueError("photons should have a row for each point of the tree")
         self.tree = tree
-        self.values = in_blocks(values, rows, n_threads)
+        self.values = to_soa_blocks(values, rows, n_threads)
         self.flux = flux[rows]
         self.places = np.arange(BLOCK * tree.n_blocks)
         self.k_min = k_min
@@ -125,7 +125,7 @@ cdef class Gather:
         Queries that follow each other there should be near each other.
         """
         cdef Py_ssize_t n_batches = (order.shape[0] + BLOCK - 1) // BLOCK
-        cdef unsigned char[:, ::1] room = scratch(self.tree, self.k, n_threads)
+        cdef unsigned char[:, ::1] batches = allocate_batches(self.tree, self.k, n_threads)
         cdef unsigned char[:, ::1] lists = np.empty(
             (n_threads, max(self.k, 1) * sizeof(Near)), dtype=np.uint8
         )
@@ -139,8 +139,8 @@ cdef class Gather:
             n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
         ):
             gather_batch(
-                self, <Batch*> &room[threadid(), 0], <Near*> &lists[threadid(), 0], queries, order,
-                i, out
+                self, <Batch*> &batches[threadid(), 0], <Near*> &lists[threadid(), 0], queries,
+                order, i, out
             )
 
 
@@ -158,7 +158,7 @@ cdef void gather_batch(
         limit_radius(query, photons.squared_reach)
         if photons.normal_range >= 0.0:
             limit_range(query, photons.normal_range)
-    find(photons.tree, batch)
+    query_batch(photons.tree, batch)
     for i in range(batch.n_queries):
         count = list_nearest(photons, batch, i, near)
         gather_one(photons, near, count, &out[order[BLOCK * number + i], 0])
@@ -169,10 +169,10 @@ cdef Py_ssize_t list_nearest(
 ) noexcept nogil:
     """List what a query of the batch found, nearest first, and sums; return how many."""
     cdef const Query* query = &batch.queries[i]
-    cdef Py_ssize_t j, count = query.found.count
+    cdef Py_ssize_t j, count = query.candidates.count
     cdef double own, flux = 0.0, squared_flux = 0.0
-    photons.tree.lanes.list(
-        &photons.tree.coords[0, 0, 0], &query.reach, &query.found, &photons.places[0],
+    photons.tree.simd.gather_neighbours(
+        &photons.tree.coords[0, 0, 0], &query.bounds, &query.candidates, &photons.places[0],
         batch.squared, batch.id
     )
     for j in range(count):

@@ -2,7 +2,7 @@
 
 from ..common.vec3 cimport dot
 from ..spatial.tree cimport Tree
-from ..spatial.simd.kernels cimport BLOCK, Reach
+from ..spatial.simd.kernels cimport BLOCK, SearchBounds
 
 cdef enum:
     # Photons that come in flatter than at 6° to the plane, whose sine is one over this, are moved
@@ -33,7 +33,7 @@ cdef struct Plane:
     double scale
     # Of the photons, NULL if they are projected along the normal.
     const double* towards
-    Reach reach
+    SearchBounds bounds
 
 
 cdef bint fit(Photons photons, Sites sites, Py_ssize_t n_columns)

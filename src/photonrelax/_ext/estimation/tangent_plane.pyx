@@ -5,13 +5,13 @@ from libc.math cimport INFINITY, sqrt
 
 import numpy as np
 
-from ..spatial.batch cimport Batch, Query, limit_radius, limit_range, open_query, scratch
+from ..spatial.batch cimport Batch, Query, allocate_batches, limit_radius, limit_range, open_query
 from ..common.vec3 cimport orthonormal_frame
 from ..spatial.tree cimport Tree
 from ..spatial.simd.kernels cimport BLOCK
-from ..spatial.knn cimport find
+from ..spatial.knn cimport query_batch
 
-from ..spatial.blocks import in_blocks
+from ..spatial.blocks import to_soa_blocks
 
 # What the distance to the k-th photon is multiplied by: whether that photon itself, on the rim, is
 # within must not hang on roundings, and an estimate from those within is unbiased without it.
@@ -67,8 +67,8 @@ cdef class Photons:
         if towards is not None and towards.shape[1] != 3:
             raise ValueError(f"towards should have shape (m, 3), but has {towards.shape}")
         self.tree = tree
-        self.towards = None if towards is None else in_blocks(towards, rows, n_threads)
-        self.carried = in_blocks(carried, rows, n_threads)
+        self.towards = None if towards is None else to_soa_blocks(towards, rows, n_threads)
+        self.carried = to_soa_blocks(carried, rows, n_threads)
         self.normal_range = normal_range
         self.unit = unit
 
@@ -91,12 +91,12 @@ cdef void open_plane(Plane* plane, Photons photons, Sites sites, Py_ssize_t row)
     plane.bandwidth = bandwidth
     plane.scale = 1.0 / bandwidth
     plane.towards = NULL if photons.towards is None else &photons.towards[0, 0, 0]
-    plane.reach.low = plane.reach.high = plane.at
-    plane.reach.squared_limit = bandwidth * bandwidth
-    plane.reach.squared_range = wide * wide if wide >= 0.0 else -1.0
-    plane.reach.half_range = NULL
-    plane.reach.n_metric = photons.tree.n_metric
-    plane.reach.n_axes = photons.tree.n_axes
+    plane.bounds.low = plane.bounds.high = plane.at
+    plane.bounds.squared_limit = bandwidth * bandwidth
+    plane.bounds.squared_range = wide * wide if wide >= 0.0 else -1.0
+    plane.bounds.half_range = NULL
+    plane.bounds.n_metric = photons.tree.n_metric
+    plane.bounds.n_axes = photons.tree.n_axes
 
 
 cdef class Search:
@@ -131,16 +131,16 @@ def bandwidths(
     """
     cdef Py_ssize_t n_batches = (order.shape[0] + BLOCK - 1) // BLOCK
     cdef Search search = Search(tree, queries, order, radius, normal_range=normal_range)
-    cdef unsigned char[:, ::1] room
+    cdef unsigned char[:, ::1] batches
     cdef Py_ssize_t i
     if k > tree.n_points:
         return
-    room = scratch(tree, k, n_threads)
+    batches = allocate_batches(tree, k, n_threads)
     for i in prange(
         n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
     ):
-        search_batch(search, <Batch*> &room[threadid(), 0], BLOCK * i)
-        lower_radii(search, <Batch*> &room[threadid(), 0], BLOCK * i)
+        search_batch(search, <Batch*> &batches[threadid(), 0], BLOCK * i)
+        lower_radii(search, <Batch*> &batches[threadid(), 0], BLOCK * i)
 
 
 def farthest(
@@ -153,14 +153,14 @@ def farthest(
     """
     cdef Py_ssize_t i, n = queries.shape[0]
     cdef Py_ssize_t n_batches = (n + BLOCK - 1) // BLOCK
-    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef unsigned char[:, ::1] batches = allocate_batches(tree, k, n_threads)
     cdef double[::1] distance = np.full(n, INFINITY)
     cdef Search search = Search(tree, queries, np.arange(n), distance, normal_range=normal_range)
     for i in prange(
         n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
     ):
-        search_batch(search, <Batch*> &room[threadid(), 0], BLOCK * i)
-        write_farthest(search, <Batch*> &room[threadid(), 0], BLOCK * i)
+        search_batch(search, <Batch*> &batches[threadid(), 0], BLOCK * i)
+        write_farthest(search, <Batch*> &batches[threadid(), 0], BLOCK * i)
     return distance.base
 
 
@@ -168,7 +168,7 @@ cdef void write_farthest(Search search, Batch* batch, Py_ssize_t first) noexcept
     """Write how far the farthest found are; write their rows only."""
     cdef Py_ssize_t i
     for i in range(batch.n_queries):
-        search.radius[search.order[first + i]] = sqrt(batch.queries[i].found.squared_radius)
+        search.radius[search.order[first + i]] = sqrt(batch.queries[i].candidates.squared_radius)
 
 
 cdef void search_batch(Search search, Batch* batch, Py_ssize_t first) noexcept nogil:
@@ -183,7 +183,7 @@ cdef void search_batch(Search search, Batch* batch, Py_ssize_t first) noexcept n
         limit_radius(query, search.radius[row] * search.radius[row])
         if search.normal_range >= 0.0:
             limit_range(query, search.normal_range)
-    find(search.tree, batch)
+    query_batch(search.tree, batch)
 
 
 cdef void lower_radii(Search search, Batch* batch, Py_ssize_t first) noexcept nogil:
@@ -192,5 +192,7 @@ cdef void lower_radii(Search search, Batch* batch, Py_ssize_t first) noexcept no
     cdef const Query* query
     for i in range(batch.n_queries):
         query = &batch.queries[i]
-        if query.found.count == batch.k and query.found.squared_radius > 0.0:
-            search.radius[search.order[first + i]] = WITHOUT_LAST * sqrt(query.found.squared_radius)
+        if query.candidates.count == batch.k and query.candidates.squared_radius > 0.0:
+            search.radius[search.order[first + i]] = WITHOUT_LAST * sqrt(
+                query.candidates.squared_radius
+            )

@@ -8,18 +8,18 @@ import numpy as np
 
 from ..common.vec3 cimport cross, dot
 from ..spatial.batch cimport (
-    Batch, Query, limit_radius, limit_range, list_points, open_block, scratch,
+    Batch, Query, allocate_batches, gather_points, limit_radius, limit_range, open_block,
 )
 from ..spatial.tree cimport Tree
 from ..spatial.simd.kernels cimport BLOCK, prefetch_row
-from ..spatial.knn cimport find
+from ..spatial.knn cimport query_batch
 
 # A photon with fewer photons in range than this has no neighbourhood to spread out in.
 cdef enum:
-    FEWEST = 4
+    MIN_NEIGHBOURS = 4
 
 
-cdef class Sheet:
+cdef class RelaxInputs:
     """What a move reads of each photon: by place in the tree, or by row of the structure.
 
     Parameters
@@ -72,78 +72,79 @@ cdef class Sheet:
 
 
 def move(
-    Tree tree, Py_ssize_t first, Py_ssize_t end, Sheet sheet, Py_ssize_t k, double step,
+    Tree tree, Py_ssize_t first, Py_ssize_t end, RelaxInputs inputs, Py_ssize_t k, double step,
     double[:, ::1] moved, int n_threads
 ):
     """Write the new positions of the photons at places first … end, whole blocks, of the tree.
 
-    All positions read are the tree's, so the update is simultaneous: no order among photons.
+    All positions read are the tree's, so the update is simultaneous: no order among inputs.
     """
-    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef unsigned char[:, ::1] batches = allocate_batches(tree, k, n_threads)
     cdef Py_ssize_t block
     for block in prange(
         first // BLOCK, (end + BLOCK - 1) // BLOCK, nogil=True, schedule="dynamic", chunksize=16,
         num_threads=n_threads
     ):
-        move_block(tree, <Batch*> &room[threadid(), 0], block, sheet, step, moved)
+        move_block(tree, <Batch*> &batches[threadid(), 0], block, inputs, step, moved)
 
 
 cdef void move_block(
-    Tree tree, Batch* batch, Py_ssize_t block, Sheet sheet, double step, double[:, ::1] moved
+    Tree tree, Batch* batch, Py_ssize_t block, RelaxInputs inputs, double step,
+    double[:, ::1] moved
 ) noexcept nogil:
     """Move the photons of a block; write their places only."""
     cdef Py_ssize_t lane, place, row
     cdef Query* query
     open_block(tree, batch, block)
-    prefetch_limits(tree, block + 1, sheet)
+    prefetch_limits(tree, block + 1, inputs)
     for lane in range(batch.n_queries):
         query = &batch.queries[lane]
         place = BLOCK * block + lane
-        row = sheet.rows[place]
-        prefetch_row(&sheet.basis[row, 0, 0], 3 * sizeof(double))
-        prefetch_row(&sheet.constraint[row], sizeof(double))
-        query.squared_guess = INFINITY if sheet.too_few[place] else sheet.squared_radius[place]
-        if sheet.range_radius is not None:
-            limit_range(query, sheet.range_radius[row])
-        if sheet.reach is not None:
-            limit_radius(query, sheet.reach[row] * sheet.reach[row])
-    find(tree, batch)
-    list_points(tree, batch)
+        row = inputs.rows[place]
+        prefetch_row(&inputs.basis[row, 0, 0], 3 * sizeof(double))
+        prefetch_row(&inputs.constraint[row], sizeof(double))
+        query.squared_guess = INFINITY if inputs.too_few[place] else inputs.squared_radius[place]
+        if inputs.range_radius is not None:
+            limit_range(query, inputs.range_radius[row])
+        if inputs.reach is not None:
+            limit_radius(query, inputs.reach[row] * inputs.reach[row])
+    query_batch(tree, batch)
+    gather_points(tree, batch)
     for lane in range(batch.n_queries):
-        move_one(tree, batch, lane, BLOCK * block + lane, sheet, step, moved)
+        move_one(tree, batch, lane, BLOCK * block + lane, inputs, step, moved)
 
 
-cdef inline void prefetch_limits(Tree tree, Py_ssize_t block, Sheet sheet) noexcept nogil:
+cdef inline void prefetch_limits(Tree tree, Py_ssize_t block, RelaxInputs inputs) noexcept nogil:
     """Have the limits that the next block reads brought into the cache."""
     cdef Py_ssize_t place
     for place in range(BLOCK * block, min(BLOCK * block + BLOCK, tree.n_points)):
-        if sheet.range_radius is not None:
-            prefetch_row(&sheet.range_radius[sheet.rows[place]], sizeof(double))
-        if sheet.reach is not None:
-            prefetch_row(&sheet.reach[sheet.rows[place]], sizeof(double))
+        if inputs.range_radius is not None:
+            prefetch_row(&inputs.range_radius[inputs.rows[place]], sizeof(double))
+        if inputs.reach is not None:
+            prefetch_row(&inputs.reach[inputs.rows[place]], sizeof(double))
 
 
 cdef void move_one(
-    Tree tree, Batch* batch, Py_ssize_t lane, Py_ssize_t place, Sheet sheet, double step,
+    Tree tree, Batch* batch, Py_ssize_t lane, Py_ssize_t place, RelaxInputs inputs, double step,
     double[:, ::1] moved
 ) noexcept nogil:
     """Move one photon by the repulsion of its neighbours; write its place only."""
     cdef const Query* query = &batch.queries[lane]
     cdef Py_ssize_t axis
-    cdef Py_ssize_t row = sheet.rows[place]
+    cdef Py_ssize_t row = inputs.rows[place]
     cdef double[3] f
     f[0] = f[1] = f[2] = 0.0
-    if query.found.count >= FEWEST and query.found.squared_radius > 0.0:
-        tree.lanes.repulsion(
-            batch.points + 3 * lane * batch.stride, query.found.count,
-            query.found.squared_radius, query.reach.low, f
+    if query.candidates.count >= MIN_NEIGHBOURS and query.candidates.squared_radius > 0.0:
+        tree.simd.repulsion(
+            batch.points + 3 * lane * batch.stride, query.candidates.count,
+            query.candidates.squared_radius, query.bounds.low, f
         )
-        project(f, &sheet.normal[place, 0], &sheet.basis[row, 0, 0], sheet.constraint[row])
-        shorten(f, step, sheet.largest_step[place])
-    sheet.squared_radius[place] = query.found.squared_radius
-    sheet.too_few[place] = query.found.count < batch.k
+        project(f, &inputs.normal[place, 0], &inputs.basis[row, 0, 0], inputs.constraint[row])
+        shorten(f, step, inputs.largest_step[place])
+    inputs.squared_radius[place] = query.candidates.squared_radius
+    inputs.too_few[place] = query.candidates.count < batch.k
     for axis in range(3):
-        moved[place, axis] = query.reach.low[axis] + f[axis]
+        moved[place, axis] = query.bounds.low[axis] + f[axis]
 
 
 cdef void project(

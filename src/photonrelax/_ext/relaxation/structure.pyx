@@ -6,14 +6,14 @@ from libc.math cimport INFINITY, M_PI, erf, fabs, sqrt
 import numpy as np
 
 from ..common.vec3 cimport orthonormal_frame
-from ..spatial.batch cimport Batch, Query, limit_radius, limit_range, open_block, scratch
+from ..spatial.batch cimport Batch, Query, allocate_batches, limit_radius, limit_range, open_block
 from ..spatial.tree cimport Tree
 from ..spatial.simd.kernels cimport BLOCK, prefetch_row
-from ..spatial.knn cimport find
+from ..spatial.knn cimport query_batch
 
 # Below this many photons in range a neighbourhood says nothing about structure.
 cdef enum:
-    FEWEST = 4
+    MIN_NEIGHBOURS = 4
 
 
 cdef double MARGIN = 1.6
@@ -77,8 +77,8 @@ cpdef double gradient_constraint(double shift, double gain) noexcept nogil:
     return min(gain * 0.75 * M_PI * shift, 1.0)
 
 
-cdef class Sheet:
-    """What is read of photons.
+cdef class StructureInputs:
+    """What is read of inputs.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ cdef class Targets:
         cdef Py_ssize_t count
         self.gain = gain
         self.isotropic = np.empty((most_found + 1, 2))
-        for count in range(FEWEST, most_found + 1):
+        for count in range(MIN_NEIGHBOURS, most_found + 1):
             self.isotropic[count, 0] = isotropic_mean(count)
             self.isotropic[count, 1] = isotropic_scale(count)
         self.eigenvalues = eigenvalues
@@ -214,8 +214,8 @@ cdef void write_components(
 
 
 def detect(
-    Tree tree, Py_ssize_t first, Py_ssize_t end, Sheet sheet, targets_by_name, *, Py_ssize_t k,
-    double gain=-1.0, int n_threads
+    Tree tree, Py_ssize_t first, Py_ssize_t end, StructureInputs inputs, targets_by_name, *,
+    Py_ssize_t k, double gain=-1.0, int n_threads
 ):
     """Fill the rows of the photons at places first … end, whole blocks, of the tree.
 
@@ -223,61 +223,63 @@ def detect(
     principal components tell.
     """
     cdef Targets targets = Targets(min(k, tree.n_points), gain, **targets_by_name)
-    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef unsigned char[:, ::1] batches = allocate_batches(tree, k, n_threads)
     cdef Py_ssize_t block
     for block in prange(
         first // BLOCK, (end + BLOCK - 1) // BLOCK, nogil=True, schedule="dynamic", chunksize=16,
         num_threads=n_threads
     ):
-        detect_block(tree, <Batch*> &room[threadid(), 0], block, sheet, targets)
+        detect_block(tree, <Batch*> &batches[threadid(), 0], block, inputs, targets)
 
 
 cdef void detect_block(
-    Tree tree, Batch* batch, Py_ssize_t block, Sheet sheet, Targets out
+    Tree tree, Batch* batch, Py_ssize_t block, StructureInputs inputs, Targets out
 ) noexcept nogil:
     """Detect the structure around the photons of a block; write their rows only.
 
     How much of its reach a photon has to look at, all of it where too few are in range, is much
-    the same next to it, if not where a sheet ends; hence the margin.
+    the same next to it, if not where a inputs ends; hence the margin.
     """
     cdef Py_ssize_t lane, row
     cdef Query* query
     cdef double squared_reach, share = 0.0
     open_block(tree, batch, block)
-    prefetch_limits(tree, block + 1, sheet)
+    prefetch_limits(tree, block + 1, inputs)
     for lane in range(batch.n_queries):
         query = &batch.queries[lane]
-        row = sheet.rows[BLOCK * block + lane]
+        row = inputs.rows[BLOCK * block + lane]
         prefetch(out, row)
-        prefetch_row(&sheet.normal[row, 0], 3 * sizeof(double))
-        if sheet.range_radius is not None:
-            limit_range(query, sheet.range_radius[row])
-        if sheet.reach is not None:
-            squared_reach = sheet.reach[row] * sheet.reach[row]
+        prefetch_row(&inputs.normal[row, 0], 3 * sizeof(double))
+        if inputs.range_radius is not None:
+            limit_range(query, inputs.range_radius[row])
+        if inputs.reach is not None:
+            squared_reach = inputs.reach[row] * inputs.reach[row]
             limit_radius(query, squared_reach)
             if squared_reach < INFINITY:
                 query.squared_guess = MARGIN * batch.share * squared_reach
-    find(tree, batch)
+    query_batch(tree, batch)
     for lane in range(batch.n_queries):
-        row = sheet.rows[BLOCK * block + lane]
-        detect_one(tree, &batch.queries[lane], row, &sheet.normal[row, 0], out)
-        if sheet.reach is not None and sheet.reach[row] > 0.0:
-            squared_reach = sheet.reach[row] * sheet.reach[row]
-            if batch.queries[lane].found.count < batch.k:
+        row = inputs.rows[BLOCK * block + lane]
+        detect_one(tree, &batch.queries[lane], row, &inputs.normal[row, 0], out)
+        if inputs.reach is not None and inputs.reach[row] > 0.0:
+            squared_reach = inputs.reach[row] * inputs.reach[row]
+            if batch.queries[lane].candidates.count < batch.k:
                 share += 1.0
             else:
-                share += batch.queries[lane].found.squared_radius / squared_reach
+                share += batch.queries[lane].candidates.squared_radius / squared_reach
     batch.share = share / batch.n_queries
 
 
-cdef inline void prefetch_limits(Tree tree, Py_ssize_t block, Sheet sheet) noexcept nogil:
+cdef inline void prefetch_limits(
+    Tree tree, Py_ssize_t block, StructureInputs inputs
+) noexcept nogil:
     """Have the limits that the next block reads brought into the cache."""
     cdef Py_ssize_t place
     for place in range(BLOCK * block, min(BLOCK * block + BLOCK, tree.n_points)):
-        if sheet.range_radius is not None:
-            prefetch_row(&sheet.range_radius[sheet.rows[place]], sizeof(double))
-        if sheet.reach is not None:
-            prefetch_row(&sheet.reach[sheet.rows[place]], sizeof(double))
+        if inputs.range_radius is not None:
+            prefetch_row(&inputs.range_radius[inputs.rows[place]], sizeof(double))
+        if inputs.reach is not None:
+            prefetch_row(&inputs.reach[inputs.rows[place]], sizeof(double))
 
 
 cdef inline void prefetch(Targets out, Py_ssize_t row) noexcept nogil:
@@ -293,21 +295,21 @@ cdef void detect_one(
     Tree tree, const Query* query, Py_ssize_t row, const double* normal, Targets out
 ) noexcept nogil:
     """Detect the structure around one photon from its neighbours; write its row only."""
-    cdef Py_ssize_t axis, count = query.found.count
+    cdef Py_ssize_t axis, count = query.candidates.count
     cdef Components pca
-    cdef double inverse, strength = 0.0, radius = sqrt(query.found.squared_radius)
+    cdef double inverse, strength = 0.0, radius = sqrt(query.candidates.squared_radius)
     cdef double[6] frame, scaled
     cdef double[5] moments
     orthonormal_frame(frame, frame + 3, normal)
     pca.first = pca.second = pca.sine = 0.0
     pca.cosine = 1.0
-    if count >= FEWEST and radius > 0.0:
+    if count >= MIN_NEIGHBOURS and radius > 0.0:
         # Dividing lengths, not squares, keeps very small and very large scenes in range.
         inverse = 1.0 / radius
         for axis in range(6):
             scaled[axis] = inverse * frame[axis]
-        tree.lanes.moments(
-            &tree.coords[0, 0, 0], tree.n_axes, &query.found, query.reach.low, scaled, moments
+        tree.simd.moments(
+            &tree.coords[0, 0, 0], tree.n_axes, &query.candidates, query.bounds.low, scaled, moments
         )
         pca = decompose(moments[0], moments[1], moments[2])
         if out.gain < 0.0:

@@ -1,75 +1,76 @@
-"""Batches: up to 16 queries that are near one another, and room for what they find.
+"""Batches: up to 16 queries close to one another, and the memory their search needs.
 
-A batch lies in a row of `scratch`, a row a thread: it is opened with queries, searched with `find`,
-and read or listed.
+A batch is a row of `allocate_batches`, one row per thread. It is opened with queries, searched
+with `query_batch`, and its neighbours are read or gathered.
 """
 
 from libc.stdint cimport int32_t, int64_t
 
 from .tree cimport Tree
-from .simd.kernels cimport BLOCK, Found, Frame, Local, Reach
+from .simd.kernels cimport BLOCK, Candidates, FloatQuery, Quantisation, SearchBounds
 
 
 cdef enum:
-    # Blocks are listed up to so many before queries take their candidates. Rows of what is listed
-    # of them are so far apart, as more is written behind them.
+    # Blocks listed before they are scanned for all queries, and the stride of rows of their boxes,
+    # behind which kernels write up to a vector.
     LISTED = 48
     LISTED_STRIDE = 64
 
 
 cdef struct Query:
-    # From where, and how far it looks at present; the same among copies, unless those are too
-    # coarse for it.
-    Reach reach
-    Local local
+    # Bounds of the current attempt, in float64 and in float32, unless that is too coarse.
+    SearchBounds bounds
+    FloatQuery float_query
     bint exact
-    # How far it looks if that is not enough, and what it never looks beyond; finite.
-    double squared_wanted
-    double squared_most
-    # A guess of what it will find, or -1.
+    # Squared radius of the next attempt, and of the largest; finite.
+    double squared_retry
+    double squared_max
+    # Estimate of the squared distance to the k-th neighbour, or -1.
     double squared_guess
-    # Whether it finds what the query before it does.
-    bint alike
-    # A place that is not to be found, or -1.
+    # The neighbours are those of the previous query.
+    bint repeats_previous
+    # Place of a point that is not a neighbour, or -1.
     int64_t excluded
-    # Once k were found and the rest dropped, the highest id as far away as the farthest; else -1.
+    # After `drop_farthest`, the highest id at the distance of the k-th candidate; else -1.
     int64_t highest_id
     bint done
-    Found found
+    Candidates candidates
 
 
 cdef struct Batch:
     Query[BLOCK] queries
     Py_ssize_t n_queries
     Py_ssize_t k
-    # How far queries look, and how far if that is not enough; from what was found before.
+    # Squared radii of the first and the second attempt, from the last batch.
     double squared_first
-    double squared_then
-    # What was found before as a share of the squared reach, for those who guess by it.
+    double squared_retry
+    # Squared radius as a share of the squared limit in the last batch, for callers that guess.
     double share
-    # What any query wants to reach; the highest of their highest ids if all have one, else -1.
-    Reach reach
+    # Bounds that enclose those of all open queries; the greatest of their highest ids if all have
+    # one, else -1.
+    SearchBounds bounds
     int64_t highest_id
     double* low
     double* high
     double* half_range
-    # Coordinates of the queries, (16, n_axes), and among copies.
+    # Coordinates of the queries, (16, n_axes), in float64 and float32.
     double* at
-    float* local_at
-    # How copies are made, and where their origin is.
-    Frame frame
+    float* float_at
+    # Map to float32 coordinates, and its origin.
+    Quantisation quantisation
     double* origin
-    # Blocks in reach, what number they have among all boxes, and these; whether that is all.
+    # Listed blocks, the numbers of their boxes in the tree, and the boxes; whether these are all
+    # blocks within the bounds.
     int32_t[LISTED] listed
     int32_t[LISTED] box_number
     double* boxes
-    # Copies of blocks and boxes.
-    float* copied_blocks
-    float* copied_boxes
+    # The listed blocks and boxes in float32.
+    float* float_blocks
+    float* float_boxes
     Py_ssize_t n_listed
     bint listed_all
-    # Lists of neighbours, `stride` apart: squared distances, ids, and both sorted; or, in the same
-    # room, coordinates of three axes.
+    # Gathered neighbours, rows of `stride`: squared distances, ids, and both sorted; or, in the
+    # same memory, coordinates of three axes.
     Py_ssize_t stride
     double* squared
     int64_t* id
@@ -78,18 +79,18 @@ cdef struct Batch:
     double* points
 
 
-cdef unsigned char[:, ::1] scratch(Tree tree, Py_ssize_t k, int n_threads)
+cdef unsigned char[:, ::1] allocate_batches(Tree tree, Py_ssize_t k, int n_threads)
 
 cdef void open_block(Tree tree, Batch* batch, Py_ssize_t block) noexcept nogil
 cdef void open_query(Tree tree, Batch* batch, const double* at) noexcept nogil
 cdef void limit_radius(Query* query, double squared) noexcept nogil
 cdef void limit_range(Query* query, double radius) noexcept nogil
-cdef bint alike(Tree tree, const Query* one, const Query* other) noexcept nogil
-cdef void copy_found(Found* found, const Found* other) noexcept nogil
-cdef void list_neighbours(Tree tree, Batch* batch) noexcept nogil
-cdef void list_points(Tree tree, Batch* batch) noexcept nogil
+cdef bint same_result(Tree tree, const Query* one, const Query* other) noexcept nogil
+cdef void copy_neighbours(Candidates* found, const Candidates* other) noexcept nogil
+cdef void gather_neighbours(Tree tree, Batch* batch) noexcept nogil
+cdef void gather_points(Tree tree, Batch* batch) noexcept nogil
 
 
 cdef inline Py_ssize_t candidates_before_drop(Py_ssize_t k) noexcept nogil:
-    """Return of how many blocks points are candidates before the farthest are dropped."""
+    """Number of candidate blocks above which all but the k nearest are dropped."""
     return k + 4 * BLOCK

@@ -1,4 +1,4 @@
-"""Columns of arrays: put side by side, bounded, and laid in blocks as a tree lays its points."""
+"""Copies of arrays into columns and into blocks of 16, and bounding boxes."""
 
 from cython.parallel cimport prange
 
@@ -9,18 +9,15 @@ from .simd.kernels cimport BLOCK
 from .tree import aligned
 
 cdef enum:
-    # Rows of a column looked at before those of the next; they fit the cache.
-    PART = 1024
+    # Rows of a column processed before those of the next; they fit the cache.
+    GRAIN_SIZE = 1024
 
 
-def copy_rows(
+def copy_scaled_rows(
     double[:, ::1] target, Py_ssize_t first, const double[:, ::1] source,
     const Py_ssize_t[::1] rows, double scale, int n_threads
 ):
-    """Copy some rows of `source`, multiplied by `scale`, to columns of `target` from `first` on.
-
-    All rows if `rows` is None.
-    """
+    """Copy `rows` of `source`, or all, times `scale` to columns of `target` from `first` on."""
     cdef Py_ssize_t i, row
     if target.shape[0] != (source.shape[0] if rows is None else rows.shape[0]):
         raise ValueError("rows do not fit the target")
@@ -40,9 +37,9 @@ cdef inline void copy_row(
 
 
 def bounds(const double[:, ::1] points, Py_ssize_t n_axes, int n_threads):
-    """Return the least and the greatest coordinates (n_axes,) of points, on their first axes.
+    """Bounding box of points on their first axes: lower and upper bounds (n_axes,).
 
-    Infinity and its negative if there are no points.
+    Infinity and minus infinity if there are no points.
     """
     if not 0 <= n_axes <= points.shape[1]:
         raise ValueError(f"n_axes should be from 0 to {points.shape[1]}, but is {n_axes}")
@@ -50,31 +47,32 @@ def bounds(const double[:, ::1] points, Py_ssize_t n_axes, int n_threads):
     cdef double[:, ::1] high = np.full((n_threads, n_axes), -np.inf)
     cdef int thread
     for thread in prange(n_threads, nogil=True, num_threads=n_threads):
-        bound_share(points, n_axes, thread, n_threads, low, high)
+        bound_range(points, n_axes, thread, n_threads, low, high)
     return np.min(low, axis=0), np.max(high, axis=0)
 
 
-cdef void bound_share(
+cdef void bound_range(
     const double[:, ::1] points, Py_ssize_t n_axes, int thread, int n_threads,
     double[:, ::1] low, double[:, ::1] high
 ) noexcept nogil:
-    """Bound a thread's share of the points; write its row only."""
+    """Bounding box of a thread's range of the points; writes its row only."""
     cdef Py_ssize_t first = thread * points.shape[0] // n_threads
     cdef Py_ssize_t end = (thread + 1) * points.shape[0] // n_threads
     cdef Py_ssize_t axis
     while first < end:
         for axis in range(n_axes):
-            bound_part(
-                points, axis, first, min(first + PART, end), &low[thread, axis], &high[thread, axis]
+            bound_grain(
+                points, axis, first, min(first + GRAIN_SIZE, end), &low[thread, axis],
+                &high[thread, axis]
             )
-        first += PART
+        first += GRAIN_SIZE
 
 
-cdef inline void bound_part(
+cdef inline void bound_grain(
     const double[:, ::1] points, Py_ssize_t axis, Py_ssize_t first, Py_ssize_t end, double* low,
     double* high
 ) noexcept nogil:
-    """Widen bounds, which lie next to those of another thread, so they are written only once."""
+    """Widen bounds; stored once, as another thread's are on the same cache line."""
     cdef double least = low[0], greatest = high[0]
     cdef Py_ssize_t i
     for i in range(first, end):
@@ -84,8 +82,8 @@ cdef inline void bound_part(
     high[0] = greatest
 
 
-def in_blocks(const double[:, ::1] values, const Py_ssize_t[::1] rows, int n_threads):
-    """Return values (m, c) of chosen rows (n,) as (n / 16, c, 16), zero where there are none."""
+def to_soa_blocks(const double[:, ::1] values, const Py_ssize_t[::1] rows, int n_threads):
+    """Values (m, c) of rows (n,) in blocks, (ceil(n / 16), c, 16), zero where there are none."""
     cdef Py_ssize_t n_blocks = (rows.shape[0] + BLOCK - 1) // BLOCK
     cdef Py_ssize_t block
     out = aligned((n_blocks, values.shape[1], BLOCK))

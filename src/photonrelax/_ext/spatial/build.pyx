@@ -31,11 +31,11 @@ cdef enum:
     # Threads go on by subtrees when there are so many a thread, for an even load,
     SUBTREES = 4
     # or when nodes have fewer points.
-    FEW_POINTS = 1 << 14
+    MIN_POINTS = 1 << 14
 
 
-cdef struct Found:
-    # What a thread found in its share of a node.
+cdef struct ThreadPartial:
+    # Bounds and counts of a thread's range of a node.
     double[MAX_AXES] least
     double[MAX_AXES] most
     int32_t[MAX_WORDS] low
@@ -45,10 +45,10 @@ cdef struct Found:
     Py_ssize_t n_lower
 
 
-cdef struct Team:
-    # The threads that work at one node together, and room for what each of them found.
+cdef struct Workers:
+    # Threads that split one node together, and their partial results.
     const Job* job
-    Found* found
+    ThreadPartial* partials
     int n_threads
 
 
@@ -91,12 +91,12 @@ def median_order(const double[:, ::1] points, const double[::1] axis_scale, int 
         order[:] = np.arange(n)
         return order
     cdef Job job
-    cdef Team team
+    cdef Workers workers
     job.n_keys = <int> axes.shape[0]
     job.words = (job.n_keys + QUAD) // QUAD * QUAD
     cdef Py_ssize_t[::1] order_view = order
     cdef int32_t[:, :, ::1] rows = np.empty((2, n, job.words), np.int32)
-    cdef unsigned char[:, ::1] found = np.zeros((n_threads, sizeof(Found)), np.uint8)
+    cdef unsigned char[:, ::1] found = np.zeros((n_threads, sizeof(ThreadPartial)), np.uint8)
     job.points = &points[0, 0]
     job.n_points = n
     job.n_axes = points.shape[1]
@@ -106,11 +106,11 @@ def median_order(const double[:, ::1] points, const double[::1] axis_scale, int 
     job.rows[0] = &rows[0, 0, 0]
     job.rows[1] = &rows[1, 0, 0]
     job.order = &order_view[0]
-    team.job = &job
-    team.found = <Found*> &found[0, 0]
-    team.n_threads = n_threads
+    workers.job = &job
+    workers.partials = <ThreadPartial*> &found[0, 0]
+    workers.n_threads = n_threads
     with nogil:
-        build(&team)
+        build(&workers)
     return order
 
 
@@ -127,25 +127,25 @@ cdef object check(
         )
 
 
-cdef void build(const Team* team) noexcept nogil:
+cdef void build(const Workers* workers) noexcept nogil:
     cdef int level = 0
     cdef Py_ssize_t index
-    write_root(team)
-    while team.n_threads > 1 and (1 << level) < SUBTREES * team.n_threads and (
-        team.job.n_points >> level >= FEW_POINTS
+    write_root(workers)
+    while workers.n_threads > 1 and (1 << level) < SUBTREES * workers.n_threads and (
+        workers.job.n_points >> level >= MIN_POINTS
     ):
-        if (1 << level) < team.n_threads:
+        if (1 << level) < workers.n_threads:
             for index in range(1 << level):
-                split_together(team, level, index)
+                split_parallel(workers, level, index)
         else:
-            for index in prange(1 << level, schedule="dynamic", num_threads=team.n_threads):
-                split_alone(team.job, level, index)
+            for index in prange(1 << level, schedule="dynamic", num_threads=workers.n_threads):
+                split_serial(workers.job, level, index)
         level += 1
-    for index in prange(1 << level, schedule="dynamic", num_threads=team.n_threads):
-        descend(team.job, level, index)
+    for index in prange(1 << level, schedule="dynamic", num_threads=workers.n_threads):
+        descend(workers.job, level, index)
 
 
-cdef void split_alone(const Job* job, int level, Py_ssize_t index) noexcept nogil:
+cdef void split_serial(const Job* job, int level, Py_ssize_t index) noexcept nogil:
     cdef Node node = node_at(job, level, index)
     if not split(job, &node):
         copy_node(job, &node)
@@ -209,154 +209,158 @@ cdef bint split(const Job* job, const Node* node) noexcept nogil:
 
 # All threads at one node
 
-cdef Node share_of(const Team* team, const Node* node, int thread) noexcept nogil:
+cdef Node thread_range(const Workers* workers, const Node* node, int thread) noexcept nogil:
     """Return a thread's part of a node's rows, and room for as many."""
     cdef Node share = node[0]
-    cdef Py_ssize_t first = thread * node.count // team.n_threads
+    cdef Py_ssize_t first = thread * node.count // workers.n_threads
     share.first += first
-    share.count = (thread + 1) * node.count // team.n_threads - first
-    share.rows += first * team.job.words
-    share.halves += first * team.job.words
+    share.count = (thread + 1) * node.count // workers.n_threads - first
+    share.rows += first * workers.job.words
+    share.halves += first * workers.job.words
     return share
 
 
-cdef void write_root(const Team* team) noexcept nogil:
-    cdef Node root = node_at(team.job, 0, 0)
+cdef void write_root(const Workers* workers) noexcept nogil:
+    cdef Node root = node_at(workers.job, 0, 0)
     cdef double[MAX_AXES] least
     cdef double[MAX_AXES] most
     cdef double unit
     cdef int thread, axis
-    for thread in prange(team.n_threads, num_threads=team.n_threads):
-        number_share(team, &root, thread)
-    for axis in range(team.job.n_keys):
+    for thread in prange(workers.n_threads, num_threads=workers.n_threads):
+        number_share(workers, &root, thread)
+    for axis in range(workers.job.n_keys):
         least[axis] = INFINITY
         most[axis] = -INFINITY
-        for thread in range(team.n_threads):
-            least[axis] = min(least[axis], team.found[thread].least[axis])
-            most[axis] = max(most[axis], team.found[thread].most[axis])
-    unit = keys_per_extent(team.job, least, most)
-    for thread in prange(team.n_threads, num_threads=team.n_threads):
-        write_share(team, &root, thread, least, unit)
+        for thread in range(workers.n_threads):
+            least[axis] = min(least[axis], workers.partials[thread].least[axis])
+            most[axis] = max(most[axis], workers.partials[thread].most[axis])
+    unit = keys_per_extent(workers.job, least, most)
+    for thread in prange(workers.n_threads, num_threads=workers.n_threads):
+        write_share(workers, &root, thread, least, unit)
 
 
-cdef void number_share(const Team* team, const Node* root, int thread) noexcept nogil:
-    cdef Node share = share_of(team, root, thread)
+cdef void number_share(const Workers* workers, const Node* root, int thread) noexcept nogil:
+    cdef Node share = thread_range(workers, root, thread)
     cdef Py_ssize_t i
-    memset(share.rows, 0, share.count * team.job.words * sizeof(int32_t))
+    memset(share.rows, 0, share.count * workers.job.words * sizeof(int32_t))
     for i in range(share.count):
-        share.rows[i * team.job.words] = <int32_t> (share.first + i)
-    bound_points(team.job, &share, team.found[thread].least, team.found[thread].most)
+        share.rows[i * workers.job.words] = <int32_t> (share.first + i)
+    bound_points(workers.job, &share, workers.partials[thread].least, workers.partials[thread].most)
 
 
 cdef void write_share(
-    const Team* team, const Node* root, int thread, const double* least, double unit
+    const Workers* workers, const Node* root, int thread, const double* least, double unit
 ) noexcept nogil:
-    cdef Node share = share_of(team, root, thread)
-    write_keys(team.job, &share, least, unit)
+    cdef Node share = thread_range(workers, root, thread)
+    write_keys(workers.job, &share, least, unit)
 
 
-cdef void split_together(const Team* team, int level, Py_ssize_t index) noexcept nogil:
-    cdef Node node = node_at(team.job, level, index)
+cdef void split_parallel(const Workers* workers, int level, Py_ssize_t index) noexcept nogil:
+    cdef Node node = node_at(workers.job, level, index)
     cdef int32_t[MAX_WORDS] low
     cdef int32_t[MAX_WORDS] high
     cdef Cut cut
-    bound_together(team, &node, low, high)
-    if widest_extent(team.job, low, high) < COARSE:
-        if not renew_keys(team.job, &node):
-            copy_node(team.job, &node)
+    cdef Keys keys
+    bound_parallel(workers, &node, low, high)
+    if widest_extent(workers.job, low, high) < COARSE:
+        if not renew_keys(workers.job, &node):
+            copy_node(workers.job, &node)
             return
-        bound_together(team, &node, low, high)
-    cut.word = widest(team.job, &node, low, high)
-    find_together(team, &node, keys_of(team.job, &node, cut.word, low, high), &cut)
+        bound_parallel(workers, &node, low, high)
+    cut.word = widest(workers.job, &node, low, high)
+    keys = keys_of(workers.job, &node, cut.word, low, high)
+    find_key_parallel(workers, &node, keys, &cut)
     if cut.n_tied:
-        divide_tied(team.job, &node, &cut)
+        divide_tied(workers.job, &node, &cut)
     else:
-        divide_together(team, &node, &cut)
+        divide_parallel(workers, &node, &cut)
 
 
-cdef void bound_together(
-    const Team* team, const Node* node, int32_t* low, int32_t* high
+cdef void bound_parallel(
+    const Workers* workers, const Node* node, int32_t* low, int32_t* high
 ) noexcept nogil:
     cdef int thread, word
-    for thread in prange(team.n_threads, num_threads=team.n_threads):
-        bound_share(team, node, thread)
-    for word in range(team.job.words):
+    for thread in prange(workers.n_threads, num_threads=workers.n_threads):
+        bound_share(workers, node, thread)
+    for word in range(workers.job.words):
         low[word] = INT32_MAX
         high[word] = INT32_MIN
-        for thread in range(team.n_threads):
-            low[word] = min(low[word], team.found[thread].low[word])
-            high[word] = max(high[word], team.found[thread].high[word])
+        for thread in range(workers.n_threads):
+            low[word] = min(low[word], workers.partials[thread].low[word])
+            high[word] = max(high[word], workers.partials[thread].high[word])
 
 
-cdef void bound_share(const Team* team, const Node* node, int thread) noexcept nogil:
-    cdef Node share = share_of(team, node, thread)
-    bound_keys(team.job, &share, team.found[thread].low, team.found[thread].high)
+cdef void bound_share(const Workers* workers, const Node* node, int thread) noexcept nogil:
+    cdef Node share = thread_range(workers, node, thread)
+    bound_keys(workers.job, &share, workers.partials[thread].low, workers.partials[thread].high)
 
 
-cdef void find_together(
-    const Team* team, const Node* node, Keys keys, Cut* cut
+cdef void find_key_parallel(
+    const Workers* workers, const Node* node, Keys keys, Cut* cut
 ) noexcept nogil:
     # The order of these points is not known before their last split.
-    cdef int32_t* scratch = <int32_t*> (team.job.order + node.first)
+    cdef int32_t* scratch = <int32_t*> (workers.job.order + node.first)
     cdef int shift = bucket_shift(&keys)
     cdef int thread, bucket
-    for thread in prange(team.n_threads, num_threads=team.n_threads):
-        count_share(team, node, thread, keys, cut.word, shift)
-    bucket = enter_common_bucket(team, &keys, shift)
-    for thread in prange(team.n_threads, num_threads=team.n_threads):
-        take_share(team, node, thread, keys, cut.word)
-    gather_taken(team, node, &keys, scratch)
+    for thread in prange(workers.n_threads, num_threads=workers.n_threads):
+        count_share(workers, node, thread, keys, cut.word, shift)
+    bucket = enter_common_bucket(workers, &keys, shift)
+    for thread in prange(workers.n_threads, num_threads=workers.n_threads):
+        take_share(workers, node, thread, keys, cut.word)
+    gather_taken(workers, node, &keys, scratch)
     find_key(keys, scratch, cut)
-    for thread in range(team.n_threads):
-        count_lower(&team.found[thread], bucket, share_of(team, node, thread).halves, cut.key)
+    for thread in range(workers.n_threads):
+        count_lower(
+            &workers.partials[thread], bucket, thread_range(workers, node, thread).halves, cut.key
+        )
 
 
-cdef int enter_common_bucket(const Team* team, Keys* keys, int shift) noexcept nogil:
+cdef int enter_common_bucket(const Workers* workers, Keys* keys, int shift) noexcept nogil:
     cdef uint32_t[N_BUCKETS] sizes
     cdef int thread, bucket
     for bucket in range(N_BUCKETS):
         sizes[bucket] = 0
-        for thread in range(team.n_threads):
-            sizes[bucket] += team.found[thread].sizes[bucket]
+        for thread in range(workers.n_threads):
+            sizes[bucket] += workers.partials[thread].sizes[bucket]
     return enter_bucket(keys, shift, sizes)
 
 
 cdef void count_share(
-    const Team* team, const Node* node, int thread, Keys keys, int word, int shift
+    const Workers* workers, const Node* node, int thread, Keys keys, int word, int shift
 ) noexcept nogil:
-    cdef Node share = share_of(team, node, thread)
+    cdef Node share = thread_range(workers, node, thread)
     keys.first = share.rows + word
     keys.count = share.count
-    count_keys(&keys, shift, team.found[thread].sizes)
+    count_keys(&keys, shift, workers.partials[thread].sizes)
 
 
 cdef void take_share(
-    const Team* team, const Node* node, int thread, Keys keys, int word
+    const Workers* workers, const Node* node, int thread, Keys keys, int word
 ) noexcept nogil:
-    cdef Node share = share_of(team, node, thread)
+    cdef Node share = thread_range(workers, node, thread)
     keys.first = share.rows + word
     keys.count = share.count
-    team.found[thread].n_taken = take_keys(&keys, share.halves)
+    workers.partials[thread].n_taken = take_keys(&keys, share.halves)
 
 
 cdef void gather_taken(
-    const Team* team, const Node* node, Keys* keys, int32_t* target
+    const Workers* workers, const Node* node, Keys* keys, int32_t* target
 ) noexcept nogil:
     """Put together what the threads took."""
     cdef int thread
     keys.first = target
     keys.step = 1
     keys.count = 0
-    for thread in range(team.n_threads):
+    for thread in range(workers.n_threads):
         memcpy(
-            target + keys.count, share_of(team, node, thread).halves,
-            team.found[thread].n_taken * sizeof(int32_t)
+            target + keys.count, thread_range(workers, node, thread).halves,
+            workers.partials[thread].n_taken * sizeof(int32_t)
         )
-        keys.count += team.found[thread].n_taken
+        keys.count += workers.partials[thread].n_taken
 
 
 cdef void count_lower(
-    Found* found, int bucket, const int32_t* taken, int32_t key
+    ThreadPartial* found, int bucket, const int32_t* taken, int32_t key
 ) noexcept nogil:
     """Count a thread's keys in the buckets before and the less ones of those it took."""
     cdef Py_ssize_t i
@@ -367,21 +371,21 @@ cdef void count_lower(
         found.n_lower += taken[i] < key
 
 
-cdef void divide_together(const Team* team, const Node* node, const Cut* cut) noexcept nogil:
+cdef void divide_parallel(const Workers* workers, const Node* node, const Cut* cut) noexcept nogil:
     cdef int thread
-    for thread in prange(team.n_threads, num_threads=team.n_threads):
-        divide_share(team, node, thread, cut)
+    for thread in prange(workers.n_threads, num_threads=workers.n_threads):
+        divide_share(workers, node, thread, cut)
 
 
 cdef void divide_share(
-    const Team* team, const Node* node, int thread, const Cut* cut
+    const Workers* workers, const Node* node, int thread, const Cut* cut
 ) noexcept nogil:
-    cdef Node share = share_of(team, node, thread)
+    cdef Node share = thread_range(workers, node, thread)
     cdef Py_ssize_t lower = 0
     cdef int before
     for before in range(thread):
-        lower += team.found[before].n_lower
+        lower += workers.partials[before].n_lower
     share.halves = node.halves
     divide(
-        team.job, &share, cut, lower, node.n_lower + share.first - node.first - lower
+        workers.job, &share, cut, lower, node.n_lower + share.first - node.first - lower
     )

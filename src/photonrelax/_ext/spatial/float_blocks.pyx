@@ -1,24 +1,24 @@
-"""The copies of copies.pxd."""
+"""Float32 blocks; see float_blocks.pxd."""
 
 from libc.math cimport sqrt
 
 from .batch cimport LISTED_STRIDE
-from .simd.kernels cimport FARTHEST, MOST_COPIED_AXES, Local
+from .simd.kernels cimport LIMIT_KEY, MAX_FLOAT_AXES, FloatQuery
 
-# Copies are floats, of numbers up to 1: on up to MOST_COPIED_AXES axes two squared distances up to
-# r² among them are off by at most ROUNDING * (r + r²) in all while r is small, which is MOST_DOUBT
-# keys where r is COARSEST. Where r is near 1 the query is near the origin, which rounds nothing:
-# ROUNDING * 2 * FARTHEST_COPIED is enough for all.
+# Float32 coordinates are at most about 1. On up to MAX_FLOAT_AXES axes the errors of two squared
+# distances up to r² add up to at most ROUNDING * (r + r²) while r is small, which is MAX_RANK_SLACK
+# keys at r = MIN_RADIUS. Where r is near 1 the query is near the origin, which rounds nothing:
+# ROUNDING * 2 * MAX_SQUARED is enough for all.
 cdef double ROUNDING = 1e-6
-cdef double COARSEST = 1e-3
-cdef double MOST_DOUBT = 0.25
-cdef double FARTHEST_COPIED = 1.1
-# Lesser squares underflow in part.
-cdef double LEAST_COPIED = 1e-280
+cdef double MIN_RADIUS = 1e-3
+cdef double MAX_RANK_SLACK = 0.25
+cdef double MAX_SQUARED = 1.1
+# Smaller squares underflow in part.
+cdef double MIN_SQUARED = 1e-280
 
 
-cdef void set_frame(Tree tree, Batch* batch) noexcept nogil:
-    """Choose where copies have their origin, and their scale: what is in reach lies within 1."""
+cdef void set_quantisation(Tree tree, Batch* batch) noexcept nogil:
+    """Choose origin and scale of float32 coordinates: the search bounds lie within [-1, 1]."""
     cdef Py_ssize_t axis
     cdef double half, widest = 0.0, widest_range = 0.0
     for axis in range(tree.n_axes):
@@ -28,65 +28,69 @@ cdef void set_frame(Tree tree, Batch* batch) noexcept nogil:
             widest = max(widest, half)
         else:
             widest_range = max(widest_range, half)
-    batch.frame.scale = 1.0 / (widest + sqrt(batch.reach.squared_limit))
-    batch.frame.range_scale = 1.0 / (widest_range + sqrt(max(batch.reach.squared_range, 0.0)))
+    batch.quantisation.scale = 1.0 / (widest + sqrt(batch.bounds.squared_limit))
+    batch.quantisation.range_scale = 1.0 / (
+        widest_range + sqrt(max(batch.bounds.squared_range, 0.0))
+    )
 
 
-cdef void set_local(Tree tree, Batch* batch, Query* query) noexcept nogil:
-    """Find a query's reach among copies, and whether they are fine enough for it."""
+cdef void set_float_query(Tree tree, Batch* batch, Query* query) noexcept nogil:
+    """Convert a query to float32; `exact` is set where float32 is too coarse for it."""
     cdef Py_ssize_t axis
-    cdef Local* local = &query.local
-    cdef float* at = batch.local_at + tree.n_axes * (query - &batch.queries[0])
-    cdef double limit = local_squared(query.reach.squared_limit, batch.frame.scale)
-    cdef double within = -1.0
+    cdef FloatQuery* converted = &query.float_query
+    cdef float* at = batch.float_at + tree.n_axes * (query - &batch.queries[0])
+    cdef double limit = float_squared(query.bounds.squared_limit, batch.quantisation.scale)
+    cdef double squared_range = -1.0
     query.exact = (
-        limit < 0.0 or query.reach.half_range != NULL or tree.n_axes > MOST_COPIED_AXES
+        limit < 0.0 or query.bounds.half_range != NULL or tree.n_axes > MAX_FLOAT_AXES
     )
     for axis in range(tree.n_metric):
-        at[axis] = <float> (batch.frame.scale * (query.reach.low[axis] - batch.origin[axis]))
-    if query.reach.squared_range >= 0.0:
-        within = local_squared(query.reach.squared_range, batch.frame.range_scale)
-        query.exact = query.exact or within < 0.0
+        at[axis] = <float> (
+            batch.quantisation.scale * (query.bounds.low[axis] - batch.origin[axis])
+        )
+    if query.bounds.squared_range >= 0.0:
+        squared_range = float_squared(query.bounds.squared_range, batch.quantisation.range_scale)
+        query.exact = query.exact or squared_range < 0.0
         for axis in range(tree.n_metric, tree.n_axes):
             at[axis] = <float> (
-                batch.frame.range_scale * (query.reach.low[axis] - batch.origin[axis])
+                batch.quantisation.range_scale * (query.bounds.low[axis] - batch.origin[axis])
             )
-    local.at = at
-    local.squared_limit = <float> limit
-    local.squared_range = <float> within
-    local.limit_slack = <float> rounding(limit)
-    local.range_slack = <float> rounding(within)
-    local.doubt = <float> (FARTHEST * rounding(limit) / limit) if limit > 0.0 else MOST_DOUBT
+    converted.at = at
+    converted.squared_limit = <float> limit
+    converted.squared_range = <float> squared_range
+    converted.limit_slack = <float> error_bound(limit)
+    converted.range_slack = <float> error_bound(squared_range)
+    if limit > 0.0:
+        converted.rank_slack = <float> (LIMIT_KEY * error_bound(limit) / limit)
+    else:
+        converted.rank_slack = MAX_RANK_SLACK
 
 
-cdef inline double local_squared(double squared, double scale) noexcept nogil:
-    """Return a squared radius among copies, -1 where they are too coarse or finer than exact."""
-    cdef double local = squared * (scale * scale)
-    if squared >= LEAST_COPIED and COARSEST * COARSEST <= local <= FARTHEST_COPIED:
-        return local
+cdef inline double float_squared(double squared, double scale) noexcept nogil:
+    """Squared radius in float32 coordinates; -1 where they are too coarse or squares underflow."""
+    cdef double scaled = squared * (scale * scale)
+    if squared >= MIN_SQUARED and MIN_RADIUS * MIN_RADIUS <= scaled <= MAX_SQUARED:
+        return scaled
     return -1.0
 
 
-cdef inline double rounding(double squared) noexcept nogil:
-    """Return by how much squared distances up to this may be off among copies.
-
-    It is enough for the errors of two of them, by which a farther point may seem nearer.
-    """
+cdef inline double error_bound(double squared) noexcept nogil:
+    """Bound on the error of the difference of two float32 squared distances up to `squared`."""
     if squared >= 0.01:
-        return ROUNDING * 2.0 * FARTHEST_COPIED
+        return ROUNDING * 2.0 * MAX_SQUARED
     return ROUNDING * (sqrt(max(squared, 0.0)) + squared)
 
 
-cdef void copy_listed(Tree tree, Batch* batch) noexcept nogil:
-    """Copy the listed blocks and their boxes."""
+cdef void quantise_listed(Tree tree, Batch* batch) noexcept nogil:
+    """Convert the listed blocks and their boxes to float32."""
     cdef Py_ssize_t highs = LISTED_STRIDE * tree.n_axes
-    tree.lanes.copy_blocks(
-        &tree.coords[0, 0, 0], batch.listed, batch.n_listed, &batch.frame, batch.copied_blocks
+    tree.simd.quantise_blocks(
+        &tree.coords[0, 0, 0], batch.listed, batch.n_listed, &batch.quantisation, batch.float_blocks
     )
-    tree.lanes.copy_rows(
-        batch.boxes, LISTED_STRIDE, batch.n_listed, &batch.frame, batch.copied_boxes
+    tree.simd.quantise_rows(
+        batch.boxes, LISTED_STRIDE, batch.n_listed, &batch.quantisation, batch.float_boxes
     )
-    tree.lanes.copy_rows(
-        batch.boxes + highs, LISTED_STRIDE, batch.n_listed, &batch.frame,
-        batch.copied_boxes + highs
+    tree.simd.quantise_rows(
+        batch.boxes + highs, LISTED_STRIDE, batch.n_listed, &batch.quantisation,
+        batch.float_boxes + highs
     )

@@ -1,9 +1,8 @@
 # distutils: language = c++
-"""Order of points along a space-filling curve.
+"""Morton order (Z-order curve) of points.
 
-The curve is Morton's: a point's place on it interleaves the bits of its cell's numbers. Points
-are sorted digit by digit as words of place and row number; sorting by a digit keeps the order of
-the ones before.
+A point's Morton code interleaves the bits of its cell's coordinates. Words of code and row number
+are sorted by an LSD radix sort, which is stable.
 """
 
 from cython.parallel cimport prange
@@ -19,11 +18,11 @@ cdef enum:
     KEY_BITS = 32
     DIGIT_BITS = 11
     N_DIGITS = 1 << DIGIT_BITS
-    # Where the bits of a cell's number go is looked up by the byte.
+    # Bits are spread by table, a byte at a time.
     BYTE = 256
     N_BYTES = 4
 
-# Cells of shorter sides cannot be numbered.
+# Cell coordinates of smaller extents would overflow.
 cdef double LEAST_EXTENT = 1e-290
 
 
@@ -46,26 +45,26 @@ cdef struct Job:
     int n_threads
 
 
-def curve_order(const double[:, ::1] points, int n_axes, int n_threads):
-    """Order points so that those which follow each other are near each other.
+def morton_order(const double[:, ::1] points, int n_axes, int n_threads):
+    """Rows of points in Morton order, in which consecutive points are close to each other.
 
-    Over the bounding box of the points lies a grid, the cells of which are numbered along
-    Morton's curve. The 32 bits of a number are shared among the axes: each next one halves the
-    longest side of the cells, the first of several such. Points of a cell keep their order.
+    The grid of cells spans the bounding box of the points. The 32 bits of a code are divided among
+    the axes: each next one halves the longest side of the cells, the first of equally long ones.
+    Points of a cell keep their order.
 
     Parameters
     ----------
     points : (n, d) float array
         Coordinates, finite; n < 2**32.
     n_axes : int
-        How many axes count, the first ones of `points`.
+        Number of axes of the grid, the first ones of `points`.
     n_threads : int
         Threads; the order does not depend on it.
 
     Returns
     -------
     (n,) intp array
-        Rows of `points` in the order of the curve.
+        Rows of `points`.
 
     Raises
     ------
@@ -85,7 +84,7 @@ def curve_order(const double[:, ::1] points, int n_axes, int n_threads):
     if n > 0 and n_axes > 0:
         job.points = &points[0, 0]
         low, high = bounds(points, n_axes, n_threads)
-        share_bits(&job, low, high)
+        assign_bits(&job, low, high)
     if job.n_axes == 0:
         return np.arange(n, dtype=np.intp)
     order = np.empty(n, np.intp)
@@ -99,12 +98,12 @@ def curve_order(const double[:, ::1] points, int n_axes, int n_threads):
 
 # Cells
 
-cdef Py_ssize_t share_start(const Job* job, int thread) noexcept nogil:
+cdef Py_ssize_t range_start(const Job* job, int thread) noexcept nogil:
     return thread * job.n_points // job.n_threads
 
 
-cdef object share_bits(Job* job, low, high):
-    """Write the axes that get bits."""
+cdef object assign_bits(Job* job, low, high):
+    """Divide the bits of the code among the axes."""
     with np.errstate(over="ignore"):
         extent = np.minimum(high - low, DBL_MAX)
     side = np.where(extent > LEAST_EXTENT, extent, 0.0)
@@ -125,7 +124,7 @@ cdef object share_bits(Job* job, low, high):
 cdef object write_axis(
     Axis* axis, Py_ssize_t column, const Py_ssize_t[::1] bits, double low, double extent
 ):
-    """Write how to find a coordinate's part of the key, which are the given bits of it."""
+    """Set up the table that spreads a coordinate's bits to the given bits of the code."""
     cdef int n_bits = <int> bits.shape[0]
     cdef int bit, byte, value
     axis.column = column
@@ -143,7 +142,7 @@ cdef object write_axis(
 
 cdef void write_words(const Job* job, int thread, uint64_t* words) noexcept nogil:
     cdef Py_ssize_t i
-    for i in range(share_start(job, thread), share_start(job, thread + 1)):
+    for i in range(range_start(job, thread), range_start(job, thread + 1)):
         words[i] = <uint64_t> key_of(job, job.points + i * job.n_columns) << 32 | <uint64_t> i
 
 
@@ -155,7 +154,7 @@ cdef inline uint32_t key_of(const Job* job, const double* point) noexcept nogil:
     cdef int number, byte
     for number in range(job.n_axes):
         axis = &job.axes[number]
-        # The greatest is one cell too far, or infinitely far.
+        # The upper bound maps to one cell too far, or to infinity.
         position = (point[axis.column] - axis.low) * axis.scale
         cell = <int64_t> min(position, <double> axis.last_cell)
         for byte in range(axis.n_bytes):
@@ -168,7 +167,7 @@ cdef inline uint32_t key_of(const Job* job, const double* point) noexcept nogil:
 cdef void sort(
     const Job* job, uint64_t* words, uint64_t* spare, Py_ssize_t* sizes
 ) noexcept nogil:
-    """Write the order to `words`; there are `N_DIGITS` sizes a thread."""
+    """Write the order to `words`; `sizes` has N_DIGITS counts per thread."""
     cdef uint64_t* source = spare
     cdef uint64_t* target = words
     cdef int thread, shift = 32
@@ -191,12 +190,12 @@ cdef void count_digits(
 ) noexcept nogil:
     cdef Py_ssize_t i
     memset(sizes, 0, N_DIGITS * sizeof(Py_ssize_t))
-    for i in range(share_start(job, thread), share_start(job, thread + 1)):
+    for i in range(range_start(job, thread), range_start(job, thread + 1)):
         sizes[words[i] >> shift & N_DIGITS - 1] += 1
 
 
 cdef bint find_places(const Job* job, Py_ssize_t* sizes) noexcept nogil:
-    """Turn sizes into where each thread's words go; return False if they all have one digit."""
+    """Turn counts into each thread's first places; return False if all digits are equal."""
     cdef Py_ssize_t first, size, digit, place = 0
     cdef int thread
     for digit in range(N_DIGITS):
@@ -215,7 +214,7 @@ cdef void move_words(
     uint64_t* target
 ) noexcept nogil:
     cdef Py_ssize_t i, digit
-    for i in range(share_start(job, thread), share_start(job, thread + 1)):
+    for i in range(range_start(job, thread), range_start(job, thread + 1)):
         digit = words[i] >> shift & N_DIGITS - 1
         target[places[digit]] = words[i]
         places[digit] += 1
@@ -225,5 +224,5 @@ cdef void write_rows(
     const Job* job, int thread, const uint64_t* words, uint64_t* rows
 ) noexcept nogil:
     cdef Py_ssize_t i
-    for i in range(share_start(job, thread), share_start(job, thread + 1)):
+    for i in range(range_start(job, thread), range_start(job, thread + 1)):
         rows[i] = words[i] & UINT32_MAX

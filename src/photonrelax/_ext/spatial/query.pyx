@@ -1,5 +1,5 @@
 # distutils: language = c++
-"""Neighbours for those who ask for them by name; see `photonrelax.KDTree`."""
+"""Neighbour tables: ids and distances of the k nearest; see `photonrelax.KDTree`."""
 
 from cython.parallel cimport prange, threadid
 from libc.math cimport INFINITY, sqrt
@@ -7,19 +7,21 @@ from libc.stdint cimport int64_t
 
 import numpy as np
 
-from .batch cimport Batch, Query, limit_range, list_neighbours, open_block, open_query, scratch
+from .batch cimport (
+    Batch, Query, allocate_batches, gather_neighbours, limit_range, open_block, open_query,
+)
 from .tree cimport Tree
-from .simd.kernels cimport BLOCK, KEYS, LANES, Found, finish_writing, prefetch_row
-from .knn cimport find
+from .simd.kernels cimport BLOCK, KEY_CHUNK, LANES, Candidates, prefetch_row, store_fence
+from .knn cimport query_batch
 
 from .tree import aligned
 
 
 cdef enum:
-    # Rows to be written are brought into the cache so many ahead: they are all over the table.
-    AHEAD = 2
-    # Tables of at least so many bytes are written past the cache, which would lose them anyway.
-    LARGE = 1 << 26
+    # Rows ahead of the one written that are prefetched, as they are scattered over the table.
+    PREFETCH_DISTANCE = 2
+    # Size in bytes from which tables are written with streaming stores: they exceed the cache.
+    STREAMING_BYTES = 1 << 26
 
 
 cdef extern from "<algorithm>" namespace "std" nogil:
@@ -42,7 +44,7 @@ cdef extern from *:
 
 
 cdef class Ranges:
-    """Limits over the range axes, a row a query, None for none; see `photonrelax.KDTree.query`."""
+    """Limits over the range axes, one row per query, or None; see `photonrelax.KDTree.query`."""
 
     cdef const double[:, ::1] half_range
     cdef const double[::1] range_radius
@@ -53,98 +55,100 @@ cdef class Ranges:
 
 
 cdef class Table:
-    """What searches find: ids and distances, a row a query, and room to sort in, a row a thread."""
+    """Ids and distances, one row per query, and memory to sort in, one row per thread."""
 
     cdef readonly object ids
     cdef readonly object distance
     cdef int64_t[:, ::1] id_rows
     cdef double[:, ::1] distance_rows
-    cdef unsigned char[:, ::1] room
-    cdef bint past_cache
+    cdef unsigned char[:, ::1] scratch
+    cdef bint streaming
 
     def __init__(self, Py_ssize_t n_queries, Py_ssize_t k, int n_threads):
         self.ids = aligned((n_queries, k), np.int64)
         self.distance = aligned((n_queries, k))
         self.id_rows = self.ids
         self.distance_rows = self.distance
-        self.past_cache = 8 * n_queries * k >= LARGE and k % LANES == 0
-        n_sorted = k if k > KEYS else 0
-        self.room = np.empty((n_threads, max(n_sorted * sizeof(Neighbour), 1)), dtype=np.uint8)
+        self.streaming = 8 * n_queries * k >= STREAMING_BYTES and k % LANES == 0
+        n_sorted = k if k > KEY_CHUNK else 0
+        self.scratch = np.empty((n_threads, max(n_sorted * sizeof(Neighbour), 1)), dtype=np.uint8)
 
 
 cdef void limit_ranges(Tree tree, Query* query, Ranges ranges, Py_ssize_t row) noexcept nogil:
     if ranges.range_radius is not None:
         limit_range(query, ranges.range_radius[row])
     if ranges.half_range is not None:
-        query.reach.half_range = &ranges.half_range[row, 0]
+        query.bounds.half_range = &ranges.half_range[row, 0]
 
 
 cdef void write_rows(
     Tree tree, Batch* batch, const int64_t* rows, Table table, int thread
 ) noexcept nogil:
-    """Write what the queries of a batch found to their rows of the table."""
+    """Write the neighbours of the queries of a batch to their rows of the table."""
     cdef Py_ssize_t i, j, count, k = table.id_rows.shape[1]
-    for i in range(min(AHEAD, batch.n_queries)):
+    for i in range(min(PREFETCH_DISTANCE, batch.n_queries)):
         prefetch_rows(table, rows[i])
-    list_neighbours(tree, batch)
-    # One after the other for all queries: what is sorted is best not read at once.
+    gather_neighbours(tree, batch)
+    # Each step for all queries: reading what has just been written would stall.
     for i in range(batch.n_queries):
-        sort_list(tree, batch, i, <Neighbour*> &table.room[thread, 0])
+        sort_list(tree, batch, i, <Neighbour*> &table.scratch[thread, 0])
     for i in range(batch.n_queries):
-        if i + AHEAD < batch.n_queries:
-            prefetch_rows(table, rows[i + AHEAD])
-        count = batch.queries[i].found.count
-        tree.lanes.write(
+        if i + PREFETCH_DISTANCE < batch.n_queries:
+            prefetch_rows(table, rows[i + PREFETCH_DISTANCE])
+        count = batch.queries[i].candidates.count
+        tree.simd.write_neighbours(
             batch.sorted + i * batch.stride, batch.sorted_id + i * batch.stride, count,
-            table.past_cache and count == k,
+            table.streaming and count == k,
             &table.distance_rows[rows[i], 0], &table.id_rows[rows[i], 0]
         )
         for j in range(count, k):
             table.id_rows[rows[i], j] = tree.n_points
             table.distance_rows[rows[i], j] = INFINITY
-    if table.past_cache:
-        finish_writing()
+    if table.streaming:
+        store_fence()
 
 
 cdef inline void prefetch_rows(Table table, Py_ssize_t row) noexcept nogil:
-    if table.past_cache:
+    if table.streaming:
         return
     prefetch_row(&table.id_rows[row, 0], 8 * table.id_rows.shape[1])
     prefetch_row(&table.distance_rows[row, 0], 8 * table.id_rows.shape[1])
 
 
-cdef void sort_list(Tree tree, Batch* batch, Py_ssize_t i, Neighbour* room) noexcept nogil:
-    """Sort what one query found, nearest first."""
-    cdef const Found* found = &batch.queries[i].found
+cdef void sort_list(Tree tree, Batch* batch, Py_ssize_t i, Neighbour* scratch) noexcept nogil:
+    """Sort the neighbours of one query, nearest first."""
+    cdef const Candidates* found = &batch.queries[i].candidates
     cdef const double* squared = batch.squared + i * batch.stride
     cdef const int64_t* ids = batch.id + i * batch.stride
-    cdef double* to = batch.sorted + i * batch.stride
-    cdef int64_t* to_id = batch.sorted_id + i * batch.stride
+    cdef double* sorted = batch.sorted + i * batch.stride
+    cdef int64_t* sorted_id = batch.sorted_id + i * batch.stride
     cdef Py_ssize_t j
-    if found.count <= KEYS:
-        tree.lanes.sort(squared, ids, found.count, found.squared_radius, to, to_id)
+    if found.count <= KEY_CHUNK:
+        tree.simd.sort_neighbours(
+            squared, ids, found.count, found.squared_radius, sorted, sorted_id
+        )
         return
     for j in range(found.count):
-        room[j].squared = squared[j]
-        room[j].id = ids[j]
-    sort(room, room + found.count)
+        scratch[j].squared = squared[j]
+        scratch[j].id = ids[j]
+    sort(scratch, scratch + found.count)
     for j in range(found.count):
-        to[j] = room[j].squared
-        to_id[j] = room[j].id
+        sorted[j] = scratch[j].squared
+        sorted_id[j] = scratch[j].id
 
 
 def query(
     Tree tree, const double[:, ::1] queries, const Py_ssize_t[::1] order, Py_ssize_t k, *,
     Ranges ranges, const Py_ssize_t[::1] excluded, int n_threads
 ):
-    """Return ids (m, k) and distances (m, k) of the k nearest of each query.
+    """Ids (m, k) and distances (m, k) of the k nearest of each query.
 
-    Queries are answered in `order`, in which near ones should follow each other. ``excluded[i]``
-    is the place that query i is not to find; None for no such thing.
+    Queries are answered in `order`, close ones in sequence. ``excluded[i]`` is the place of the
+    point that is no neighbour of query i; None for none.
     """
     cdef Py_ssize_t n_batches = (queries.shape[0] + BLOCK - 1) // BLOCK
     cdef Table table = Table(queries.shape[0], k, n_threads)
-    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef unsigned char[:, ::1] batches = allocate_batches(tree, k, n_threads)
     cdef Py_ssize_t i
     if tree.n_points == 0:
         table.ids[:] = 0
@@ -153,18 +157,18 @@ def query(
     for i in prange(
         n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
     ):
-        query_batch(
-            tree, <Batch*> &room[threadid(), 0], queries, order, i, ranges, excluded, table,
+        query_rows(
+            tree, <Batch*> &batches[threadid(), 0], queries, order, i, ranges, excluded, table,
             threadid()
         )
     return table.ids, table.distance
 
 
-cdef void query_batch(
+cdef void query_rows(
     Tree tree, Batch* batch, const double[:, ::1] queries, const Py_ssize_t[::1] order,
     Py_ssize_t number, Ranges ranges, const Py_ssize_t[::1] excluded, Table table, int thread
 ) noexcept nogil:
-    """Answer 16 queries that follow each other; write their rows only."""
+    """Answer 16 consecutive queries; write their rows only."""
     cdef Py_ssize_t i, row
     cdef Query* query
     batch.n_queries = 0
@@ -175,22 +179,22 @@ cdef void query_batch(
         limit_ranges(tree, query, ranges, row)
         if excluded is not None:
             query.excluded = excluded[row]
-    find(tree, batch)
+    query_batch(tree, batch)
     write_rows(tree, batch, <const int64_t*> &order[BLOCK * number], table, thread)
 
 
 def query_self(
     Tree tree, Py_ssize_t k, *, Ranges ranges, bint exclude_self, int n_threads
 ):
-    """Return ids (n, k) and distances (n, k) of the k nearest of each of the tree's points."""
+    """Ids (n, k) and distances (n, k) of the k nearest of each of the tree's points."""
     cdef Table table = Table(tree.n_points, k, n_threads)
-    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef unsigned char[:, ::1] batches = allocate_batches(tree, k, n_threads)
     cdef Py_ssize_t block
     for block in prange(
         tree.n_blocks, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
     ):
         query_block(
-            tree, <Batch*> &room[threadid(), 0], block, ranges, exclude_self, table, threadid()
+            tree, <Batch*> &batches[threadid(), 0], block, ranges, exclude_self, table, threadid()
         )
     return table.ids, table.distance
 
@@ -206,31 +210,33 @@ cdef void query_block(
         limit_ranges(tree, &batch.queries[lane], ranges, tree.ids[BLOCK * block + lane])
         if exclude_self:
             batch.queries[lane].excluded = BLOCK * block + lane
-    find(tree, batch)
+    query_batch(tree, batch)
     write_rows(tree, batch, &tree.ids[BLOCK * block], table, thread)
 
 
 def farthest(Tree tree, Py_ssize_t k, *, Ranges ranges, int n_threads):
-    """Return (n,) distances to the farthest of the k nearest of each of the tree's points."""
+    """Distance (n,) to the farthest of the k nearest of each of the tree's points."""
     distance = np.empty(tree.n_points)
     cdef double[::1] distance_view = distance
-    cdef unsigned char[:, ::1] room = scratch(tree, k, n_threads)
+    cdef unsigned char[:, ::1] batches = allocate_batches(tree, k, n_threads)
     cdef Py_ssize_t block
     for block in prange(
         tree.n_blocks, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
     ):
-        farthest_of_block(tree, <Batch*> &room[threadid(), 0], block, ranges, distance_view)
+        farthest_of_block(tree, <Batch*> &batches[threadid(), 0], block, ranges, distance_view)
     return distance
 
 
 cdef void farthest_of_block(
     Tree tree, Batch* batch, Py_ssize_t block, Ranges ranges, double[::1] distance
 ) noexcept nogil:
-    """Search for the points of a block; write their rows only."""
+    """Answer the points of a block; write their rows only."""
     cdef Py_ssize_t lane
     open_block(tree, batch, block)
     for lane in range(batch.n_queries):
         limit_ranges(tree, &batch.queries[lane], ranges, tree.ids[BLOCK * block + lane])
-    find(tree, batch)
+    query_batch(tree, batch)
     for lane in range(batch.n_queries):
-        distance[tree.ids[BLOCK * block + lane]] = sqrt(batch.queries[lane].found.squared_radius)
+        distance[tree.ids[BLOCK * block + lane]] = sqrt(
+            batch.queries[lane].candidates.squared_radius
+        )

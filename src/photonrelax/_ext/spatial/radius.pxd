@@ -1,25 +1,25 @@
-"""All points within a radius of a query, block by block.
+"""Fixed-radius query: all points within a radius, block by block.
 
-`visit_within` calls a visitor for every block that holds any, always in the same order, with the
-lanes they are in as bits.
+`visit_radius` calls a visitor with every block that holds any, in tree order, and the bitmask of
+their lanes.
 """
 
 from libc.math cimport sqrt
 
 from .tree cimport Tree
-from .simd.kernels cimport CONE_WEIGHTS, EPANECHNIKOV_WEIGHTS, Reach
+from .simd.kernels cimport CONE_WEIGHTS, EPANECHNIKOV_WEIGHTS, SearchBounds
 
 ctypedef void (*Visitor)(
     void* state, Tree tree, Py_ssize_t block, unsigned int lanes
 ) noexcept nogil
 
-cdef void visit_within(
-    Tree tree, const Reach* reach, Visitor visit, void* state
+cdef void visit_radius(
+    Tree tree, const SearchBounds* bounds, Visitor visit, void* state
 ) noexcept nogil
 
 
 cdef inline double weight_of(int shape, double ratio) noexcept nogil:
-    """Return a kernel's weight at a squared distance over that of its edge; its mean is one."""
+    """Weight of a kernel at a ratio of squared distance to squared bandwidth; its mean is one."""
     if shape == EPANECHNIKOV_WEIGHTS:
         return 2.0 * (1.0 - ratio)
     if shape == CONE_WEIGHTS:

@@ -1,41 +1,41 @@
-"""The search of within.pxd, and sums over what it finds."""
+"""Fixed-radius query, and weighted sums over the points it finds; see radius.pxd."""
 
 from cython.parallel cimport prange
 from libc.float cimport DBL_MAX
 from libc.stdint cimport int64_t
 
 from .tree cimport Tree, fan_out, first_block, last_kept
-from .simd.kernels cimport BLOCK, Reach, highest_bit, lowest_bit
+from .simd.kernels cimport BLOCK, SearchBounds, highest_bit, lowest_bit
 
-from .blocks import in_blocks
+from .blocks import to_soa_blocks
 
 cdef enum:
-    # A depth-first search leaves at most 15 open groups a kept level, of which there are 7.
+    # Depth-first traversal leaves at most 15 open groups per kept level, of which there are 7.
     STACK_SIZE = 128
 
 
-cdef void visit_within(
-    Tree tree, const Reach* reach, Visitor visit, void* state
+cdef void visit_radius(
+    Tree tree, const SearchBounds* bounds, Visitor visit, void* state
 ) noexcept nogil:
     cdef Py_ssize_t[STACK_SIZE] open_level
     cdef Py_ssize_t[STACK_SIZE] open_group
     cdef Py_ssize_t n_open = 1, level, g, last = last_kept(tree)
-    cdef Reach within = reach[0]
+    cdef SearchBounds finite = bounds[0]
     cdef unsigned int near, child
     if tree.n_points == 0:
         return
-    # Boxes and lanes without a point are infinitely far, and must stay out of reach.
-    within.squared_limit = min(within.squared_limit, DBL_MAX)
+    # Lanes and boxes without a point are at infinity, and must stay outside.
+    finite.squared_limit = min(finite.squared_limit, DBL_MAX)
     open_level[0] = open_group[0] = 0
     while n_open > 0:
         n_open -= 1
         level = open_level[n_open]
         g = open_group[n_open]
-        near = tree.lanes.boxes_near(
-            &tree.boxes[tree.first_group[level] + g, 0, 0, 0], BLOCK, &within
+        near = tree.simd.overlapping_boxes(
+            &tree.boxes[tree.first_group[level] + g, 0, 0, 0], BLOCK, &finite
         )
         if level == last:
-            visit_blocks(tree, &within, g * fan_out(tree, last), near, visit, state)
+            visit_blocks(tree, &finite, g * fan_out(tree, last), near, visit, state)
             continue
         while near:
             child = highest_bit(near)
@@ -46,40 +46,43 @@ cdef void visit_within(
 
 
 cdef void visit_blocks(
-    Tree tree, const Reach* reach, Py_ssize_t node, unsigned int near, Visitor visit, void* state
+    Tree tree, const SearchBounds* bounds, Py_ssize_t node, unsigned int near, Visitor visit,
+    void* state
 ) noexcept nogil:
-    """Visit the blocks of those of 16 nodes that are near."""
+    """Visit the blocks of those of 16 nodes that overlap the bounds."""
     cdef Py_ssize_t block
     cdef unsigned int lanes
     while near:
         block = first_block(tree, node + lowest_bit(near))
         near &= near - 1
-        lanes = lanes_within(tree, block, reach)
+        lanes = lanes_in_radius(tree, block, bounds)
         if lanes:
             visit(state, tree, block, lanes)
 
 
-cdef unsigned int lanes_within(Tree tree, Py_ssize_t block, const Reach* reach) noexcept nogil:
+cdef unsigned int lanes_in_radius(
+    Tree tree, Py_ssize_t block, const SearchBounds* bounds
+) noexcept nogil:
     cdef double[BLOCK] squared
     cdef double[BLOCK] squared_range
     cdef unsigned int lanes = 0
     cdef Py_ssize_t lane
-    squared_gaps(tree, block, reach.low, 0, tree.n_metric, squared)
+    squared_distances(tree, block, bounds.low, 0, tree.n_metric, squared)
     for lane in range(BLOCK):
-        lanes |= <unsigned int> (squared[lane] <= reach.squared_limit) << lane
-    if reach.squared_range >= 0.0 and lanes:
-        squared_gaps(tree, block, reach.low, tree.n_metric, tree.n_axes, squared_range)
+        lanes |= <unsigned int> (squared[lane] <= bounds.squared_limit) << lane
+    if bounds.squared_range >= 0.0 and lanes:
+        squared_distances(tree, block, bounds.low, tree.n_metric, tree.n_axes, squared_range)
         for lane in range(BLOCK):
-            if squared_range[lane] > reach.squared_range:
+            if squared_range[lane] > bounds.squared_range:
                 lanes &= ~(1u << lane)
     return lanes
 
 
-cdef inline void squared_gaps(
+cdef inline void squared_distances(
     Tree tree, Py_ssize_t block, const double* at, Py_ssize_t first, Py_ssize_t end,
     double* squared
 ) noexcept nogil:
-    """Write the squared distances of the points of a block over some axes."""
+    """Write the squared distances of the points of a block over a range of axes."""
     cdef const double* x
     cdef Py_ssize_t axis, lane
     for lane in range(BLOCK):
@@ -91,7 +94,7 @@ cdef inline void squared_gaps(
 
 
 cdef struct Sums:
-    # What is summed, (n_blocks, n_channels, 16).
+    # Summands, (n_blocks, n_channels, 16).
     const double* values
     Py_ssize_t n_channels
     const double* at
@@ -108,7 +111,7 @@ cdef void add(void* state, Tree tree, Py_ssize_t block, unsigned int lanes) noex
     cdef double weight
     cdef int lane
     cdef Py_ssize_t channel
-    squared_gaps(tree, block, sums.at, 0, tree.n_metric, squared)
+    squared_distances(tree, block, sums.at, 0, tree.n_metric, squared)
     while lanes:
         lane = lowest_bit(lanes)
         lanes &= lanes - 1
@@ -118,18 +121,18 @@ cdef void add(void* state, Tree tree, Py_ssize_t block, unsigned int lanes) noex
             sums.out[channel] += weight * values[BLOCK * channel + lane]
 
 
-cdef class Within:
-    """Photons and what is summed of them around points.
+cdef class RadiusGather:
+    """Weighted sums of photon values within a radius of points.
 
     Parameters
     ----------
     tree : Tree
     values : (m, c) float64 array
-        What is summed.
+        Summands.
     rows : (n,) intp array
         Row of the photon at each place of the tree.
     kernel : int
-        CONSTANT, CONE or EPANECHNIKOV of estimate.pyx.
+        CONSTANT, CONE or EPANECHNIKOV of nearest.pyx.
     normal_range : float
         Radius of the ball over the tree's range axes; negative for none.
     """
@@ -141,7 +144,7 @@ cdef class Within:
 
     def __init__(self, tree, values, rows, kernel, *, normal_range, n_threads):
         self.tree = tree
-        self.values = in_blocks(values, rows, n_threads)
+        self.values = to_soa_blocks(values, rows, n_threads)
         self.kernel = kernel
         self.squared_range = normal_range * normal_range if normal_range >= 0.0 else -1.0
 
@@ -149,11 +152,11 @@ cdef class Within:
         self, const double[:, ::1] queries, const Py_ssize_t[::1] order, const double[::1] radius,
         *, double[:, ::1] out, int64_t[::1] counts, int n_threads
     ):
-        """Write the weighted sums, and numbers of photons, within `radius` of some queries.
+        """Write weighted sums, and photon counts, within `radius` of queries.
 
-        Queries are those named by `order`, in which near ones should follow each other; `radius`,
-        `out` and `counts` have a row for each of all queries. Divided by π radius² sums are
-        densities. Radii should be positive and their squares finite.
+        `order` has the rows of the queries, close ones in sequence; `radius`, `out` and `counts`
+        have a row for every query. Divided by π radius² sums are densities. Radii have to be
+        positive and their squares finite.
         """
         cdef Py_ssize_t i
         if not (
@@ -172,19 +175,19 @@ cdef class Within:
 
 
 cdef int64_t sum_one(
-    Within photons, const double* at, double radius, double* out
+    RadiusGather photons, const double* at, double radius, double* out
 ) noexcept nogil:
-    """Write the sums around one query; return how many photons they are of."""
+    """Write the sums around one query; return the number of photons."""
     cdef Sums sums
-    cdef Reach reach
+    cdef SearchBounds bounds
     cdef Py_ssize_t channel
-    reach.low = reach.high = sums.at = at
-    reach.squared_limit = sums.squared_radius = radius * radius
-    reach.squared_range = photons.squared_range
-    reach.half_range = NULL
-    reach.n_metric = photons.tree.n_metric
-    reach.n_axes = photons.tree.n_axes
-    # Of no points there are no values.
+    bounds.low = bounds.high = sums.at = at
+    bounds.squared_limit = sums.squared_radius = radius * radius
+    bounds.squared_range = photons.squared_range
+    bounds.half_range = NULL
+    bounds.n_metric = photons.tree.n_metric
+    bounds.n_axes = photons.tree.n_axes
+    # An empty tree has no values.
     sums.values = &photons.values[0, 0, 0] if photons.values.shape[0] > 0 else NULL
     sums.n_channels = photons.values.shape[1]
     sums.shape = photons.kernel
@@ -192,5 +195,5 @@ cdef int64_t sum_one(
     sums.out = out
     for channel in range(sums.n_channels):
         out[channel] = 0.0
-    visit_within(photons.tree, &reach, add, &sums)
+    visit_radius(photons.tree, &bounds, add, &sums)
     return sums.count

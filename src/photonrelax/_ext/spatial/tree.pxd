@@ -1,17 +1,17 @@
-"""k-d tree: points in blocks, and boxes around them on all axes.
+"""k-d tree: points in blocks, and bounding boxes on all axes.
 
-Points lie in blocks of 16, as described in lanes.h. The tree is implicit: node j of level l holds
+Points are stored in blocks of 16, see simd/kernels.h. The tree is implicit: node j of level l holds
 the blocks [(j * n_blocks) >> l, ((j + 1) * n_blocks) >> l), so a median split fixes all counts
 whatever the coordinates are, and coincident points cannot unbalance it. Every fourth level is
 kept: there 16 nodes with one ancestor four levels above form a group, whose boxes are tested at
 once. The first kept level has one group, of 16 nodes or fewer.
 
-The place of a point says where it is: lane `place % 16` of block `place // 16`.
+The place of a point is its position in tree order: lane `place % 16` of block `place // 16`.
 """
 
 from libc.stdint cimport int64_t
 
-from .simd.kernels cimport BLOCK, Lanes
+from .simd.kernels cimport BLOCK, SimdKernels
 
 
 cdef class Tree:
@@ -22,22 +22,22 @@ cdef class Tree:
     cdef readonly Py_ssize_t n_levels
     # (n_blocks, n_axes, 16)
     cdef readonly double[:, :, ::1] coords
-    # The caller's number of each point, by place.
+    # Ids, the caller's row of each point, by place.
     cdef readonly int64_t[::1] ids
     # First group of each kept level, and the end of the last.
     cdef Py_ssize_t[::1] first_group
     # (groups, 2, n_axes, 16): least and greatest coordinates; (groups, 16): lowest id in each node.
     cdef double[:, :, :, ::1] boxes
     cdef int64_t[:, ::1] lowest_id
-    # The box of all points, (n_axes,) each, and its diagonal over the metric axes.
+    # Bounding box of all points, (n_axes,) each, and its squared diagonal over the metric axes.
     cdef readonly double[::1] low
     cdef readonly double[::1] high
     cdef double squared_diagonal
-    cdef const Lanes* lanes
+    cdef const SimdKernels* simd
 
 
 cdef inline Py_ssize_t first_block(Tree tree, Py_ssize_t node) noexcept nogil:
-    """Return the first block of a node of the last level, or of all nodes after it."""
+    """First block of a node of the last level; of the node after the last, the end."""
     return (node * tree.n_blocks) >> tree.n_levels
 
 
@@ -46,7 +46,7 @@ cdef inline Py_ssize_t last_kept(Tree tree) noexcept nogil:
 
 
 cdef inline Py_ssize_t fan_out(Tree tree, Py_ssize_t level) noexcept nogil:
-    """Return how many nodes a group of a kept level has."""
+    """Number of nodes in a group of a kept level."""
     if level > 0:
         return BLOCK
     return 1 << (tree.n_levels - 4 * last_kept(tree))

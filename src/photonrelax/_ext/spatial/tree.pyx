@@ -1,5 +1,5 @@
 # distutils: sources = src/photonrelax/_ext/spatial/simd/kernels.c
-"""The tree: its points in blocks, boxes around them; see kdtree.pxd."""
+"""k-d tree: blocks of points and their bounding boxes; see tree.pxd."""
 
 import math
 import os
@@ -10,49 +10,49 @@ from libc.math cimport INFINITY
 
 import numpy as np
 
-from .simd.kernels cimport lanes_named, prefetch_row
+from .simd.kernels cimport simd_kernels_named, prefetch_row
 
 from .build import median_order
 
 cdef enum:
-    # Vectors that straddle two lines of the cache take twice as long to load.
-    LINE = 64
+    # Loads that straddle two cache lines take twice as long.
+    CACHE_LINE = 64
 
 
 def aligned(shape, dtype=np.float64):
-    """Return an array with anything in it that starts where a line of the cache does."""
+    """Uninitialised array aligned to cache lines."""
     n_bytes = math.prod(shape) * np.dtype(dtype).itemsize
-    room = np.empty(n_bytes + LINE - 1, dtype=np.uint8)
-    first = -room.ctypes.data % LINE
-    return room[first : first + n_bytes].view(dtype).reshape(shape)
+    memory = np.empty(n_bytes + CACHE_LINE - 1, dtype=np.uint8)
+    first = -memory.ctypes.data % CACHE_LINE
+    return memory[first : first + n_bytes].view(dtype).reshape(shape)
 
 
 def instruction_set():
-    """Return which of avx512, avx2 and portable searches use: the widest the processor has.
+    """Name of the instruction set of searches, avx512, avx2 or portable: the widest there is.
 
-    The environment variable PHOTONRELAX_SIMD asks for another; results are the same.
+    The environment variable PHOTONRELAX_SIMD selects another; results are the same.
 
     Raises
     ------
     ValueError
-        If the processor does not have what the variable asks for.
+        If the processor does not have the one selected.
     """
-    return chosen_lanes().name.decode()
+    return selected_kernels().name.decode()
 
 
-cdef const Lanes* chosen_lanes() except NULL:
+cdef const SimdKernels* selected_kernels() except NULL:
     wanted = os.environ.get("PHOTONRELAX_SIMD", "")
-    cdef const Lanes* lanes = lanes_named(wanted.encode())
-    if lanes == NULL:
+    cdef const SimdKernels* simd = simd_kernels_named(wanted.encode())
+    if simd == NULL:
         raise ValueError(
             "PHOTONRELAX_SIMD should be avx512, avx2 or portable, and the processor should have "
-            f"it, but is {wanted!r}; the widest here is {lanes_named(b'').name.decode()}"
+            f"it, but is {wanted!r}; the widest here is {simd_kernels_named(b'').name.decode()}"
         )
-    return lanes
+    return simd
 
 
 cdef bint comes_after(const double[:, ::1] points, int64_t a, int64_t b) noexcept nogil:
-    """Order by the first coordinate that differs, points of equal coordinates by id."""
+    """Lexicographic order of points: by coordinates, then by id."""
     cdef Py_ssize_t axis
     for axis in range(points.shape[1]):
         if points[a, axis] != points[b, axis]:
@@ -61,9 +61,9 @@ cdef bint comes_after(const double[:, ::1] points, int64_t a, int64_t b) noexcep
 
 
 cdef void sort_block(Tree tree, const double[:, ::1] points, Py_ssize_t block) noexcept nogil:
-    """Put the block's points in an order that is that of their coordinates, not of their rows.
+    """Sort the points of a block by coordinates.
 
-    Sums over neighbours then have the same bits in whatever order the points come.
+    Sums over neighbours then have the same bits in whatever order the caller gives the points.
     """
     cdef Py_ssize_t first = BLOCK * block
     cdef Py_ssize_t place, hole
@@ -78,9 +78,9 @@ cdef void sort_block(Tree tree, const double[:, ::1] points, Py_ssize_t block) n
 
 
 cdef void place_block(Tree tree, const double[:, ::1] points, Py_ssize_t block) noexcept nogil:
-    """Copy the coordinates of the block's points from their rows."""
+    """Copy the coordinates of a block's points from their rows."""
     cdef Py_ssize_t lane, axis, place
-    # The rows of the next block are all over the table.
+    # Rows of the next block, which are scattered over the table.
     for place in range(BLOCK * block + BLOCK, min(BLOCK * block + 2 * BLOCK, tree.n_points)):
         prefetch_row(&points[tree.ids[place], 0], tree.n_axes * sizeof(double))
     sort_block(tree, points, block)
@@ -93,7 +93,7 @@ cdef void place_block(Tree tree, const double[:, ::1] points, Py_ssize_t block) 
 cdef void move_block(
     Tree tree, const double[:, ::1] moved, Py_ssize_t first_axis, double scale, Py_ssize_t block
 ) noexcept nogil:
-    """Copy some coordinates, multiplied by `scale`, of the block's points from their places."""
+    """Overwrite some axes of a block with `moved`, stored by place, times `scale`."""
     cdef Py_ssize_t lane, axis
     for lane in range(points_of_block(tree, block)):
         for axis in range(moved.shape[1]):
@@ -101,7 +101,7 @@ cdef void move_block(
 
 
 cdef void fill_lanes(Tree tree, Py_ssize_t block) noexcept nogil:
-    """Put lanes without a point at infinity."""
+    """Set lanes without a point to infinity."""
     cdef Py_ssize_t lane, axis
     for axis in range(tree.n_axes):
         for lane in range(points_of_block(tree, block), BLOCK):
@@ -109,7 +109,7 @@ cdef void fill_lanes(Tree tree, Py_ssize_t block) noexcept nogil:
 
 
 cdef void box_leaf_group(Tree tree, Py_ssize_t g) noexcept nogil:
-    """Box the blocks of one group of the last kept level."""
+    """Bounding boxes of the blocks of one group of the last kept level."""
     cdef Py_ssize_t last = last_kept(tree)
     cdef Py_ssize_t node = g * fan_out(tree, last)
     cdef Py_ssize_t group = tree.first_group[last] + g
@@ -126,7 +126,7 @@ cdef void box_leaf_group(Tree tree, Py_ssize_t g) noexcept nogil:
 
 
 cdef void box_inner_group(Tree tree, Py_ssize_t level, Py_ssize_t g) noexcept nogil:
-    """Box the groups below one group of an inner kept level."""
+    """Bounding boxes of the groups below one group of an inner kept level."""
     cdef Py_ssize_t group = tree.first_group[level] + g
     cdef Py_ssize_t child, below, axis
     for child in range(fan_out(tree, level)):
@@ -152,8 +152,8 @@ cdef inline void box_lanes(
     tree.boxes[group, 1, axis, child] = high
 
 
-cdef void find_lowest_ids(Tree tree) noexcept nogil:
-    """Note the lowest id of each node, from the blocks upwards."""
+cdef void set_lowest_ids(Tree tree) noexcept nogil:
+    """Set the lowest id of each node, from the blocks upwards."""
     cdef Py_ssize_t last = last_kept(tree)
     cdef Py_ssize_t level, g, child, node
     for level in range(last, -1, -1):
@@ -184,31 +184,31 @@ cdef int64_t lowest_of_group(Tree tree, Py_ssize_t group) noexcept nogil:
 
 
 cdef class Tree:
-    """The compiled tree behind `photonrelax.KDTree`, which checks what comes in."""
+    """Compiled part of `photonrelax.KDTree`, which validates the arguments."""
 
     def __init__(
         self, const double[:, ::1] points, Py_ssize_t n_metric, const double[::1] axis_scale,
         int n_threads
     ):
-        """Build; a node is split across the axis on which extent times `axis_scale` is largest."""
+        """Build the tree; nodes are split on the axis of largest extent times `axis_scale`."""
         cdef Py_ssize_t block
-        self.lanes = chosen_lanes()
+        self.simd = selected_kernels()
         self.n_points = points.shape[0]
         self.n_axes = points.shape[1]
         self.n_metric = n_metric
         self.n_blocks = (self.n_points + BLOCK - 1) // BLOCK
-        # First, as it takes more memory for itself than anything that is kept.
+        # First: its temporaries are larger than any array of the tree.
         self.ids = median_order(points, axis_scale, n_threads)
         self.allocate()
         if self.n_points == 0:
             return
         for block in prange(self.n_blocks, nogil=True, schedule="static", num_threads=n_threads):
             place_block(self, points, block)
-        find_lowest_ids(self)
+        set_lowest_ids(self)
         self.box(n_threads)
 
     def allocate(self):
-        """Make room for points and boxes; empty ones for nodes without points."""
+        """Allocate blocks and boxes; boxes of nodes without points are empty."""
         self.n_levels = max(self.n_blocks - 1, 0).bit_length()
         inner = max((self.n_levels - 1) // 4, 0)
         first = self.n_levels - 4 * inner
@@ -224,7 +224,7 @@ cdef class Tree:
         self.high = np.full(self.n_axes, -np.inf)
 
     def move(self, const double[:, ::1] moved, Py_ssize_t first_axis, double scale, int n_threads):
-        """Give points, by place, new coordinates from an axis on; `box` has to follow."""
+        """Set coordinates by place, from an axis on; call `box` afterwards."""
         cdef Py_ssize_t block
         if moved.shape[0] != self.n_points or first_axis + moved.shape[1] > self.n_axes:
             raise ValueError("coordinates do not fit the tree")
@@ -232,7 +232,7 @@ cdef class Tree:
             move_block(self, moved, first_axis, scale, block)
 
     def box(self, int n_threads):
-        """Box all nodes, from the blocks upwards; which points they hold stays as it is."""
+        """Recompute the bounding boxes of all nodes, from the blocks upwards."""
         cdef Py_ssize_t last = last_kept(self)
         cdef Py_ssize_t g, level
         for g in prange(

@@ -3,9 +3,9 @@
 from libc.stdint cimport uint64_t
 
 
-cdef class Aim:
+cdef class EmissionRegion:
     cdef int kind
-    cdef double lead, density
+    cdef double start_distance, density
     cdef const double[::1] origin, shape
     cdef const double[:, ::1] frame
 
@@ -20,7 +20,7 @@ cdef class Aim:
 
 
 cdef class Emission:
-    cdef Aim aim
+    cdef EmissionRegion region
     cdef uint64_t seed, emitter_id
     cdef bint halton
     cdef double[2] shift

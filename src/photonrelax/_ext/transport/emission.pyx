@@ -44,18 +44,18 @@ cdef double ellipse_direction(double* out, const double* p, const double* shape)
 
 
 @cython.final
-cdef class Aim:
-    """The numbers of one `emit.Aim`, for the loop."""
+cdef class EmissionRegion:
+    """The numbers of one `emission.EmissionRegion`, for the loop."""
 
     def __init__(
         self, int kind, const double[::1] origin, const double[:, ::1] frame,
-        const double[::1] shape, double lead, double density,
+        const double[::1] shape, double start_distance, double density,
     ):
         self.kind = kind
         self.origin = origin
         self.frame = frame
         self.shape = shape
-        self.lead = lead
+        self.start_distance = start_distance
         self.density = density
 
     cdef void to_world(self, double* out, const double* local) noexcept nogil:
@@ -110,7 +110,7 @@ cdef class Aim:
         density = self.from_point(direction, u, v)
         for c in range(3):
             coords[c] = direction[c]
-            origin[c] = self.origin[c] + self.lead * direction[c]
+            origin[c] = self.origin[c] + self.start_distance * direction[c]
         return density
 
 
@@ -118,8 +118,11 @@ cdef class Aim:
 cdef class Emission:
     """The photons of one emitter, by index; an empty shift asks for random ones."""
 
-    def __init__(self, Aim aim, uint64_t seed, uint64_t emitter_id, const double[::1] shift):
-        self.aim = aim
+    def __init__(
+        self, EmissionRegion region, uint64_t seed, uint64_t emitter_id,
+        const double[::1] shift,
+    ):
+        self.region = region
         self.seed = seed
         self.emitter_id = emitter_id
         self.halton = shift.shape[0] == 2
@@ -130,7 +133,7 @@ cdef class Emission:
         """Return what the random numbers of a photon depend on."""
         return hash_key(self.seed, self.emitter_id, index)
 
-    def chosen(self, uint64_t first, uint8_t[::1] out, double share):
+    def spectrum_photons(self, uint64_t first, uint8_t[::1] out, double share):
         """Choose a share of the photons, `first` and on, each by its index alone."""
         cdef Py_ssize_t i
         for i in range(out.shape[0]):
@@ -148,7 +151,7 @@ cdef class Emission:
         else:
             key = self.key(index)
             u, v = uniform(key, 0), uniform(key, 1)
-        return self.aim.ray(origin, direction, coords, u, v)
+        return self.region.ray(origin, direction, coords, u, v)
 
 
 def emit(

@@ -204,7 +204,7 @@ cdef class Paths:
         cdef int c
         ray.path = <int32_t>path
         ray.key = emission.key(index)
-        ray.path_length = emission.aim.lead
+        ray.path_length = emission.region.start_distance
         ray.n_specular = ray.n_diffuse = 0
         ray.signature = 0
         ray.medium = -1

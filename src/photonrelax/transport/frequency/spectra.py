@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 from ..._ext.transport import trace as _kernel
 from ..._util.validation import Floats
 from ...photons.energy_ledger import FATES
+from ...photons.neighbourhoods import MIN_NORMAL_COSINE
 from ...scene.materials import DIFFUSE, MaterialTable
 from ...scene.scene import Scene
-from ..emission import ELLIPSE, LUMINANCE, PATHS, Aim, EmissionPlan, emission
+from ..emission import ELLIPSE, LUMINANCE, PATHS, EmissionPlan, EmissionRegion, emission
 from ..frequency import operators
 from ..raycast import Intersections, RayCaster, empty_intersections
 from .path_replay import CHUNK, Beams, Follower, Landings, Ways, started
@@ -44,8 +45,6 @@ _BETWEEN_SPOKES = np.cos(np.pi / _SPOKES) ** 2
 # How far the second order may carry a probe from where the first expects it, over its offset; and
 # by how much of itself the light there may differ: as roughness, both are alike.
 _STRAY = 0.5
-# Probes that land on a face turned by more than 60° see another one.
-_LEAST_ALIKE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,27 +108,27 @@ class SpectrumTracer:
     def spectra(self, chosen: Retraced) -> Floats:
         """Return (e, b, c) of up to `CHUNK` photons as they land; NaN where followed in vain."""
         emitter_id, photons = chosen.emitter_id, chosen.photons
-        aim = self._plan.aims[emitter_id]
+        region = self._plan.regions[emitter_id]
         ways, rays = self._ways(emitter_id, photons)
-        bundle = _Bundle(aim, *rays)
+        bundle = _Bundle(region, *rays)
         landings = self._follower.follow(bundle.beams(), ways)
         clear = clear_distance(self._follower, bundle, ways, landings)
-        light = self._emitted(aim, clear)
+        light = self._emitted(region, clear)
         out = np.full((len(photons), 3), np.nan)
         known = _known(landings)
         out[known] = operators.roughest(landings.operator[known] @ operators.root(light[known]))
         return out
 
-    def _emitted(self, aim: Aim, clear: Floats) -> Floats:
+    def _emitted(self, region: EmissionRegion, clear: Floats) -> Floats:
         """Return the spectra (n, 4, 4) of what leaves the emitter, through windows of a size."""
         light = np.zeros((len(clear), 4, 4))
         angle = range(2, 4)
-        if aim.is_plane:
+        if region.is_plane:
             light[:, angle, angle] = 1.0 / (4.0 * np.pi**2 * _SMALL**2)
         else:
             light[:, range(2), range(2)] = 1.0 / (4.0 * np.pi**2 * self._dot**2)
-            light[:, angle, angle] = operators.COSINE_LOBE if aim.kind == ELLIPSE else 0.0
-        return operators.occluded(light, clear, angular=not aim.is_plane)
+            light[:, angle, angle] = operators.COSINE_LOBE if region.kind == ELLIPSE else 0.0
+        return operators.occluded(light, clear, angular=not region.is_plane)
 
     def _ways(
         self, emitter_id: int, photons: NDArray[np.int64]
@@ -200,47 +199,47 @@ def surfaces(table: MaterialTable) -> _kernel.Surfaces:
 class _Bundle:
     """Rays of one emitter, and others beside them."""
 
-    def __init__(self, aim: Aim, origin: Floats, direction: Floats) -> None:
-        self._aim, self._origin, self._direction = aim, origin, direction
-        self._across = _across(aim, direction)
-        self.reach = float(np.sqrt(aim.area / np.pi))
-        if not aim.is_plane:
+    def __init__(self, region: EmissionRegion, origin: Floats, direction: Floats) -> None:
+        self._region, self._origin, self._direction = region, origin, direction
+        self._across = _across(region, direction)
+        self.reach = float(np.sqrt(region.area / np.pi))
+        if not region.is_plane:
             self.reach = min(self.reach, 1.0)
 
     def __len__(self) -> int:
         return len(self._origin)
 
     def __getitem__(self, rows: NDArray) -> _Bundle:
-        return _Bundle(self._aim, self._origin[rows], self._direction[rows])
+        return _Bundle(self._region, self._origin[rows], self._direction[rows])
 
     def beams(self) -> Beams:
-        return started(self._origin, self._direction, self._across, self._aim.lead)
+        return started(self._origin, self._direction, self._across, self._region.start_distance)
 
     def beside(self, offset: Floats) -> Beams:
         """Return beams that leave the emitter at offsets (n, 2), m or, as tangents, rad."""
         step = np.einsum("ni,nij->nj", offset, self._across)
-        aim = self._aim
-        if aim.is_plane:
+        region = self._region
+        if region.is_plane:
             return started(self._origin + step, self._direction, self._across, 0.0)
         direction = self._direction + step
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        if aim.kind == ELLIPSE:
+        if region.kind == ELLIPSE:
             # Nothing leaves backwards; such a ray, turned over, meets nothing on the way.
-            behind = direction @ aim.frame[2] <= 0.0
-            direction[behind] = -aim.frame[2]
-        origin = aim.origin + aim.lead * direction
-        return started(origin, direction, self._across, aim.lead)
+            behind = direction @ region.frame[2] <= 0.0
+            direction[behind] = -region.frame[2]
+        origin = region.origin + region.start_distance * direction
+        return started(origin, direction, self._across, region.start_distance)
 
     def stretch(self, landings: Landings) -> Floats:
         """Return how places along the receiver change with the emitter's coordinates (n, 2, 2)."""
         rays = np.swapaxes(np.linalg.inv(landings.operator), 1, 2)
-        return rays[:, :2, :2] if self._aim.is_plane else rays[:, :2, 2:]
+        return rays[:, :2, :2] if self._region.is_plane else rays[:, :2, 2:]
 
 
-def _across(aim: Aim, direction: Floats) -> Floats:
+def _across(region: EmissionRegion, direction: Floats) -> Floats:
     """Return unit vectors (n, 2, 3) across rays; those on an emitter's plane are all alike."""
-    if aim.is_plane:
-        return np.broadcast_to(aim.frame[:2], (len(direction), 2, 3))
+    if region.is_plane:
+        return np.broadcast_to(region.frame[:2], (len(direction), 2, 3))
     aside = np.eye(3)[np.abs(direction).argmin(axis=1)]
     first = np.cross(direction, aside)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -314,6 +313,6 @@ def _stray(
             ratio = np.linalg.norm(back, axis=1) / (scale * determinant)
             change = np.abs(probes.throughput / landings.throughput - 1.0).max(axis=1)
         ratio = np.maximum(ratio, change)
-        alike = np.einsum("ni,ni->n", probes.normal, landings.normal) > _LEAST_ALIKE
+        alike = np.einsum("ni,ni->n", probes.normal, landings.normal) > MIN_NORMAL_COSINE
         worst = np.maximum(worst, np.where(alike & ~np.isnan(ratio), ratio, np.inf))
     return worst

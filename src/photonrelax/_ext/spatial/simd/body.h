@@ -10,7 +10,7 @@
 
 #include "gather.h"
 
-static const Lanes NAME(lanes) = {
+static const SimdKernels NAME(lanes) = {
     SET_NAME, NAME(boxes_near), NAME(copies_near), NAME(list_boxes), NAME(copy_rows),
     NAME(copy_blocks),
     NAME(scan), NAME(scan_copies), NAME(rescan), NAME(nearest), NAME(compact),

@@ -3,11 +3,11 @@
  * It is read eight lanes at a time, those eights of which any were found.
  */
 
-static TARGET void NAME(compact)(Found *found)
+static TARGET void NAME(compact)(Candidates *found)
 {
     int64_t kept = 0;
     for (int64_t i = 0; i < found->n_blocks; ++i) {
-        uint64_t here = NAME(keys_at_most)(found->keys + BLOCK * i, (int)found->key);
+        uint64_t here = NAME(keys_at_most)(found->rank_keys + BLOCK * i, (int)found->max_rank_key);
         found->blocks[kept] = found->blocks[i];
         kept += (here & 0xFFFF) != 0;
     }
@@ -17,14 +17,14 @@ static TARGET void NAME(compact)(Found *found)
 /* Eight lanes of a block, from a lane on, and which of them were found, as bits; and which of the
  * next LANES chunks of keys, from `first` on, have which of their eights found, as bits. */
 typedef struct {
-    const Found *found;
+    const Candidates *found;
     int64_t first, block, lane;
     uint64_t chunk[LANES], left;
     unsigned bits;
 } NAME(Eights);
 #define Eights NAME(Eights)
 
-static INLINE Eights NAME(eights)(const Found *found)
+static INLINE Eights NAME(eights)(const Candidates *found)
 {
     Eights out;
     out.found = found;
@@ -36,10 +36,10 @@ static INLINE Eights NAME(eights)(const Found *found)
 /* Look at the next LANES chunks. */
 static INLINE void NAME(look_at_chunks)(Eights *at)
 {
-    const Found *found = at->found;
+    const Candidates *found = at->found;
     const int64_t n = n_chunks(found) - at->first;
     for (int64_t i = 0; i < n && i < LANES; ++i) {
-        at->chunk[i] = NAME(keys_at_most)(found->keys + KEYS * (at->first + i), (int)found->key);
+        at->chunk[i] = NAME(keys_at_most)(found->rank_keys + KEY_CHUNK * (at->first + i), (int)found->max_rank_key);
         at->left |= bytes_not_zero(at->chunk[i]) << (LANES * i);
     }
 }
@@ -57,7 +57,7 @@ static INLINE int NAME(next)(Eights *at)
     eight = LOWEST_BIT(at->left);
     at->left &= at->left - 1;
     at->bits = at->chunk[eight / LANES] >> (LANES * (eight % LANES)) & 0xFF;
-    at->block = at->found->blocks[KEYS / BLOCK * at->first + eight / 2];
+    at->block = at->found->blocks[KEY_CHUNK / BLOCK * at->first + eight / 2];
     at->lane = LANES * (eight % 2);
     return 1;
 }
@@ -68,7 +68,7 @@ static INLINE const double *NAME(lanes_at)(const double *coords, int64_t n_axes,
 }
 
 /* With constant numbers of axes the compiler unrolls their loops. */
-static INLINE void NAME(list_all)(const double *coords, const Reach *reach, const Found *found,
+static INLINE void NAME(list_all)(const double *coords, const SearchBounds *reach, const Candidates *found,
                                   const int64_t *ids, double *squared, int64_t *id,
                                   int64_t n_metric, int64_t n_axes)
 {
@@ -81,7 +81,7 @@ static INLINE void NAME(list_all)(const double *coords, const Reach *reach, cons
     }
 }
 
-static TARGET void NAME(list)(const double *coords, const Reach *reach, const Found *found,
+static TARGET void NAME(list)(const double *coords, const SearchBounds *reach, const Candidates *found,
                               const int64_t *ids, double *squared, int64_t *id)
 {
     if (reach->n_metric == 3 && reach->n_axes == 3)
@@ -90,7 +90,7 @@ static TARGET void NAME(list)(const double *coords, const Reach *reach, const Fo
         NAME(list_all)(coords, reach, found, ids, squared, id, reach->n_metric, reach->n_axes);
 }
 
-static TARGET void NAME(list_points)(const double *coords, int64_t n_axes, const Found *found,
+static TARGET void NAME(list_points)(const double *coords, int64_t n_axes, const Candidates *found,
                                      double *points)
 {
     const int64_t stride = found->count + LANES;
@@ -106,7 +106,7 @@ static TARGET void NAME(list_points)(const double *coords, int64_t n_axes, const
  * counts stay in registers. */
 static INLINE void NAME(count_lesser)(const float *keys, int64_t count, int n, int32_t *lesser)
 {
-    F16 key[KEYS / BLOCK], sum[KEYS / BLOCK];
+    F16 key[KEY_CHUNK / BLOCK], sum[KEY_CHUNK / BLOCK];
     for (int i = 0; i < n; ++i) {
         key[i] = NAME(f_load)(keys + BLOCK * i);
         sum[i] = NAME(f_all)(0.0f);
@@ -124,8 +124,8 @@ static TARGET void NAME(sort)(const double *squared, const int64_t *id, int64_t 
 {
     const V8 scale = NAME(all)(squared_radius > 1e-300 ? 1.0 / squared_radius : 0.0);
     const int n = (int)((count + BLOCK - 1) / BLOCK);
-    float keys[KEYS] = {0.0f};
-    int32_t rank[KEYS];
+    float keys[KEY_CHUNK] = {0.0f};
+    int32_t rank[KEY_CHUNK];
     for (int64_t j = 0; j < count; j += LANES)
         NAME(store_rounded)(keys + j, NAME(add)(NAME(mul)(NAME(load)(squared + j), scale),
                                                 NAME(all)(1.0)));
@@ -138,7 +138,7 @@ static TARGET void NAME(sort)(const double *squared, const int64_t *id, int64_t 
     else if (n == 3)
         NAME(count_lesser)(keys, count, 3, rank);
     else
-        NAME(count_lesser)(keys, count, KEYS / BLOCK, rank);
+        NAME(count_lesser)(keys, count, KEY_CHUNK / BLOCK, rank);
     for (int64_t j = 0; j < count; ++j) {
         to[rank[j] - 1] = squared[j];
         to_id[rank[j] - 1] = id[j];
@@ -157,12 +157,12 @@ static INLINE int NAME(growing)(const double *x, int64_t count)
     return not_growing == 0;
 }
 
-static TARGET void NAME(write)(double *squared, int64_t *id, int64_t count, int past_cache,
+static TARGET void NAME(write)(double *squared, int64_t *id, int64_t count, int streaming,
                                double *distance, int64_t *to_id)
 {
     int64_t j = 0;
     if (!NAME(growing)(squared, count)) sort_exactly(squared, id, count);
-    if (past_cache) {
+    if (streaming) {
         for (; j < count; j += LANES) {
             NAME(stream)(distance + j, NAME(root)(NAME(load)(squared + j)));
             NAME(stream)((double *)(to_id + j), NAME(load_ids)(id + j));
@@ -179,7 +179,7 @@ static TARGET void NAME(write)(double *squared, int64_t *id, int64_t count, int 
     }
 }
 
-static TARGET void NAME(moments)(const double *coords, int64_t n_axes, const Found *found,
+static TARGET void NAME(moments)(const double *coords, int64_t n_axes, const Candidates *found,
                                  const double *at, const double *frame, double *out)
 {
     const V8 zero = NAME(all)(0.0);
@@ -246,7 +246,7 @@ static INLINE V8 NAME(weight)(V8 squared, const Weights *weights)
 }
 
 /* With a constant number of channels sums stay in registers. */
-static INLINE void NAME(weigh_some)(const double *coords, const Reach *reach, const Found *found,
+static INLINE void NAME(weigh_some)(const double *coords, const SearchBounds *reach, const Candidates *found,
                                     const Weights *weights, const double *values,
                                     int64_t n_channels, int n, double *out)
 {
@@ -264,7 +264,7 @@ static INLINE void NAME(weigh_some)(const double *coords, const Reach *reach, co
     for (int channel = 0; channel < n; ++channel) out[channel] = NAME(total)(sum[channel]);
 }
 
-static TARGET void NAME(weigh)(const double *coords, const Reach *reach, const Found *found,
+static TARGET void NAME(weigh)(const double *coords, const SearchBounds *reach, const Candidates *found,
                                const Weights *weights, const double *values, int64_t n_channels,
                                double *out)
 {

@@ -15,7 +15,7 @@
 
 /* The search for the key of the k-th nearest candidate: `fewer` are known to have a lesser one. */
 typedef struct {
-    const uint8_t *keys;
+    const uint8_t *rank_keys;
     int64_t k, fewer;
     int key;
 } Ranked;
@@ -23,12 +23,12 @@ typedef struct {
 /* What makes keys of squared distances up to a limit. */
 static inline double key_scale(double squared_limit)
 {
-    return squared_limit > 1e-300 ? FARTHEST / squared_limit : 0.0;
+    return squared_limit > 1e-300 ? LIMIT_KEY / squared_limit : 0.0;
 }
 
-static inline int64_t n_chunks(const Found *found)
+static inline int64_t n_chunks(const Candidates *found)
 {
-    return (BLOCK * found->n_blocks + KEYS - 1) / KEYS;
+    return (BLOCK * found->n_blocks + KEY_CHUNK - 1) / KEY_CHUNK;
 }
 
 /* Which bytes are not zero, as bits. */
@@ -41,11 +41,11 @@ static ALWAYS_INLINE uint64_t bytes_not_zero(uint64_t x)
 }
 
 /* The greatest key of what may be within the limit or is just beyond it. */
-static ALWAYS_INLINE int greatest_key(const Found *found)
+static ALWAYS_INLINE int greatest_key(const Candidates *found)
 {
     uint8_t greatest = 0;
     for (int64_t j = 0; j < BLOCK * found->n_blocks; ++j) {
-        uint8_t key = found->keys[j] <= FARTHEST + 1 ? found->keys[j] : 0;
+        uint8_t key = found->rank_keys[j] <= LIMIT_KEY + 1 ? found->rank_keys[j] : 0;
         greatest = key > greatest ? key : greatest;
     }
     return greatest;
@@ -83,7 +83,7 @@ static ALWAYS_INLINE void number_keys(float *keys, int64_t count)
     for (int64_t j = 0; j < count; ++j) {
         uint32_t bits;
         memcpy(&bits, keys + j, sizeof bits);
-        bits = (bits & ~(uint32_t)(KEYS - 1)) | (uint32_t)j;
+        bits = (bits & ~(uint32_t)(KEY_CHUNK - 1)) | (uint32_t)j;
         memcpy(keys + j, &bits, sizeof bits);
     }
 }
@@ -106,7 +106,7 @@ static void sort_exactly(double *squared, int64_t *id, int64_t count)
 }
 
 static ALWAYS_INLINE double squared_gap_at(const double *coords, int64_t first, int64_t end,
-                                           const Reach *reach, int64_t place)
+                                           const SearchBounds *reach, int64_t place)
 {
     const double *point = coords + BLOCK * reach->n_axes * (place / BLOCK) + place % BLOCK;
     double gap = point[BLOCK * first] - reach->low[first], squared = gap * gap;
@@ -118,84 +118,84 @@ static ALWAYS_INLINE double squared_gap_at(const double *coords, int64_t first, 
 }
 
 /* Put those of some points of a block out of reach that are outside of the range. */
-static void settle_range(const double *coords, int64_t block, unsigned bits, const Reach *reach,
+static void settle_range(const double *coords, int64_t block, unsigned bits, const SearchBounds *reach,
                          uint8_t *keys)
 {
     for (; bits; bits &= bits - 1) {
         int lane = lowest_bit(bits);
         double squared = squared_gap_at(coords, reach->n_metric, reach->n_axes, reach,
                                         BLOCK * block + lane);
-        if (!(squared <= reach->squared_range)) keys[lane] = OUTSIDE;
+        if (!(squared <= reach->squared_range)) keys[lane] = OUTSIDE_KEY;
     }
 }
 
 /* Put out of reach candidates beyond the count that are as far away as the farthest, those of
  * highest ids. */
-static void drop_ties(Found *found, int64_t excess, const int64_t *ids)
+static void drop_ties(Candidates *found, int64_t excess, const int64_t *ids)
 {
-    double *equal = found->spare, highest;
+    double *equal = found->scratch, highest;
     int64_t n = 0;
-    for (int64_t j = 0; j < found->n_few; ++j)
-        if (found->squared[j] == found->squared_radius)
-            equal[n++] = (double)ids[place_of(found, found->few[j])];
+    for (int64_t j = 0; j < found->n_ties; ++j)
+        if (found->tie_squared[j] == found->squared_radius)
+            equal[n++] = (double)ids[candidate_place(found, found->ties[j])];
     highest = of_rank(equal, n, n - excess);
-    for (int64_t j = 0; j < found->n_few; ++j)
-        if (found->squared[j] == found->squared_radius &&
-            (double)ids[place_of(found, found->few[j])] > highest)
-            found->keys[found->few[j]] = OUTSIDE;
+    for (int64_t j = 0; j < found->n_ties; ++j)
+        if (found->tie_squared[j] == found->squared_radius &&
+            (double)ids[candidate_place(found, found->ties[j])] > highest)
+            found->rank_keys[found->ties[j]] = OUTSIDE_KEY;
 }
 
 /* Note how far away the few are; those beyond the limit are out of reach, and none of them. */
-static ALWAYS_INLINE void look_at_few(const double *coords, const Reach *reach, Found *found)
+static ALWAYS_INLINE void look_at_few(const double *coords, const SearchBounds *reach, Candidates *found)
 {
     int64_t n = 0;
-    for (int64_t j = 0; j < found->n_few; ++j) {
-        int32_t candidate = found->few[j];
+    for (int64_t j = 0; j < found->n_ties; ++j) {
+        int32_t candidate = found->ties[j];
         double squared = squared_gap_at(coords, 0, reach->n_metric, reach,
-                                        place_of(found, candidate));
-        found->few[n] = candidate;
-        found->squared[n] = squared;
+                                        candidate_place(found, candidate));
+        found->ties[n] = candidate;
+        found->tie_squared[n] = squared;
         if (squared <= reach->squared_limit)
             ++n;
         else
-            found->keys[candidate] = OUTSIDE;
+            found->rank_keys[candidate] = OUTSIDE_KEY;
     }
-    found->n_few = n;
+    found->n_ties = n;
 }
 
 /* Choose the only one of the few; most often there is no other. */
-static ALWAYS_INLINE void choose_only(Found *found)
+static ALWAYS_INLINE void choose_only(Candidates *found)
 {
-    found->squared_radius = found->squared[0];
-    found->keys[found->few[0]] = (uint8_t)found->key;
+    found->squared_radius = found->tie_squared[0];
+    found->rank_keys[found->ties[0]] = (uint8_t)found->max_rank_key;
 }
 
 /* The squared distance of a rank, counted from one, among the few. */
-static double few_of_rank(const Found *found, int64_t rank)
+static double few_of_rank(const Candidates *found, int64_t rank)
 {
-    const double *x = found->squared;
-    if (found->n_few == 2) return (x[0] < x[1]) == (rank == 1) ? x[0] : x[1];
-    memcpy(found->spare, x, found->n_few * sizeof(double));
-    return of_rank(found->spare, found->n_few, rank);
+    const double *x = found->tie_squared;
+    if (found->n_ties == 2) return (x[0] < x[1]) == (rank == 1) ? x[0] : x[1];
+    memcpy(found->scratch, x, found->n_ties * sizeof(double));
+    return of_rank(found->scratch, found->n_ties, rank);
 }
 
 /* Choose among the few what is found; `fewer` of all are nearer than these. */
-static void choose_few(Found *found, int64_t fewer, const int64_t *ids)
+static void choose_few(Candidates *found, int64_t fewer, const int64_t *ids)
 {
     int64_t excess = fewer - found->count;
     found->squared_radius = few_of_rank(found, found->count - fewer);
-    for (int64_t j = 0; j < found->n_few; ++j) {
-        int chosen = found->squared[j] <= found->squared_radius;
-        found->keys[found->few[j]] = chosen ? (uint8_t)found->key : OUTSIDE;
+    for (int64_t j = 0; j < found->n_ties; ++j) {
+        int chosen = found->tie_squared[j] <= found->squared_radius;
+        found->rank_keys[found->ties[j]] = chosen ? (uint8_t)found->max_rank_key : OUTSIDE_KEY;
         excess += chosen;
     }
     if (excess > 0) drop_ties(found, excess, ids);
 }
 
-static void find_nothing(Found *found)
+static void find_nothing(Candidates *found)
 {
-    found->count = found->n_few = found->n_blocks = 0;
-    found->key = 0;
+    found->count = found->n_ties = found->n_blocks = 0;
+    found->max_rank_key = 0;
     found->squared_radius = 0.0;
 }
 
@@ -215,7 +215,7 @@ static void find_nothing(Found *found)
 #include "body.h"
 #endif
 
-static const Lanes *widest(void)
+static const SimdKernels *widest(void)
 {
 #if defined(__x86_64__)
     __builtin_cpu_init();
@@ -228,9 +228,9 @@ static const Lanes *widest(void)
     return &lanes_portable;
 }
 
-const Lanes *lanes_named(const char *name)
+const SimdKernels *simd_kernels_named(const char *name)
 {
-    const Lanes *best = widest();
+    const SimdKernels *best = widest();
     if (name[0] == '\0' || strcmp(name, best->name) == 0) return best;
     if (strcmp(name, "portable") == 0) return &lanes_portable;
 #if defined(__x86_64__)

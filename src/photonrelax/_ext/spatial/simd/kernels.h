@@ -1,76 +1,83 @@
-/* Loops over eight or sixteen points at a time, in the instruction set that suits the processor.
+/* SIMD kernels of the k-d tree: box tests, candidate scans, selection of the k nearest, and sums
+ * over the neighbours. There is one table of kernels per instruction set; all give the same bits.
  *
- * Points lie in blocks of 16, axis by axis: coordinate `axis` of the point at place p is
- * coords[(p / 16) * 16 * n_axes + 16 * axis + p % 16]. Lanes without a point hold infinity. Boxes
- * lie likewise, 16 together: all that is least, then all that is greatest, axis by axis; lanes
- * without a box hold infinity and its negative. Every instruction set computes the same bits.
+ * Points are stored in blocks of 16, structure of arrays within a block: coordinate `axis` of the
+ * point at place p is coords[(p / 16) * 16 * n_axes + 16 * axis + p % 16]. Lanes without a point
+ * hold infinity. Boxes are stored likewise, in groups of 16: the lower bounds, then the upper
+ * bounds, axis by axis; lanes without a box hold infinity and minus infinity.
  */
-#ifndef PHOTONRELAX_LANES_H
-#define PHOTONRELAX_LANES_H
+#ifndef PHOTONRELAX_SIMD_KERNELS_H
+#define PHOTONRELAX_SIMD_KERNELS_H
 
 #include <stdint.h>
 
 enum {
     BLOCK = 16,
+    /* Doubles of a vector. */
     LANES = 8,
-    /* Candidates are sorted roughly by keys. Those up to FARTHEST are within the limit or, as keys
-     * are off a little, just beyond it; what is out of range, or far beyond, is OUTSIDE. */
-    FARTHEST = 250,
-    OUTSIDE = 255,
-    /* Keys are looked at so many at a time; up to FEW_CHUNKS of such, several searches look at as
-     * many as the one that needs the most. */
-    KEYS = 64,
-    FEW_CHUNKS = 4,
-    /* So many searches among candidates run side by side. */
-    TOGETHER = 4,
-    /* Copies bear no more axes than these. */
-    MOST_COPIED_AXES = 12
+    /* Rank keys are bytes. Candidates within the limit have keys up to LIMIT_KEY, or one more, as
+     * float32 distances are rounded; candidates out of range or well beyond the limit have
+     * OUTSIDE_KEY. */
+    LIMIT_KEY = 250,
+    OUTSIDE_KEY = 255,
+    /* Rank keys compared at once, and the largest number of such chunks of a query that is
+     * selected together with others. */
+    KEY_CHUNK = 64,
+    MAX_UNROLLED_CHUNKS = 4,
+    /* Queries whose selections run interleaved. */
+    INTERLEAVED = 4,
+    /* Points of more axes are not searched in float32. */
+    MAX_FLOAT_AXES = 12
 };
 
-/* What may be found from a point, or from any point of a box: squared distances up to
- * `squared_limit` (finite) over the first n_metric axes; over the others a ball, unless
- * `squared_range` is negative, and an interval of `half_range` each, unless it is NULL. */
+/* Region around a point (low == high) or a box that neighbours have to lie in: squared distance at
+ * most `squared_limit` (finite) over the first n_metric axes; over the others, the range axes,
+ * squared distance at most `squared_range`, unless that is negative, and an offset of at most
+ * `half_range` on each, unless that is NULL. */
 typedef struct {
     const double *low, *high;
     double squared_limit, squared_range;
     const double *half_range;
     int64_t n_metric, n_axes;
-} Reach;
+} SearchBounds;
 
-/* Copies of points are floats, (x - origin) * scale, so that what is in reach lies within 1. */
+/* Map to float32 coordinates, (x - origin) * scale, chosen so that the search bounds lie within
+ * [-1, 1]; range axes have a scale of their own. */
 typedef struct {
     const double *origin;
     double scale, range_scale;
     int64_t n_metric, n_axes;
-} Frame;
+} Quantisation;
 
-/* The reach of a point among copies, and by how much squared distances may be off. */
+/* A query in float32 coordinates, and bounds on the errors of squared distances there. */
 typedef struct {
     const float *at;
     float squared_limit, squared_range;
     float limit_slack, range_slack;
-    /* How much higher a candidate may seem than one that is farther away, or as far. */
-    float doubt;
-} Local;
+    /* Bound on the error of the difference of two scaled distances. */
+    float rank_slack;
+} FloatQuery;
 
-/* Candidates: all points of some blocks. Their heights, squared distances as multiples of the
- * FARTHEST-th part of the limit, and keys, heights rounded down but OUTSIDE for what is not to be
- * found, lie block by block; keys have room for FEW_CHUNKS * KEYS more. Found are the `count`
- * candidates of keys up to `key`, the farthest of them at `squared_radius`. It is among the `n_few`
- * whose exact squared distances had to be looked at; there is room for as many as candidates, and
- * as many spare numbers. */
+/* The points of some blocks, and the k nearest of them.
+ *
+ * Scaled distances are squared distances in units of squared_limit / LIMIT_KEY; rank keys are
+ * scaled distances rounded down, or OUTSIDE_KEY. Both are stored block by block, with room for
+ * MAX_UNROLLED_CHUNKS * KEY_CHUNK more keys. The `count` neighbours selected are the candidates of
+ * keys up to `max_rank_key`; the farthest is at `squared_radius`, and among the `n_ties` candidates
+ * whose float32 rank was ambiguous. Of these the exact squared distances are kept. `ties`,
+ * `tie_squared` and `scratch` have room for all candidates. */
 typedef struct {
     int32_t *blocks;
-    uint8_t *keys;
-    float *heights;
+    uint8_t *rank_keys;
+    float *scaled_distances;
     int64_t n_blocks, count;
     double squared_radius;
-    int64_t key, n_few;
-    int32_t *few;
-    double *squared, *spare;
-} Found;
+    int64_t max_rank_key, n_ties;
+    int32_t *ties;
+    double *tie_squared, *scratch;
+} Candidates;
 
-/* How much the photons found weigh: CONSTANT, CONE or EPANECHNIKOV, over a squared bandwidth. */
+/* Smoothing kernel: CONSTANT, CONE or EPANECHNIKOV, and its squared bandwidth. */
 typedef struct {
     int64_t shape;
     double squared_bandwidth;
@@ -78,106 +85,117 @@ typedef struct {
 
 enum { CONSTANT_WEIGHTS = 0, CONE_WEIGHTS = 1, EPANECHNIKOV_WEIGHTS = 2 };
 
-/* Blocks given with bits are those of the 16 that start there. */
+/* Kernels of one instruction set. `blocks` with `bits` are those of 16 blocks whose bits are set. */
 typedef struct {
     const char *name;
-    /* Which of 16 boxes, whose rows are `stride` apart, reach into the reach, as bits. */
-    unsigned (*boxes_near)(const double *boxes, int64_t stride, const Reach *reach);
-    /* The same, but some boxes just out of reach may be among them. */
-    unsigned (*copies_near)(const float *boxes, int64_t stride, const Reach *reach,
-                            const Local *local);
-    /* Write these of 16 boxes one behind the other into rows of that stride, and more behind. */
-    void (*list_boxes)(const double *boxes, int64_t n_axes, unsigned bits, double *to,
+    /* Bitmask of the 16 boxes that overlap the search bounds. Box rows are `stride` doubles
+     * apart. */
+    unsigned (*overlapping_boxes)(const double *boxes, int64_t stride, const SearchBounds *bounds);
+    /* The same in float32; the mask may include boxes just outside. */
+    unsigned (*overlapping_float_boxes)(const float *boxes, int64_t stride,
+                                        const SearchBounds *bounds, const FloatQuery *query);
+    /* Compress the boxes of a bitmask into consecutive columns of `target`; columns behind them
+     * are overwritten. */
+    void (*pack_boxes)(const double *boxes, int64_t n_axes, unsigned bits, double *target,
                        int64_t stride);
-    /* Copy rows of n numbers, one an axis. */
-    void (*copy_rows)(const double *rows, int64_t stride, int64_t n, const Frame *frame, float *to);
-    /* Copy blocks. */
-    void (*copy_blocks)(const double *coords, const int32_t *blocks, int64_t n, const Frame *frame,
-                        float *to);
-    /* Make the points of more blocks candidates; reach is from a point. */
-    void (*scan)(const double *coords, const int32_t *blocks, unsigned bits, const Reach *reach,
-                 Found *found);
-    /* The same by their copies. */
-    void (*scan_copies)(const double *coords, const float *copies, const int32_t *blocks,
-                        unsigned bits, const Reach *reach, const Local *local, Found *found);
-    /* Give candidates new keys, for a reach that has changed. */
-    void (*rescan)(const double *coords, const Reach *reach, Found *found);
-    /* Find the k nearest candidates, ties by id, all in reach if they are fewer; of several
-     * searches, at most TOGETHER. */
-    void (*nearest)(const double *coords, const Reach *const *reach, const float *doubt,
-                    Found *const *found, int n, int64_t k, const int64_t *ids);
-    /* Keep only the blocks of what was found; all in them need new keys. */
-    void (*compact)(Found *found);
-    /* Write squared distances and ids of what was found. Lists have room for LANES more. What is
-     * listed, or sorted, is best not read at once: wide loads wait for stores. */
-    void (*list)(const double *coords, const Reach *reach, const Found *found, const int64_t *ids,
-                 double *squared, int64_t *id);
-    /* Write three coordinates of what was found, axis by axis, count + LANES apart. */
-    void (*list_points)(const double *coords, int64_t n_axes, const Found *found, double *points);
-    /* Sort what was listed, at most KEYS, nearest first, but for those whose squared distances
-     * differ by less than a 50,000-th of the greatest. */
-    void (*sort)(const double *squared, const int64_t *id, int64_t count, double squared_radius,
-                 double *to, int64_t *to_id);
-    /* Write distances and ids of what was sorted so, nearest first, ties by id; past the cache, if
-     * asked to: then count is a multiple of LANES and rows start where lines of the cache do. */
-    void (*write)(double *squared, int64_t *id, int64_t count, int past_cache, double *distance,
-                  int64_t *to_id);
-    /* Second moments uu, uv, vv about the mean, divided by their number, and the mean (u, v) of the
-     * offsets of what was found from a point, along the two vectors of `frame`. */
-    void (*moments)(const double *coords, int64_t n_axes, const Found *found, const double *at,
-                    const double *frame, double *out);
-    /* The repulsion of SJ13 Eq. 8 on a point by what was listed with its coordinates: the mean of
-     * the offsets from it times (radius / distance - 1). */
+    /* Convert rows of n coordinates, one row per axis, to float32. */
+    void (*quantise_rows)(const double *rows, int64_t stride, int64_t n,
+                          const Quantisation *quantisation, float *target);
+    /* Convert n blocks to float32. */
+    void (*quantise_blocks)(const double *coords, const int32_t *blocks, int64_t n,
+                            const Quantisation *quantisation, float *target);
+    /* Append the points of blocks to the candidates; the bounds are around a point. */
+    void (*scan_blocks)(const double *coords, const int32_t *blocks, unsigned bits,
+                        const SearchBounds *bounds, Candidates *found);
+    /* The same from float32 blocks. */
+    void (*scan_float_blocks)(const double *coords, const float *float_blocks,
+                              const int32_t *blocks, unsigned bits, const SearchBounds *bounds,
+                              const FloatQuery *query, Candidates *found);
+    /* Recompute the rank keys of all candidates after the bounds have changed. */
+    void (*rescan)(const double *coords, const SearchBounds *bounds, Candidates *found);
+    /* Select the k nearest candidates, ties by id, or all within the bounds if they are fewer; for
+     * up to INTERLEAVED queries at once. */
+    void (*select_nearest)(const double *coords, const SearchBounds *const *bounds,
+                           const float *rank_slack, Candidates *const *found, int n, int64_t k,
+                           const int64_t *ids);
+    /* Drop the blocks that have no neighbour selected; the others have to be rescanned. */
+    void (*compact)(Candidates *found);
+    /* Write squared distances and ids of the neighbours, unordered; up to LANES more are
+     * overwritten. Avoid reading the output immediately: store-to-load forwarding stalls. */
+    void (*gather_neighbours)(const double *coords, const SearchBounds *bounds,
+                              const Candidates *found, const int64_t *ids, double *squared,
+                              int64_t *id);
+    /* Write three coordinates of the neighbours, rows of count + LANES per axis. */
+    void (*gather_points)(const double *coords, int64_t n_axes, const Candidates *found,
+                          double *points);
+    /* Sort up to KEY_CHUNK neighbours by distance, but for those whose squared distances differ by
+     * less than a 50,000-th of the largest. */
+    void (*sort_neighbours)(const double *squared, const int64_t *id, int64_t count,
+                            double squared_radius, double *sorted, int64_t *sorted_id);
+    /* Finish the sort, by distance and then by id, and write distances and ids. With `streaming`,
+     * non-temporal stores: count is a multiple of LANES and rows are aligned to cache lines. */
+    void (*write_neighbours)(double *squared, int64_t *id, int64_t count, int streaming,
+                             double *distance, int64_t *to_id);
+    /* Covariance uu, uv, vv, and mean u, v, of the offsets of the neighbours from a point along
+     * the two vectors of `frame`. */
+    void (*moments)(const double *coords, int64_t n_axes, const Candidates *found,
+                    const double *at, const double *frame, double *out);
+    /* Repulsion of SJ13 Eq. 8 on a point by gathered neighbours: the mean of the offsets from them
+     * times (radius / distance - 1). */
     void (*repulsion)(double *points, int64_t count, double squared_radius, const double *at,
                       double *out);
-    /* Write the weighted sums over what was found of `values`, which lie like coordinates; a kernel
-     * that has these weights integrates to pi times the squared bandwidth. */
-    void (*weigh)(const double *coords, const Reach *reach, const Found *found,
-                  const Weights *weights, const double *values, int64_t n_channels, double *out);
-} Lanes;
+    /* Weighted sums over the neighbours of `values`, which are stored like coordinates; the weights
+     * are those of a kernel that integrates to pi times the squared bandwidth. */
+    void (*weighted_sum)(const double *coords, const SearchBounds *bounds, const Candidates *found,
+                         const Weights *weights, const double *values, int64_t n_channels,
+                         double *out);
+} SimdKernels;
 
 static inline int lowest_bit(unsigned bits) { return __builtin_ctz(bits); }
 static inline int count_bits(unsigned bits) { return __builtin_popcount(bits); }
 static inline int highest_bit(unsigned bits) { return 31 - __builtin_clz(bits); }
 
-static inline int64_t place_of(const Found *found, int64_t candidate)
+static inline int64_t candidate_place(const Candidates *found, int64_t candidate)
 {
     return BLOCK * (int64_t)found->blocks[candidate / BLOCK] + candidate % BLOCK;
 }
 
-/* Which candidate is the farthest of those found, by id of several; -1 if none was. */
-static inline int64_t last_found(const Found *found, const int64_t *ids)
+/* The farthest neighbour selected, of equally far ones that of the highest id; -1 if none is. */
+static inline int64_t farthest_candidate(const Candidates *found, const int64_t *ids)
 {
-    int64_t last = -1;
-    for (int64_t j = 0; j < found->n_few; ++j) {
-        int64_t candidate = found->few[j];
-        if (found->squared[j] == found->squared_radius && found->keys[candidate] <= found->key &&
-            (last < 0 || ids[place_of(found, candidate)] > ids[place_of(found, last)]))
-            last = candidate;
+    int64_t farthest = -1;
+    for (int64_t j = 0; j < found->n_ties; ++j) {
+        int64_t candidate = found->ties[j];
+        if (found->tie_squared[j] != found->squared_radius ||
+            found->rank_keys[candidate] > found->max_rank_key)
+            continue;
+        if (farthest < 0 ||
+            ids[candidate_place(found, candidate)] > ids[candidate_place(found, farthest)])
+            farthest = candidate;
     }
-    return last;
+    return farthest;
 }
 
-/* Have a row that will soon be read or written brought into the cache. */
+/* Prefetch a row for writing. */
 static inline void prefetch_row(const void *row, int64_t n_bytes)
 {
     for (int64_t i = 0; i < n_bytes - 1; i += 64) __builtin_prefetch((const char *)row + i, 1);
     __builtin_prefetch((const char *)row + n_bytes - 1, 1);
 }
 
-/* Have what was written past the cache seen by all threads. */
-static inline void finish_writing(void)
+/* Order non-temporal stores before the stores that follow. */
+static inline void store_fence(void)
 {
 #if defined(__SSE__)
     __builtin_ia32_sfence();
 #endif
 }
 
-/* The set of that name: avx512, avx2 or portable, or for the empty name the widest this processor
- * has; NULL if it has no such set. */
+/* Kernels by name: avx512, avx2 or portable; for the empty name, the widest the processor has. NULL
+ * if the processor does not have them. */
 #ifdef __cplusplus
 extern "C"
 #endif
-const Lanes *lanes_named(const char *name);
+const SimdKernels *simd_kernels_named(const char *name);
 
 #endif

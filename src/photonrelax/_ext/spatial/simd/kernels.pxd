@@ -1,4 +1,4 @@
-"""What kernels.h declares; see there."""
+"""Declarations of kernels.h; see there."""
 
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
@@ -7,17 +7,17 @@ cdef extern from "kernels.h" nogil:
     enum:
         BLOCK
         LANES
-        FARTHEST
-        OUTSIDE
-        KEYS
-        FEW_CHUNKS
-        TOGETHER
-        MOST_COPIED_AXES
+        LIMIT_KEY
+        OUTSIDE_KEY
+        KEY_CHUNK
+        MAX_UNROLLED_CHUNKS
+        INTERLEAVED
+        MAX_FLOAT_AXES
         CONSTANT_WEIGHTS
         CONE_WEIGHTS
         EPANECHNIKOV_WEIGHTS
 
-    ctypedef struct Reach:
+    ctypedef struct SearchBounds:
         const double* low
         const double* high
         double squared_limit
@@ -26,86 +26,94 @@ cdef extern from "kernels.h" nogil:
         int64_t n_metric
         int64_t n_axes
 
-    ctypedef struct Frame:
+    ctypedef struct Quantisation:
         const double* origin
         double scale
         double range_scale
         int64_t n_metric
         int64_t n_axes
 
-    ctypedef struct Local:
+    ctypedef struct FloatQuery:
         const float* at
         float squared_limit
         float squared_range
         float limit_slack
         float range_slack
-        float doubt
+        float rank_slack
 
-    ctypedef struct Found:
+    ctypedef struct Candidates:
         int32_t* blocks
-        uint8_t* keys
-        float* heights
+        uint8_t* rank_keys
+        float* scaled_distances
         int64_t n_blocks
         int64_t count
         double squared_radius
-        int64_t key
-        int64_t n_few
-        int32_t* few
-        double* squared
-        double* spare
+        int64_t max_rank_key
+        int64_t n_ties
+        int32_t* ties
+        double* tie_squared
+        double* scratch
 
     ctypedef struct Weights:
         int64_t shape
         double squared_bandwidth
 
-    ctypedef struct Lanes:
+    ctypedef struct SimdKernels:
         const char* name
-        unsigned int (*boxes_near)(const double*, int64_t, const Reach*) noexcept nogil
-        unsigned int (*copies_near)(
-            const float*, int64_t, const Reach*, const Local*
+        unsigned int (*overlapping_boxes)(
+            const double*, int64_t, const SearchBounds*
         ) noexcept nogil
-        void (*list_boxes)(
+        unsigned int (*overlapping_float_boxes)(
+            const float*, int64_t, const SearchBounds*, const FloatQuery*
+        ) noexcept nogil
+        void (*pack_boxes)(
             const double*, int64_t, unsigned int, double*, int64_t
         ) noexcept nogil
-        void (*copy_rows)(
-            const double*, int64_t, int64_t, const Frame*, float*
+        void (*quantise_rows)(
+            const double*, int64_t, int64_t, const Quantisation*, float*
         ) noexcept nogil
-        void (*copy_blocks)(
-            const double*, const int32_t*, int64_t, const Frame*, float*
+        void (*quantise_blocks)(
+            const double*, const int32_t*, int64_t, const Quantisation*, float*
         ) noexcept nogil
-        void (*scan)(
-            const double*, const int32_t*, unsigned int, const Reach*, Found*
+        void (*scan_blocks)(
+            const double*, const int32_t*, unsigned int, const SearchBounds*, Candidates*
         ) noexcept nogil
-        void (*scan_copies)(
-            const double*, const float*, const int32_t*, unsigned int, const Reach*, const Local*,
-            Found*
+        void (*scan_float_blocks)(
+            const double*, const float*, const int32_t*, unsigned int, const SearchBounds*,
+            const FloatQuery*, Candidates*
         ) noexcept nogil
-        void (*rescan)(const double*, const Reach*, Found*) noexcept nogil
-        void (*nearest)(
-            const double*, const Reach**, const float*, Found**, int, int64_t, const int64_t*
+        void (*rescan)(const double*, const SearchBounds*, Candidates*) noexcept nogil
+        void (*select_nearest)(
+            const double*, const SearchBounds**, const float*, Candidates**, int, int64_t,
+            const int64_t*
         ) noexcept nogil
-        void (*compact)(Found*) noexcept nogil
-        void (*list)(
-            const double*, const Reach*, const Found*, const int64_t*, double*, int64_t*
+        void (*compact)(Candidates*) noexcept nogil
+        void (*gather_neighbours)(
+            const double*, const SearchBounds*, const Candidates*, const int64_t*, double*,
+            int64_t*
         ) noexcept nogil
-        void (*list_points)(const double*, int64_t, const Found*, double*) noexcept nogil
-        void (*sort)(
+        void (*gather_points)(
+            const double*, int64_t, const Candidates*, double*
+        ) noexcept nogil
+        void (*sort_neighbours)(
             const double*, const int64_t*, int64_t, double, double*, int64_t*
         ) noexcept nogil
-        void (*write)(double*, int64_t*, int64_t, int, double*, int64_t*) noexcept nogil
+        void (*write_neighbours)(
+            double*, int64_t*, int64_t, int, double*, int64_t*
+        ) noexcept nogil
         void (*moments)(
-            const double*, int64_t, const Found*, const double*, const double*, double*
+            const double*, int64_t, const Candidates*, const double*, const double*, double*
         ) noexcept nogil
         void (*repulsion)(double*, int64_t, double, const double*, double*) noexcept nogil
-        void (*weigh)(
-            const double*, const Reach*, const Found*, const Weights*, const double*, int64_t,
-            double*
+        void (*weighted_sum)(
+            const double*, const SearchBounds*, const Candidates*, const Weights*, const double*,
+            int64_t, double*
         ) noexcept nogil
 
-    int64_t last_found(const Found* found, const int64_t* ids)
+    int64_t farthest_candidate(const Candidates* found, const int64_t* ids)
     int lowest_bit(unsigned int bits)
     int count_bits(unsigned int bits)
     int highest_bit(unsigned int bits)
-    void finish_writing()
+    void store_fence()
     void prefetch_row(const void* row, int64_t n_bytes)
-    const Lanes* lanes_named(const char* name)
+    const SimdKernels* simd_kernels_named(const char* name)

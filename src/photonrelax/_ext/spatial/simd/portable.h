@@ -78,7 +78,7 @@ static ALWAYS_INLINE void store_integers(int32_t *to, FourFloats v)
 static ALWAYS_INLINE uint64_t keys_equal_portable(const uint8_t *keys, int key)
 {
     uint64_t bits = 0;
-    for (int i = 0; i < KEYS; i += 16) {
+    for (int i = 0; i < KEY_CHUNK; i += 16) {
         __m128i x = _mm_loadu_si128((const __m128i *)(keys + i));
         __m128i equal = _mm_cmpeq_epi8(x, _mm_set1_epi8((char)key));
         bits |= (uint64_t)_mm_movemask_epi8(equal) << i;
@@ -89,7 +89,7 @@ static ALWAYS_INLINE uint64_t keys_equal_portable(const uint8_t *keys, int key)
 static ALWAYS_INLINE uint64_t keys_at_most_portable(const uint8_t *keys, int most)
 {
     uint64_t bits = 0;
-    for (int i = 0; i < KEYS; i += 16) {
+    for (int i = 0; i < KEY_CHUNK; i += 16) {
         __m128i x = _mm_loadu_si128((const __m128i *)(keys + i));
         __m128i less = _mm_cmpeq_epi8(_mm_min_epu8(x, _mm_set1_epi8((char)most)), x);
         bits |= (uint64_t)_mm_movemask_epi8(less) << i;
@@ -100,14 +100,14 @@ static ALWAYS_INLINE uint64_t keys_at_most_portable(const uint8_t *keys, int mos
 static uint64_t keys_equal_portable(const uint8_t *keys, int key)
 {
     uint64_t bits = 0;
-    for (int i = 0; i < KEYS; ++i) bits |= (uint64_t)(keys[i] == key) << i;
+    for (int i = 0; i < KEY_CHUNK; ++i) bits |= (uint64_t)(keys[i] == key) << i;
     return bits;
 }
 
 static uint64_t keys_at_most_portable(const uint8_t *keys, int most)
 {
     uint64_t bits = 0;
-    for (int i = 0; i < KEYS; ++i) bits |= (uint64_t)(keys[i] <= most) << i;
+    for (int i = 0; i < KEY_CHUNK; ++i) bits |= (uint64_t)(keys[i] <= most) << i;
     return bits;
 }
 #endif

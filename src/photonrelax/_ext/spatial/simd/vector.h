@@ -8,7 +8,7 @@ typedef struct {
     VECTOR part[PARTS];
 } V8;
 
-/* Lanes chosen. */
+/* SimdKernels chosen. */
 typedef struct {
     MASK part[PARTS];
 } M8;
