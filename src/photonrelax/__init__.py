@@ -91,15 +91,18 @@ _SUBPACKAGES = ("gallery",)
 __all__ = sorted([*_MODULE_OF, *_SUBPACKAGES, "__version__"])
 
 
-def __getattr__(name: str) -> object:
-    if name in _SUBPACKAGES:
-        return importlib.import_module(f".{name}", __name__)
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module 'photonrelax' has no attribute {name!r}")
-    module = importlib.import_module(f".{_MODULE_OF[name]}", __name__)
-    value = getattr(module, name)
-    globals()[name] = value
-    return value
+# Hidden from type checkers, which would take any name for one of the package's.
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> object:
+        if name in _SUBPACKAGES:
+            return importlib.import_module(f".{name}", __name__)
+        if name not in _MODULE_OF:
+            raise AttributeError(f"module 'photonrelax' has no attribute {name!r}")
+        module = importlib.import_module(f".{_MODULE_OF[name]}", __name__)
+        value = getattr(module, name)
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,9 +52,18 @@ class Image:
         If a layer is not numbers or has another size than the others; if metadata are not text.
     """
 
-    layers: Mapping[str, ArrayLike]
+    layers: Mapping[str, NDArray[Any]]
     metadata: Mapping[str, str] = field(default_factory=dict)
     stats: dict[str, Any] = field(default_factory=dict)
+
+    if TYPE_CHECKING:
+        # What may be given is wider than what the fields then hold.
+        def __init__(
+            self,
+            layers: Mapping[str, ArrayLike],
+            metadata: Mapping[str, str] = ...,
+            stats: dict[str, Any] = ...,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         layers = {name: _checked_layer(name, layer) for name, layer in self.layers.items()}

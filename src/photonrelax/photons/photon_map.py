@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -85,6 +85,31 @@ class PhotonMap:
     seed: int | None = None
     sampler: str | None = None
     paths: str | None = None
+
+    if TYPE_CHECKING:
+        # What may be given is wider than what the fields then hold.
+        def __init__(  # noqa: PLR0913
+            self,
+            position: ArrayLike,
+            normal: ArrayLike,
+            flux: ArrayLike,
+            wi: ArrayLike | None = None,
+            emitter_coords: ArrayLike | None = None,
+            *,
+            emitter_density: ArrayLike | None = None,
+            emitter_id: ArrayLike | None = None,
+            path_signature: ArrayLike | None = None,
+            n_bounces: ArrayLike | None = None,
+            path_length: ArrayLike | None = None,
+            object_id: ArrayLike | None = None,
+            spectrum: ArrayLike | None = None,
+            n_emitted: int | None = None,
+            well_spaced: bool = False,
+            ledger: EnergyLedger | None = None,
+            seed: int | None = None,
+            sampler: str | None = None,
+            paths: str | None = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         position = float_array(self.position, "position", (None, 3))
