@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 from bench import __main__ as bench
 
+import photonrelax as pr
 from photonrelax.cli import arguments
-from photonrelax.estimation.methods import KINDS
+from photonrelax.estimation.methods import KINDS, METHODS
+from photonrelax.rendering.layers import LAYERS
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -97,6 +99,30 @@ def test_files_it_names_exist(page):
         assert found or name.startswith(GENERATED), name
 
 
+def tables(page):
+    """The tables of a page: titles of columns, and rows of cells."""
+    for lines in re.findall(r"(?:^\|.*\n)+", prose(page), re.MULTILINE):
+        cells = [[cell.strip() for cell in line.split(" | ")] for line in lines.splitlines()]
+        yield [cell.strip("| ") for cell in cells[0]], cells[2:]
+
+
+LOCATED = [
+    (row[titles.index("function")], row[titles.index("file")])
+    for page in PAGES
+    for titles, rows in tables(page)
+    if {"function", "file"} <= {*titles}
+    for row in rows
+]
+
+
+@pytest.mark.parametrize(("functions", "files"), LOCATED)
+def test_functions_are_in_the_files_beside_them(functions, files):
+    paths = [root / name for name in re.findall(r"`([^`]+)`", files) for root in ROOTS]
+    source = "\n".join(path.read_text() for path in paths if path.exists())
+    for name in re.findall(r"`(\w+)`", functions):
+        assert re.search(rf"^\s*(?:c?p?def|class|static)\b.*\b{name}\b", source, re.M), name
+
+
 def test_every_setting_is_on_a_page_with_its_default():
     row = re.compile(rf"^\| `({'|'.join(KINDS)})\.(\w+)` \| (.*?) \|", re.MULTILINE)
     found = {
@@ -110,3 +136,21 @@ def test_every_setting_is_on_a_page_with_its_default():
         for field in fields(kind)
     }
     assert found == expected
+
+
+ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text()
+
+
+@pytest.mark.parametrize(
+    "name", [*(field.name for field in fields(pr.PhotonMap)), *LAYERS, *METHODS]
+)
+def test_the_architecture_names_fields_layers_and_methods(name):
+    assert name == "ledger" or f"`{name}`" in ARCHITECTURE
+
+
+def test_the_architecture_names_every_folder():
+    package = ROOT / "src" / "photonrelax"
+    folders = {path.parent.relative_to(package) for path in package.rglob("*.py*")}
+    named = {Path(name) for name in re.findall(r"`([\w/]+)/`", ARCHITECTURE)}
+    mirrors = {path for path in folders if path.parts[:1] == ("_ext",)}
+    assert folders - mirrors - named - {Path(), Path("__pycache__")} == set()
