@@ -6,7 +6,7 @@ import trimesh
 
 import photonrelax as pr
 from photonrelax.relaxation import projection
-from photonrelax.relaxation.projection import Surfaces
+from photonrelax.relaxation.projection import SurfaceProjector
 from photonrelax.transport.raycast import RayCaster
 
 
@@ -36,7 +36,7 @@ def steps_along(normal, length, rng):
     return steps - (steps * normal).sum(axis=1, keepdims=True) * normal
 
 
-def put_back_by_rays(scene, side, position, normal, moved):
+def project_by_rays(scene, side, position, normal, moved):
     """The definition: a ray down the normal, and one up where that misses the own object."""
     caster, start = RayCaster(scene.objects), 2e-6 * scene.scale
     length = np.linalg.norm(moved - position, axis=1)
@@ -66,14 +66,14 @@ each_case = pytest.mark.parametrize(("scene", "side"), CASES.values(), ids=CASES
 @each_case
 def test_photons_end_where_rays_would_put_them(scene, side):
     photons = photons_on(scene.objects[0].mesh, 5000, side)
-    surfaces = Surfaces(scene, photons, n_threads=1)
+    projector = SurfaceProjector(scene, photons, n_threads=1)
     position, normal = photons.position, photons.normal
     rng = np.random.default_rng(0)
     n_moved = 0
     for _ in range(5):
         moved = position + steps_along(normal, 0.02, rng)
-        expected = put_back_by_rays(scene, side, position, normal, moved)
-        found = surfaces.put_back(position, normal, moved, slice(None))
+        expected = project_by_rays(scene, side, position, normal, moved)
+        found = projector.project(position, normal, moved, slice(None))
         # Rays of float32 may take the other face at an edge.
         differs = (found[0] != expected[0]).any(axis=1)
         assert differs.mean() < 2e-3
@@ -104,7 +104,7 @@ def triangle_of(position):
 
 def test_rays_are_cast_only_for_photons_that_leave_their_triangles(rays_cast):
     photons = photons_on(square(), 5000)
-    surfaces = Surfaces(scene_of(square()), photons, n_threads=1)
+    projector = SurfaceProjector(scene_of(square()), photons, n_threads=1)
     position, normal = photons.position, photons.normal
     rng = np.random.default_rng(1)
     for _ in range(3):
@@ -112,16 +112,16 @@ def test_rays_are_cast_only_for_photons_that_leave_their_triangles(rays_cast):
         outside = ((moved[:, :2] < 0.0) | (moved[:, :2] > 1.0)).any(axis=1)
         crossing = triangle_of(moved) != triangle_of(position)
         rays_cast.clear()
-        position, normal = surfaces.put_back(position, normal, moved, slice(None))
+        position, normal = projector.project(position, normal, moved, slice(None))
         # Down for both, and up for those that found nothing below.
         assert rays_cast == [(crossing | outside).sum(), outside.sum()]
 
 
 def test_photons_that_do_not_move_cost_no_ray(rays_cast):
     photons = photons_on(square(), 100)
-    surfaces = Surfaces(scene_of(square()), photons, n_threads=1)
+    projector = SurfaceProjector(scene_of(square()), photons, n_threads=1)
     rays_cast.clear()
-    position, normal = surfaces.put_back(
+    position, normal = projector.project(
         photons.position, photons.normal, photons.position, slice(None)
     )
     assert not rays_cast
@@ -135,12 +135,12 @@ def test_order_threads_and_chunks_change_no_bit(monkeypatch, scene, side):
 
     def run(n_threads, chunk, orders):
         monkeypatch.setattr(projection, "_CHUNK", chunk)
-        surfaces = Surfaces(scene, photons, n_threads)
+        projector = SurfaceProjector(scene, photons, n_threads)
         position, normal = photons.position.copy(), photons.normal.copy()
         steps = np.random.default_rng(3)
         for order in orders:
             moved = position + steps_along(normal, 0.05, steps)
-            position[order], normal[order] = surfaces.put_back(
+            position[order], normal[order] = projector.project(
                 position[order], normal[order], moved[order], order
             )
         return position.tobytes(), normal.tobytes()
@@ -155,12 +155,12 @@ def test_some_photons_may_move_while_others_stay():
     scene = CASES["a box"][0]
     photons = photons_on(scene.objects[0].mesh, 1000)
     moved = photons.position + steps_along(photons.normal, 0.05, np.random.default_rng(5))
-    whole = Surfaces(scene, photons, 1).put_back(
+    whole = SurfaceProjector(scene, photons, 1).project(
         photons.position, photons.normal, moved, slice(None)
     )
-    surfaces = Surfaces(scene, photons, 1)
+    projector = SurfaceProjector(scene, photons, 1)
     for rows in (np.arange(0, 1000, 2), np.arange(1, 1000, 2)):
-        part = surfaces.put_back(photons.position[rows], photons.normal[rows], moved[rows], rows)
+        part = projector.project(photons.position[rows], photons.normal[rows], moved[rows], rows)
         np.testing.assert_array_equal(part[0], whole[0][rows])
         np.testing.assert_array_equal(part[1], whole[1][rows])
 
@@ -168,17 +168,17 @@ def test_some_photons_may_move_while_others_stay():
 def test_photons_off_every_surface_never_move():
     photons = photons_on(square(), 100)
     lifted = photons.replace(position=photons.position + np.array([0, 0, 0.5]))
-    surfaces = Surfaces(scene_of(square()), lifted, n_threads=1)
+    projector = SurfaceProjector(scene_of(square()), lifted, n_threads=1)
     moved = lifted.position + np.array([0.01, 0, 0])
-    position, _ = surfaces.put_back(lifted.position, lifted.normal, moved, slice(None))
+    position, _ = projector.project(lifted.position, lifted.normal, moved, slice(None))
     np.testing.assert_array_equal(position, lifted.position)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_moves_to_nowhere_are_refused(value):
     photons = photons_on(square(), 10)
-    surfaces = Surfaces(scene_of(square()), photons, n_threads=1)
+    projector = SurfaceProjector(scene_of(square()), photons, n_threads=1)
     moved = photons.position.copy()
     moved[3, 0] = value
     with pytest.raises(ValueError, match="finite positions"):
-        surfaces.put_back(photons.position, photons.normal, moved, slice(None))
+        projector.project(photons.position, photons.normal, moved, slice(None))

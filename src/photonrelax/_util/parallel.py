@@ -1,13 +1,21 @@
-"""Threads."""
+"""Thread counts, and ordered maps over an executor."""
 
 from __future__ import annotations
 
 import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import TypeVar
 
 from .validation import count
 
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
 # More threads than this the OpenMP runtime may refuse, and with it end the process.
-_MOST_THREADS = 1024
+_MAX_THREADS = 1024
 
 
 def thread_count(n_threads: int | None) -> int:
@@ -19,7 +27,68 @@ def thread_count(n_threads: int | None) -> int:
         If it is neither None nor an integer from 1 to 1024.
     """
     if n_threads is None:
+        # macOS has no affinity.
         if hasattr(os, "sched_getaffinity"):
             return len(os.sched_getaffinity(0))
         return os.cpu_count() or 1
-    return count(n_threads, "n_threads", high=_MOST_THREADS)
+    return count(n_threads, "n_threads", high=_MAX_THREADS)
+
+
+@contextmanager
+def thread_executor(n_threads: int) -> Iterator[Executor | None]:
+    """Yield an executor of so many threads, None for one; it ends with the running calls."""
+    if n_threads <= 1:
+        yield None
+        return
+    executor = ThreadPoolExecutor(n_threads)
+    try:
+        yield executor
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
+def ordered_map(
+    work: Callable[[Job], Result],
+    jobs: Iterable[Job],
+    executor: Executor | None,
+    *,
+    max_pending: int | None = None,
+) -> Iterator[Result]:
+    """Yield ``work(job)`` in the order of the jobs.
+
+    An error, an interrupt or the end of the iteration cancels the jobs that have not started.
+
+    Parameters
+    ----------
+    work : callable
+        Must be picklable, like jobs and results, for an executor of processes.
+    jobs : iterable
+        Taken one at a time, as earlier ones are finished.
+    executor : concurrent.futures.Executor or None
+        None calls `work` in the calling thread.
+    max_pending : int, optional
+        Jobs submitted but not yet yielded; twice the number of cores by default.
+    """
+    if executor is None:
+        yield from map(work, jobs)
+        return
+    limit = max_pending or 2 * thread_count(None)
+    pending: deque[Future[Result]] = deque()
+    try:
+        for job in jobs:
+            pending.append(executor.submit(work, job))
+            if len(pending) > limit:
+                yield pending.popleft().result()
+        while pending:
+            yield pending.popleft().result()
+    finally:
+        for future in pending:
+            future.cancel()
+
+
+def for_each_slice(work: Callable[[slice], None], n: int, size: int, n_threads: int) -> None:
+    """Call `work` on slices of `size` rows that cover range(n), from several threads."""
+    slices = [slice(first, min(first + size, n)) for first in range(0, n, size)]
+    with thread_executor(min(n_threads, len(slices))) as executor:
+        for _ in ordered_map(work, slices, executor, max_pending=2 * n_threads):
+            pass

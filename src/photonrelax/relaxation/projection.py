@@ -1,34 +1,33 @@
-"""The objects photons lie on, and putting photons that moved back on them."""
+"""Projection of displaced photons onto the objects they lie on."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 
-from .._ext.relaxation.projection import DOWN, UP, Moves, Places
+from .._ext.relaxation.projection import DOWN, UP, Displacements, SurfacePositions
+from .._util.parallel import for_each_slice
 from .._util.validation import Floats, Rows
+from ..photons.neighbourhoods import MIN_NORMAL_COSINE
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
 from ..transport.raycast import RayCaster
 
-# The rays that put a photon back start this fraction of the scene before it, a few times what
-# float32 rays resolve.
-_START = 2e-6
-# Photons a thread puts back at a time.
+# Distance from a displaced photon to the origin of its ray over the size of the scene: a few times
+# what float32 rays resolve.
+_RAY_OFFSET = 2e-6
+# Photons a thread projects at a time.
 _CHUNK = 16384
 
 
-class Surfaces:
-    """The objects of a scene, and where on them each of n photons lies.
+class SurfaceProjector:
+    """The objects of a scene, and the position of each of n photons on them.
 
     Parameters
     ----------
     scene : Scene
-        What the photons lie on.
+        The objects the photons lie on.
     photons : PhotonMap
-        Where they lie to begin with.
+        Their first positions.
     n_threads : int
         Threads to use; the result does not depend on it.
 
@@ -48,56 +47,55 @@ class Surfaces:
                 f"{photons.object_id.min()} to {photons.object_id.max()}"
             )
         self._caster = RayCaster(scene.objects)
-        self._places = Places(
-            self._caster.frame, self._caster.triangles, photons.object_id, _START * scene.scale
+        self._positions = SurfacePositions(
+            self._caster.frame,
+            self._caster.triangles,
+            photons.object_id,
+            ray_offset=_RAY_OFFSET * scene.scale,
+            min_cosine=MIN_NORMAL_COSINE,
         )
         self._n_threads = n_threads
         self._n_photons = len(photons)
-        numbers = np.arange(len(photons))
-        here, normal = photons.position, photons.normal
-        self._for_chunks(
-            lambda part: self._answer(Moves(here[part], normal[part], here[part], numbers[part])),
-            len(photons),
-        )
+        position, normal = photons.position, photons.normal
+        self._for_chunks((position, normal, position, np.arange(len(photons))))
 
-    def put_back(
-        self, position: Floats, normal: Floats, moved: Floats, rows: Rows
+    def project(
+        self, position: Floats, normal: Floats, target: Floats, rows: Rows
     ) -> tuple[Floats, Floats]:
-        """Return where moved photons meet their own object, and the normals there.
+        """Return the projections of displaced photons onto their objects, and the normals there.
 
-        Where a photon meets nothing, another object or a face that is turned away, it has left
-        its surface, and the move is not made. A photon still over or under the triangle it lay
-        on, no farther than rays resolve, is on it whatever else is that near.
+        A displacement that ends on nothing, on another object or on a face turned away has left
+        the photon's surface and is rejected: the photon stays. A photon above or below the
+        triangle it lay on, no farther than rays resolve, is projected onto that triangle whatever
+        else is that near.
 
         Parameters
         ----------
         position, normal : (m, 3)
-            Where the photons lie, from the map or from the last call, m.
-        moved : (m, 3)
-            Where they would like to be, m.
+            Of the photons, from the map or from the last call, m.
+        target : (m, 3)
+            The displaced positions, m.
         rows : slice or (m,) intp
-            Which photons of the map they are, each at most once.
+            The photons' rows in the map, each at most once.
         """
         photons = rows if isinstance(rows, np.ndarray) else np.arange(self._n_photons)[rows]
-        to, to_normal = np.empty_like(position), np.empty_like(normal)
-        columns = (position, normal, moved, photons, to, to_normal)
-        self._for_chunks(lambda part: self._answer(Moves(*(c[part] for c in columns))), len(moved))
-        return to, to_normal
+        projected, projected_normal = np.empty_like(position), np.empty_like(normal)
+        self._for_chunks((position, normal, target, photons, projected, projected_normal))
+        return projected, projected_normal
 
-    def _answer(self, moves: Moves) -> None:
-        """Put photons back, first without rays, then down their normals, then up."""
-        self._places.put_back(moves)
-        for way in (DOWN, UP):
-            if moves.n_pending:
-                self._places.cast(moves, way)
-                found = self._caster.find(moves.origins, moves.directions)
-                self._places.settle(moves, found, way)
+    def _for_chunks(self, columns: tuple[np.ndarray, ...]) -> None:
+        """Project the displacements whose columns these are, some at a time."""
 
-    def _for_chunks(self, work: Callable[[slice], None], n: int) -> None:
-        chunks = [slice(first, first + _CHUNK) for first in range(0, n, _CHUNK)]
-        if self._n_threads == 1 or len(chunks) == 1:
-            for chunk in chunks:
-                work(chunk)
-            return
-        with ThreadPoolExecutor(self._n_threads) as pool:
-            list(pool.map(work, chunks))
+        def project(chunk: slice) -> None:
+            self._project(Displacements(*(column[chunk] for column in columns)))
+
+        for_each_slice(project, len(columns[0]), _CHUNK, self._n_threads)
+
+    def _project(self, displacements: Displacements) -> None:
+        """Project without rays where possible, then down the normals, then up."""
+        self._positions.project(displacements)
+        for sign in (DOWN, UP):
+            if displacements.n_pending:
+                self._positions.write_rays(displacements, sign)
+                hits = self._caster.find(displacements.origins, displacements.directions)
+                self._positions.project_hits(displacements, hits, sign)

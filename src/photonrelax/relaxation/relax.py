@@ -15,7 +15,7 @@ from .._util.validation import Floats, Rows
 from ..photons.neighbourhoods import MAX_NORMAL_CHORD, leaf_rows, neighbour_groups, photon_tree
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
-from .projection import Surfaces
+from .projection import SurfaceProjector
 from .structure import Structure
 
 # Photons that are put back on their surfaces at a time, some thousand whole blocks for a thread.
@@ -113,7 +113,7 @@ def relax(
     if not any(settings.n_iterations) or len(photons) == 0:
         return photons
     threads = thread_count(n_threads)
-    surfaces = None if scene is None else Surfaces(scene, photons, threads)
+    surfaces = None if scene is None else SurfaceProjector(scene, photons, threads)
     report = Reporter(progress, "relax", len(photons) * sum(settings.n_iterations))
     relaxation = _Relaxation(photons, structure, settings, surfaces, threads, report)
     position = np.empty_like(photons.position)
@@ -146,7 +146,7 @@ class _Relaxation:
     photons: PhotonMap
     structure: Structure
     settings: RelaxSettings
-    surfaces: Surfaces | None
+    surfaces: SurfaceProjector | None
     n_threads: int
     report: Reporter
 
@@ -239,10 +239,10 @@ class _Stage:
                 n_threads=n_threads,
             )
 
-    def _put_back(self, surfaces: Surfaces) -> None:
+    def _put_back(self, surfaces: SurfaceProjector) -> None:
         for first in range(0, len(self._position), _PUT_BACK):
             part = slice(first, first + _PUT_BACK)
-            self._position[part], self._normal[part] = surfaces.put_back(
+            self._position[part], self._normal[part] = surfaces.project(
                 self._from_tree(part), self._normal[part], self._position[part], self._rows[part]
             )
 

@@ -7,8 +7,7 @@ again in float64.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._ext.transport.raycast import Found, Frame, Triangles
-from .._util.parallel import thread_count
+from .._util.parallel import for_each_slice, thread_count
 from .._util.validation import Floats, float_array
 from ..scene.meshes import nondegenerate_faces, release_arrays, vertices_of
 from ..scene.scene import SceneObject
@@ -99,7 +98,7 @@ class RayCaster:
     def __init__(self, objects: Sequence[SceneObject]) -> None:
         if not objects:
             raise ValueError("objects should not be empty")
-        whole = _joined([_nondegenerate_part(item) for item in objects])
+        whole = _concatenate_parts([_nondegenerate_part(item) for item in objects])
         vertices = np.ascontiguousarray(whole.corners[:, :3])
         embree = _embree(vertices, whole.faces[:, :3])
         self._scene = embree.scene
@@ -160,7 +159,7 @@ class RayCaster:
             enter = self._enter(o, d, leaving[rows], _NO_LIMITS, first=rows.start)
             self.triangles.resolve(o, d, self.find(*enter[:2]), out[rows])
 
-        _for_chunks(work, len(origins), n_threads)
+        for_each_slice(work, len(origins), _CHUNK, thread_count(n_threads))
         return out
 
     def occluded(
@@ -197,7 +196,7 @@ class RayCaster:
             )
             out[rows] = self._scene.run(*enter, query="OCCLUDED") >= 0
 
-        _for_chunks(work, len(origins), n_threads)
+        for_each_slice(work, len(origins), _CHUNK, thread_count(n_threads))
         return out
 
     def _enter(
@@ -240,7 +239,7 @@ def _nondegenerate_part(item: SceneObject) -> _Part:
     return _Part(corners, numbered, face_id.astype(np.int32))
 
 
-def _joined(parts: list[_Part]) -> _Part:
+def _concatenate_parts(parts: list[_Part]) -> _Part:
     """Number the vertices of all objects through, and write each face's object beside them."""
     first = 0
     for object_id, part in enumerate(parts):
@@ -316,16 +315,3 @@ def empty_intersections(n: int) -> Intersections:
         geometric_normal=np.empty((n, 3)),
         shading_normal=np.empty((n, 3)),
     )
-
-
-def _for_chunks(work: Callable[[slice], None], n: int, n_threads: int | None) -> None:
-    """Call `work` on slices that cover range(n); the result does not depend on the threads."""
-    chunks = [slice(start, min(start + _CHUNK, n)) for start in range(0, n, _CHUNK)]
-    threads = min(thread_count(n_threads), len(chunks))
-    if threads <= 1:
-        for rows in chunks:
-            work(rows)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        for future in [pool.submit(work, rows) for rows in chunks]:
-            future.result()

@@ -1,7 +1,8 @@
-"""Moved photons back on their surfaces: those still on their triangle without a ray.
+"""Projection of displaced photons onto their own objects.
 
-A photon moves in the plane of its triangle, so most moves end in that triangle, which is known
-from the move before. For the others embree is asked. Every loop writes its own photons only.
+A photon is displaced in the plane of its triangle, so most displacements end in that triangle,
+which is known from the one before. The others are resolved by rays. Every loop writes its own
+photons only.
 """
 
 cimport cython
@@ -13,134 +14,130 @@ import numpy as np
 from ..common.vec3 cimport dot
 from ..transport.raycast cimport Found, Frame, Hit, Triangles
 
-# A ray reaches this many times the length of the move.
-cdef double REACH = 2.0
-# A photon put back on a face turned by more than this (cosine) has gone round a corner.
-cdef double LEAST_ALIGNMENT = 0.5
+# Hits farther along a ray than this multiple of the displacement do not count.
+cdef double MAX_DISTANCE_SCALE = 2.0
 
-# Which way along its normal a photon's ray goes.
+# Signs of a ray's direction along the photon's normal.
 DOWN, UP = -1, 1
 
 
-cdef int facing(const double* geometric, const double* normal) noexcept nogil:
-    """Return +1 where normals point alike, -1 where opposite ways, 0 where neither."""
-    cdef double cosine = dot(geometric, normal)
-    if fabs(cosine) < LEAST_ALIGNMENT:
-        return 0
-    return 1 if cosine > 0.0 else -1
-
-
 @cython.final
-cdef class Moves:
-    """Moves of some photons, and room for the rays that answer where they end.
+cdef class Displacements:
+    """Displacements of some photons, and their rays.
 
-    `photons` (n,) are the photons' numbers; `to` and `to_normal` (n, 3) are written. Without
-    them photons are only looked up where they are.
+    `photons` (n,) are row numbers of the map; `target` (n, 3) are the displaced positions.
+    `projected` and `projected_normal` (n, 3) are written. Without these, photons are only looked
+    up where they are.
     """
 
-    cdef const double[:, ::1] position, normal, moved
+    cdef const double[:, ::1] position, normal, target
     cdef const Py_ssize_t[::1] photons
-    cdef double[:, ::1] to, to_normal
+    cdef double[:, ::1] projected, projected_normal
     cdef bint lookup
-    # Those not answered yet, `n_pending` of them, and their rays as embree takes them.
+    # The first `n_pending` of `pending` are displacements without a result yet; rays as embree
+    # takes them.
     cdef readonly Py_ssize_t n_pending
     cdef int32_t[::1] pending
     cdef readonly object origins, directions
 
     def __init__(
         self, const double[:, ::1] position, const double[:, ::1] normal,
-        const double[:, ::1] moved, const Py_ssize_t[::1] photons, double[:, ::1] to=None,
-        double[:, ::1] to_normal=None,
+        const double[:, ::1] target, const Py_ssize_t[::1] photons,
+        double[:, ::1] projected=None, double[:, ::1] projected_normal=None,
     ):
-        self.position, self.normal, self.moved, self.photons = position, normal, moved, photons
-        self.to, self.to_normal = to, to_normal
-        self.lookup = to is None
+        self.position, self.normal, self.target, self.photons = position, normal, target, photons
+        self.projected, self.projected_normal = projected, projected_normal
+        self.lookup = projected is None
         self.pending = np.empty(photons.shape[0], np.int32)
 
     cdef double squared_length(self, Py_ssize_t i) noexcept nogil:
-        cdef double[3] way
+        cdef double[3] step
         cdef int c
         for c in range(3):
-            way[c] = self.moved[i, c] - self.position[i, c]
-        return dot(way, way)
+            step[c] = self.target[i, c] - self.position[i, c]
+        return dot(step, step)
 
     cdef void ray(
-        self, double* origin, double* direction, Py_ssize_t i, int way, double start
+        self, double* origin, double* direction, Py_ssize_t i, int sign, double offset
     ) noexcept nogil:
-        """Write the ray along the normal that starts just before the point moved to."""
+        """Write the ray along the normal that starts `offset` before the target."""
         cdef int c
         for c in range(3):
-            direction[c] = way * self.normal[i, c]
-            origin[c] = self.moved[i, c] - start * direction[c]
+            direction[c] = sign * self.normal[i, c]
+            origin[c] = self.target[i, c] - offset * direction[c]
 
-    cdef void stay(self, Py_ssize_t i) noexcept nogil:
+    cdef void reject(self, Py_ssize_t i) noexcept nogil:
+        """Leave the photon at its position."""
         cdef int c
         for c in range(3):
-            self.to[i, c] = self.position[i, c]
-            self.to_normal[i, c] = self.normal[i, c]
+            self.projected[i, c] = self.position[i, c]
+            self.projected_normal[i, c] = self.normal[i, c]
 
-    cdef void land(self, Py_ssize_t i, const Hit* hit, int side) noexcept nogil:
+    cdef void accept(self, Py_ssize_t i, const Hit* hit, int side) noexcept nogil:
+        """Place the photon at the hit."""
         cdef int c
         for c in range(3):
-            self.to[i, c] = hit.position[c]
-            self.to_normal[i, c] = side * hit.geometric[c]
+            self.projected[i, c] = hit.position[c]
+            self.projected_normal[i, c] = side * hit.geometric[c]
 
 
 @cython.final
-cdef class Places:
-    """Where photons lie: on which triangle, and on which side of it.
+cdef class SurfacePositions:
+    """The triangle each photon lies on, and the side of it.
 
-    `object_id` (n,) are the photons' own objects. Rays start `start` before the points they are
-    to meet, m.
+    `object_id` (n,) are the photons' own objects. Rays start `ray_offset` before the displaced
+    positions, m. `min_cosine` is that of the largest angle between a photon's normal and the face
+    it is projected onto.
     """
 
     cdef Frame frame
     cdef Triangles triangles
     cdef const int32_t[::1] object_id
-    cdef double start
-    # The triangle, or -1; the side, or 0 for photons that lie on no face and so do not move.
+    cdef double ray_offset, min_cosine
+    # -1 where the triangle is not known; side 0 for photons on no face, which are not displaced.
     cdef int32_t[::1] triangle
     cdef int8_t[::1] side
 
     def __init__(
-        self, Frame frame, Triangles triangles, const int32_t[::1] object_id, double start
+        self, Frame frame, Triangles triangles, const int32_t[::1] object_id, *,
+        double ray_offset, double min_cosine,
     ):
         self.frame, self.triangles = frame, triangles
         self.object_id = object_id
-        self.start = start
+        self.ray_offset, self.min_cosine = ray_offset, min_cosine
         self.triangle = np.full(object_id.shape[0], -1, np.int32)
         self.side = np.zeros(object_id.shape[0], np.int8)
 
-    def put_back(self, Moves moves):
-        """Answer the moves that need no ray; the others are left pending."""
+    def project(self, Displacements moves):
+        """Project the photons that need no ray; the others are left pending."""
         cdef Py_ssize_t i
         moves.n_pending = 0
         with nogil:
             for i in range(moves.photons.shape[0]):
-                if not self.is_known(moves, i):
+                if not self.project_without_ray(moves, i):
                     moves.pending[moves.n_pending] = <int32_t>i
                     moves.n_pending += 1
 
-    def cast(self, Moves moves, int way):
-        """Write the rays of pending moves, `DOWN` the normal or `UP`."""
+    def write_rays(self, Displacements moves, int sign):
+        """Write the rays of pending displacements, `DOWN` the normals or `UP`."""
         cdef float[:, ::1] origins = np.empty((moves.n_pending, 3), np.float32)
         cdef float[:, ::1] directions = np.empty((moves.n_pending, 3), np.float32)
         cdef double[3] origin
         cdef double[3] direction
         cdef Py_ssize_t j
-        cdef bint sound = True
+        cdef bint finite = True
         with nogil:
             for j in range(moves.n_pending):
-                moves.ray(origin, direction, moves.pending[j], way, self.start)
-                sound &= isfinite(
+                moves.ray(origin, direction, moves.pending[j], sign, self.ray_offset)
+                finite &= isfinite(
                     self.frame.enter_one(origin, direction, NULL, &origins[j, 0], &directions[j, 0])
                 )
-        if not sound:
+        if not finite:
             raise ValueError("photons should move to finite positions, but some do not")
         moves.origins, moves.directions = origins.base, directions.base
 
-    def settle(self, Moves moves, Found found, int way):
-        """Answer the moves whose rays found the photon's own object; of rays up, all."""
+    def project_hits(self, Displacements moves, Found found, int sign):
+        """Project photons whose rays found their own object; after rays `UP` none is pending."""
         cdef Py_ssize_t j, left = 0
         if found.n_rays != moves.n_pending:
             raise ValueError(
@@ -149,14 +146,14 @@ cdef class Places:
         with nogil:
             for j in range(moves.n_pending):
                 self.triangles.prefetch(found, j)
-                if not self.settle_one(moves, found, j, way):
-                    # Place `left` is never beyond place j.
+                if not self.project_hit(moves, found, j, sign):
+                    # Entry `left` is never beyond entry j.
                     moves.pending[left] = moves.pending[j]
                     left += 1
         moves.n_pending = left
 
-    cdef bint is_known(self, Moves moves, Py_ssize_t i) noexcept nogil:
-        """Answer a move within a triangle, or one that is not made; false for any other."""
+    cdef bint project_without_ray(self, Displacements moves, Py_ssize_t i) noexcept nogil:
+        """Project a photon within its triangle, or one that stays; false for any other."""
         cdef Py_ssize_t photon = moves.photons[i]
         cdef int32_t triangle = self.triangle[photon]
         cdef double[3] origin
@@ -165,49 +162,60 @@ cdef class Places:
         if moves.lookup:
             return False
         if self.side[photon] == 0 or moves.squared_length(i) == 0.0:
-            moves.stay(i)
+            moves.reject(i)
             return True
         if triangle < 0:
             return False
-        moves.ray(origin, direction, i, -1, self.start)
-        if not self.triangles.meets(triangle, origin, direction, 2.0 * self.start, &hit):
+        moves.ray(origin, direction, i, -1, self.ray_offset)
+        if not self.triangles.meets(triangle, origin, direction, 2.0 * self.ray_offset, &hit):
             return False
-        self.put(moves, i, triangle, &hit)
+        self.place(moves, i, triangle, &hit)
         return True
 
-    cdef bint settle_one(self, Moves moves, Found found, Py_ssize_t j, int way) noexcept nogil:
-        """Answer a move by its ray; false where a ray the other way is to be asked."""
+    cdef bint project_hit(
+        self, Displacements moves, Found found, Py_ssize_t j, int sign
+    ) noexcept nogil:
+        """Project a photon to what its ray hit; false where a ray the other way is needed."""
         cdef Py_ssize_t i = moves.pending[j]
         cdef Py_ssize_t photon = moves.photons[i]
         cdef double[3] origin
         cdef double[3] direction
-        cdef double reach = REACH * sqrt(moves.squared_length(i)) + 2.0 * self.start
+        cdef double max_distance = (
+            MAX_DISTANCE_SCALE * sqrt(moves.squared_length(i)) + 2.0 * self.ray_offset
+        )
         cdef Hit hit
-        cdef bint met
-        moves.ray(origin, direction, i, way, self.start)
-        met = self.triangles.resolve_one(found, j, origin, direction, &hit)
-        if met and hit.distance <= reach and hit.object_id == self.object_id[photon]:
-            self.put(moves, i, found.triangle[j], &hit)
-        elif way < 0:
+        cdef bint any_hit
+        moves.ray(origin, direction, i, sign, self.ray_offset)
+        any_hit = self.triangles.resolve_one(found, j, origin, direction, &hit)
+        if any_hit and hit.distance <= max_distance and hit.object_id == self.object_id[photon]:
+            self.place(moves, i, found.triangle[j], &hit)
+        elif sign < 0:
             return False
         elif not moves.lookup:
-            moves.stay(i)
-        elif met:
+            moves.reject(i)
+        elif any_hit:
             # Off its object, but what lies above it may be the object, farther away.
-            self.side[photon] = facing(hit.geometric, &moves.normal[i, 0])
+            self.side[photon] = self.side_of(hit.geometric, &moves.normal[i, 0])
         return True
 
-    cdef void put(
-        self, Moves moves, Py_ssize_t i, int32_t triangle, const Hit* hit
+    cdef void place(
+        self, Displacements moves, Py_ssize_t i, int32_t triangle, const Hit* hit
     ) noexcept nogil:
-        """Let a photon lie where its own object was met, unless the face there is turned away."""
+        """Place a photon where its object was hit, unless the face there is turned away."""
         cdef Py_ssize_t photon = moves.photons[i]
-        cdef int side = facing(hit.geometric, &moves.normal[i, 0])
+        cdef int side = self.side_of(hit.geometric, &moves.normal[i, 0])
         if moves.lookup:
             self.side[photon] = side
         elif side != self.side[photon]:
-            moves.stay(i)
+            moves.reject(i)
             return
         else:
-            moves.land(i, hit, side)
+            moves.accept(i, hit, side)
         self.triangle[photon] = triangle
+
+    cdef int side_of(self, const double* geometric, const double* normal) noexcept nogil:
+        """Return +1 or -1 by the side of the face the normal is on, 0 beyond the largest angle."""
+        cdef double cosine = dot(geometric, normal)
+        if fabs(cosine) < self.min_cosine:
+            return 0
+        return 1 if cosine > 0.0 else -1
