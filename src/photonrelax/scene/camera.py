@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._util.frozen import frozen, set_field
 from .._util.validation import Floats, count, float_array, positive, unit_vectors
-
-if TYPE_CHECKING:
-    pass
-
 
 # Sine of the smallest angle between a camera's `up` and its line of sight.
 _MIN_UP_SINE = 1e-6
@@ -26,15 +21,15 @@ class Camera:
     Parameters
     ----------
     origin, target : (3,)
-        Where the camera is and the point at the centre of its picture, m.
+        Position of the camera, and the point at the centre of the image, m.
     up : (3,)
-        The direction that is up in the picture; not along the line of sight.
+        The direction that is up in the image; not along the line of sight.
     vertical_fov : float
-        Angle between the lower and upper edge of the picture, degrees, below 180.
+        Angle between the lower and upper edge of the image, degrees, below 180.
     width, height : int
         Pixels.
     orthographic_height : float, optional
-        Height of the picture in m; makes the camera orthographic and `vertical_fov` void.
+        Height of the image in m; makes the camera orthographic and `vertical_fov` void.
     """
 
     origin: ArrayLike
@@ -62,7 +57,7 @@ class Camera:
         self.axes()
 
     def axes(self) -> tuple[Floats, Floats, Floats]:
-        """Return the unit vectors to the right, up and forward of the picture.
+        """Return the unit vectors to the right, up and forward of the image.
 
         Raises
         ------
@@ -91,7 +86,7 @@ def pixel_rays(
     *,
     offset: tuple[float, float] = (0.5, 0.5),
 ) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Return the rays of some rows of the picture, row 0 at the top.
+    """Return the rays of some rows of the image, row 0 at the top.
 
     Parameters
     ----------
@@ -102,7 +97,7 @@ def pixel_rays(
     supersampling : int
         s·s samples per pixel, on a regular grid.
     offset : (float, float)
-        Where in the cells of that grid samples are, to the right and down, in [0, 1).
+        Position of samples in the cells of that grid, to the right and down, in [0, 1).
 
     Returns
     -------
@@ -114,13 +109,13 @@ def pixel_rays(
     Raises
     ------
     ValueError
-        If there are no rows, or rows that are not in the picture.
+        If there are no rows, or rows that are not in the image.
     """
     if not len(rows) or min(rows) < 0 or max(rows) >= camera.height:
         raise ValueError(f"rows should be some of [0, {camera.height}), but are {rows}")
     s = count(supersampling, "supersampling")
     row, column, i, j = np.meshgrid(rows, range(camera.width), range(s), range(s), indexing="ij")
-    # In half heights of the picture from its centre.
+    # In half heights of the image from its centre.
     x = ((2 * (column + (j + offset[0]) / s) - camera.width) / camera.height).ravel()
     y = (1 - 2 * (row + (i + offset[1]) / s) / camera.height).ravel()
     pixel = (row * camera.width + column).astype(np.int64).ravel()

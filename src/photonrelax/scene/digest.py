@@ -1,4 +1,4 @@
-"""Digests that tell scenes apart."""
+"""Digests of scenes."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from .scene import Scene, SceneObject
 
 
 def scene_digests(scene: Scene) -> dict[str, str]:
-    """Return what two scenes share only if all that is rendered of them is the same, by part."""
+    """Return a digest of camera, objects and emitters each; the name does not count."""
     parts = {"camera": scene.camera, "objects": scene.objects, "emitters": scene.emitters}
     return {f"digest of the {name}": _digest(part) for name, part in parts.items()}
 
 
 def scene_digest(scene: Scene) -> str:
-    """Return what two scenes share only if they, and their names, are the same."""
+    """Return the digest of a whole scene, its name included."""
     return _digest(scene)
 
 
@@ -33,7 +33,7 @@ def _digest(value: Any) -> str:
 
 
 def _parts(value: Any) -> Iterator[bytes]:
-    """Yield all that a scene is made of."""
+    """Yield the bytes of all fields and arrays of a scene, in order."""
     if isinstance(value, SceneObject):
         yield from _parts([value.material, value.smooth, *_mesh_arrays(value)])
     elif is_dataclass(value):

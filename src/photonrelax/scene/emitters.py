@@ -2,20 +2,71 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util.frozen import frozen, set_field
-from .._util.validation import float_array, rgb, unit_vectors
+from .._util.validation import Floats, float_array, rgb, unit_vectors
+from .emission_region import (
+    EmissionRegion,
+    Sphere,
+    cap_region,
+    cosine_lobe_region,
+    disk_region,
+    start_distance,
+)
 
-if TYPE_CHECKING:
-    pass
+
+class DirectLight(NamedTuple):
+    """Unoccluded light of one emitter at m points.
+
+    Attributes
+    ----------
+    direction : (m, 3) float64
+        Unit vectors to the emitter; zero where there is no light.
+    distance : (m,) float64
+        To the emitter, m; inf for light from infinitely far away.
+    irradiance : (m, 3) float64
+        W/m² on surfaces that face the emitter.
+    """
+
+    direction: Floats
+    distance: Floats
+    irradiance: Floats
+
+
+class Emitter(ABC):
+    """A light source with one ray at each emitter coordinate.
+
+    Subclasses are frozen dataclasses: the digest of a scene is that of their fields.
+    """
+
+    @abstractmethod
+    def emission_region(
+        self, target: Sphere, scene: Sphere, emitter_offset: float
+    ) -> EmissionRegion:
+        """Return the region to sample for photons that may hit a target.
+
+        Parameters
+        ----------
+        target, scene : Sphere
+            Around what photons are aimed at, and around all objects.
+        emitter_offset : float
+            Distance from the emitter within which photons hit nothing, for it may lie on a
+            surface, m.
+        """
+
+    @abstractmethod
+    def direct(self, position: Floats, emitter_offset: float) -> DirectLight:
+        """Return the light at points (m, 3); none nearer to the emitter than the offset, m."""
 
 
 @dataclass(frozen=True, eq=False)
-class CollimatedEmitter:
+class CollimatedEmitter(Emitter):
     """Parallel light from infinitely far away, covering the scene.
 
     Parameters
@@ -33,10 +84,25 @@ class CollimatedEmitter:
         set_field(self, "direction", frozen(unit_vectors(self.direction, "direction", (3,))))
         set_field(self, "irradiance", frozen(rgb(self.irradiance, "irradiance")))
 
+    def emission_region(
+        self, target: Sphere, scene: Sphere, emitter_offset: float
+    ) -> EmissionRegion:
+        """Return a disk across the light, upstream of the scene, that covers the target."""
+        return disk_region(np.asarray(self.direction), np.asarray(self.irradiance), target, scene)
+
+    def direct(self, position: Floats, emitter_offset: float) -> DirectLight:
+        """Return the same light at all points."""
+        n = len(position)
+        return DirectLight(
+            np.tile(-np.asarray(self.direction), (n, 1)),
+            np.full(n, np.inf),
+            np.tile(np.asarray(self.irradiance), (n, 1)),
+        )
+
 
 @dataclass(frozen=True, eq=False)
-class PointEmitter:
-    """A point that shines alike in all directions, with intensity power/4π.
+class PointEmitter(Emitter):
+    """A point with the same intensity in all directions, power/4π.
 
     Parameters
     ----------
@@ -53,10 +119,24 @@ class PointEmitter:
         set_field(self, "position", frozen(float_array(self.position, "position", (3,))))
         set_field(self, "power", frozen(rgb(self.power, "power")))
 
+    def emission_region(
+        self, target: Sphere, scene: Sphere, emitter_offset: float
+    ) -> EmissionRegion:
+        """Return the cone of directions to the target, or all directions from inside of it."""
+        position = np.asarray(self.position)
+        start = start_distance(position, scene, emitter_offset)
+        return cap_region(position, np.asarray(self.power), target, start)
+
+    def direct(self, position: Floats, emitter_offset: float) -> DirectLight:
+        """Return the intensity over the squared distance."""
+        direction, distance, inverse = _towards(self.position, position, emitter_offset)
+        intensity = np.asarray(self.power) / (4.0 * np.pi)
+        return DirectLight(direction, distance, intensity * inverse**2)
+
 
 @dataclass(frozen=True, eq=False)
-class LambertianEmitter:
-    """A point that shines into a hemisphere with intensity power/π · cos θ.
+class LambertianEmitter(Emitter):
+    """A point with intensity power/π · cos θ in the directions of a hemisphere.
 
     Parameters
     ----------
@@ -77,5 +157,31 @@ class LambertianEmitter:
         set_field(self, "direction", frozen(unit_vectors(self.direction, "direction", (3,))))
         set_field(self, "power", frozen(rgb(self.power, "power")))
 
+    def emission_region(
+        self, target: Sphere, scene: Sphere, emitter_offset: float
+    ) -> EmissionRegion:
+        """Return the cone to the target if that is wholly in front, else the hemisphere."""
+        position, normal = np.asarray(self.position), np.asarray(self.direction)
+        start = start_distance(position, scene, emitter_offset)
+        return cosine_lobe_region(position, normal, np.asarray(self.power), target, start)
 
-Emitter = CollimatedEmitter | PointEmitter | LambertianEmitter
+    def direct(self, position: Floats, emitter_offset: float) -> DirectLight:
+        """Return the intensity towards each point over the squared distance."""
+        direction, distance, inverse = _towards(self.position, position, emitter_offset)
+        cosine = np.maximum(-direction @ np.asarray(self.direction), 0.0)[:, None]
+        intensity = np.asarray(self.power) / np.pi * cosine
+        return DirectLight(direction, distance, intensity * inverse**2)
+
+
+def _towards(
+    emitter: ArrayLike, position: Floats, emitter_offset: float
+) -> tuple[Floats, Floats, Floats]:
+    """Return unit vectors to a point-like emitter, distances, and their inverses (m, 1).
+
+    Vectors and inverses are zero nearer than the offset.
+    """
+    step = np.asarray(emitter) - position
+    distance = np.linalg.norm(step, axis=1)
+    far = distance > emitter_offset
+    inverse = np.divide(1.0, distance, out=np.zeros_like(distance), where=far)[:, None]
+    return step * inverse, distance, inverse

@@ -1,4 +1,4 @@
-"""Checks of meshes, and the part of them that rays can hit."""
+"""Validation of meshes, faces with an area, and vertex normals."""
 
 from __future__ import annotations
 
@@ -12,16 +12,12 @@ from .._util.validation import Floats, float_array, int_array
 if TYPE_CHECKING:
     import trimesh
 
-
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    import trimesh
-
 # A face whose height is below this fraction of its longest edge has no usable normal.
 _SLIVER = 1e-12
-# Share of the volumes its faces span that a mesh's own may miss by rounding.
+# Rounding error of a mesh's volume over the sum of the volumes its faces span.
 _ROUNDING = 1e-12
+# Vertex normals within this of those trimesh computes were not given with the mesh.
+_SAME_NORMAL = 1e-6
 
 
 def nondegenerate_faces(mesh: trimesh.Trimesh) -> tuple[NDArray[np.intp], NDArray]:
@@ -48,7 +44,7 @@ def vertices_of(faces: NDArray, n_vertices: int) -> NDArray[np.bool_]:
 
 
 def check_mesh(mesh: trimesh.Trimesh) -> None:
-    """Raise TypeError or ValueError unless the mesh is one that rays can hit."""
+    """Raise TypeError or ValueError unless the mesh has a face with an area."""
     if not hasattr(mesh, "vertices") or not hasattr(mesh, "faces"):
         raise TypeError(f"mesh should be a trimesh.Trimesh, but is {type(mesh).__name__}")
     vertices = float_array(mesh.vertices, "mesh.vertices", (None, 3))
@@ -81,49 +77,45 @@ def check_winding(mesh: trimesh.Trimesh) -> None:
 def release_arrays(mesh: trimesh.Trimesh) -> None:
     """Free the arrays of a mesh that is not needed any more.
 
-    Meshes refer to themselves: these would stay until garbage is collected.
+    Meshes refer to themselves, so their arrays would stay until garbage is collected.
     """
     mesh._data.clear()
     mesh._cache.clear()
 
 
-def _is_closed(vertices: Floats, faces: NDArray) -> bool:
-    """Return whether faces run along every edge as often one way as the other.
+def vertex_normals(mesh: trimesh.Trimesh) -> Floats:
+    """Return the normals (v, 3) given with a mesh, else trimesh's for a copy of unit size.
 
-    Vertices at the same place count as one: meshes with normals of their own often split them.
+    trimesh treats the faces of tiny meshes as degenerate. It caches given and computed normals
+    alike; computed ones are recognised by their values, so that reading `mesh.vertex_normals`
+    does not change the result.
+    """
+    vertices = np.asarray(mesh.vertices)
+    if "vertex_normals" in mesh._cache:
+        cached = np.asarray(mesh.vertex_normals)
+        if np.abs(cached - _computed_normals(mesh, vertices)).max() > _SAME_NORMAL:
+            return cached
+    low = vertices.min(axis=0)
+    return _computed_normals(mesh, (vertices - low) / (vertices - low).max())
+
+
+def _computed_normals(mesh: trimesh.Trimesh, vertices: Floats) -> Floats:
+    copy = type(mesh)(vertices, mesh.faces, process=False)
+    normals = np.asarray(copy.vertex_normals)
+    release_arrays(copy)
+    return normals
+
+
+def _is_closed(vertices: Floats, faces: NDArray) -> bool:
+    """Return whether faces run along every edge equally often in both directions.
+
+    Vertices at the same position count as one: meshes with vertex normals often split them.
     """
     merged = np.unique(vertices, axis=0, return_inverse=True)[1].reshape(-1)[faces]
     start, end = merged.ravel(), np.roll(merged, -1, axis=1).ravel()
-    there, back = start * len(vertices) + end, end * len(vertices) + start
-    return np.array_equal(np.sort(there), np.sort(back))
+    forward, backward = start * len(vertices) + end, end * len(vertices) + start
+    return np.array_equal(np.sort(forward), np.sort(backward))
 
 
 def _length(vectors: Floats) -> Floats:
     return np.linalg.norm(vectors, axis=-1)
-
-
-# Vertex normals as near as this to what trimesh computes are not given but computed.
-_OWN = 1e-6
-
-
-def vertex_normals(mesh: trimesh.Trimesh) -> Floats:
-    """Return the normals (v, 3) that came with a mesh, or trimesh's from a copy of unit size.
-
-    trimesh takes the faces of tiny meshes for degenerate. What it was given it keeps where it
-    keeps what it was asked for: the latter is told by its values, so that looking at a mesh does
-    not change what is made of it.
-    """
-    vertices = np.asarray(mesh.vertices)
-    if "vertex_normals" in mesh._cache:
-        kept = np.asarray(mesh.vertex_normals)
-        if np.abs(kept - _own_normals(mesh, vertices)).max() > _OWN:
-            return kept
-    low = vertices.min(axis=0)
-    return _own_normals(mesh, (vertices - low) / (vertices - low).max())
-
-
-def _own_normals(mesh: trimesh.Trimesh, vertices: Floats) -> Floats:
-    own = type(mesh)(vertices, mesh.faces, process=False)
-    normals = np.asarray(own.vertex_normals)
-    release_arrays(own)
-    return normals

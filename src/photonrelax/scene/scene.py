@@ -1,7 +1,7 @@
-"""What is rendered: objects with materials, emitters, a camera.
+"""Scenes: objects with materials, emitters and a camera.
 
-Everything here is frozen data, validated once when it is made. Lengths are in scene units, here
-called m; power in W. Meshes are `trimesh.Trimesh`, but nothing here imports trimesh.
+All classes are frozen and validate their fields when constructed. Lengths are in scene units,
+called m; power is in W. Meshes are `trimesh.Trimesh`, but nothing here imports trimesh.
 """
 
 from __future__ import annotations
@@ -9,27 +9,27 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from types import UnionType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .._util.frozen import set_field
 from .._util.validation import Floats
+from .camera import Camera
+from .emission_region import Sphere
+from .emitters import Emitter
+from .materials import Dielectric, Diffuse, Material, MaterialTable, _tabulate
 from .meshes import check_mesh, check_winding, nondegenerate_vertices
 
 if TYPE_CHECKING:
     import trimesh
-from .camera import Camera
-from .emitters import Emitter
-from .materials import Dielectric, Diffuse, Material, MaterialTable, _tabulate
 
-_EMITTER_GAP = 1e-5  # of the scene's size
+_EMITTER_OFFSET = 1e-5  # of the scene's size
 
 
 @dataclass(frozen=True, eq=False)
 class SceneObject:
-    """A mesh and what it is made of.
+    """A mesh and its material.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class SceneObject:
     material : Diffuse, Mirror or Dielectric
         The material of the whole mesh.
     name : str
-        For people.
+        A label.
     smooth : bool
         Shade with interpolated vertex normals rather than face normals.
     """
@@ -62,20 +62,20 @@ class SceneObject:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Objects, emitters and perhaps a camera.
+    """Objects, emitters and an optional camera.
 
-    Meshes are kept, not copied, and what is computed from them once is kept: do not change them.
+    Meshes are not copied, and quantities computed from them are cached: do not modify them.
 
     Parameters
     ----------
     objects : sequence of SceneObject
         At least one; an object's position in the sequence is its `object_id`.
-    emitters : sequence of CollimatedEmitter, PointEmitter or LambertianEmitter
+    emitters : sequence of CollimatedEmitter, PointEmitter, LambertianEmitter or other Emitter
         At least one; an emitter's position in the sequence is its `emitter_id`.
     camera : Camera, optional
         Needed to render, not to trace photons.
     name : str
-        For people.
+        A label.
     """
 
     objects: Sequence[SceneObject]
@@ -98,17 +98,20 @@ class Scene:
 
     @cached_property
     def scale(self) -> float:
-        """Length of the diagonal of the box around all objects, m; computed once."""
+        """Length of the diagonal of the bounding box of all objects, m."""
         low, high = self._bounds(range(len(self.objects)))
         return float(np.linalg.norm(high - low))
 
     @property
     def emitter_offset(self) -> float:
-        """How far off a point-like emitter its rays start, for it may lie on a surface, m."""
-        return _EMITTER_GAP * self.scale
+        """Least distance from a point-like emitter to the origins of its rays, m.
 
-    def bounding_sphere(self, object_ids: Iterable[int] | None = None) -> tuple[Floats, float]:
-        """Return centre (3,) and radius of a sphere around objects: all of them, or those named.
+        The emitter may lie on a surface, which its rays must not hit.
+        """
+        return _EMITTER_OFFSET * self.scale
+
+    def bounding_sphere(self, object_ids: Iterable[int] | None = None) -> Sphere:
+        """Return centre (3,) and radius of a sphere around the objects, by default all.
 
         The centre is that of their bounding box; the radius is the largest distance to a vertex.
 
@@ -122,8 +125,8 @@ class Scene:
             raise ValueError("object_ids should name at least one object, but is empty")
         low, high = self._bounds(ids)
         centre = low + 0.5 * (high - low)
-        reach = [np.linalg.norm(self._vertices[i] - centre, axis=1).max() for i in ids]
-        return centre, float(max(reach))
+        radii = [np.linalg.norm(self._vertices[i] - centre, axis=1).max() for i in ids]
+        return Sphere(centre, float(max(radii)))
 
     def material_table(self) -> MaterialTable:
         """Return the materials of all objects as arrays."""
@@ -142,7 +145,7 @@ class Scene:
 
     @cached_property
     def _vertices(self) -> tuple[Floats, ...]:
-        """The vertices of each object that belong to a face rays can hit."""
+        """The vertices of each object that belong to a face with an area."""
         return tuple(nondegenerate_vertices(item.mesh) for item in self.objects)
 
     def _bounds(self, object_ids: Iterable[int]) -> tuple[Floats, Floats]:
@@ -151,7 +154,13 @@ class Scene:
         return np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
 
 
-def _members(values: Iterable, name: str, kind: type | UnionType) -> tuple:
+_DESCRIPTIONS = {
+    SceneObject: "a SceneObject",
+    Emitter: "an Emitter: a CollimatedEmitter, PointEmitter or LambertianEmitter",
+}
+
+
+def _members(values: Iterable, name: str, kind: type) -> tuple:
     if not isinstance(values, Iterable):
         raise TypeError(f"{name} should be a sequence, but is {type(values).__name__}")
     members = tuple(values)
@@ -159,6 +168,7 @@ def _members(values: Iterable, name: str, kind: type | UnionType) -> tuple:
         raise ValueError(f"{name} should not be empty")
     for i, member in enumerate(members):
         if not isinstance(member, kind):
-            wanted = getattr(kind, "__name__", str(kind)).replace("photonrelax.scene.scene.", "")
-            raise TypeError(f"{name}[{i}] should be {wanted}, but is {type(member).__name__}")
+            raise TypeError(
+                f"{name}[{i}] should be {_DESCRIPTIONS[kind]}, but is {type(member).__name__}"
+            )
     return members

@@ -1,4 +1,4 @@
-"""Irradiance straight from emitters, by shadow rays."""
+"""Direct irradiance from emitters, by shadow rays."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from numpy.typing import ArrayLike
 
 from .._util.parallel import thread_count
 from .._util.validation import Floats, float_array, unit_vectors
-from ..scene.emitters import CollimatedEmitter, Emitter, LambertianEmitter
 from ..scene.scene import Scene
 from .raycast import RayCaster
 
@@ -20,18 +19,18 @@ def direct_irradiance(
     *,
     n_threads: int | None = None,
 ) -> Floats:
-    """Return the irradiance at points from emitters in plain sight.
+    """Return the irradiance at points from the emitters they see.
 
-    Every object blocks the light, transparent ones too: what passes through them is the
-    photons' part. Points nearer to an emitter than `Scene.emitter_offset` get nothing from it: the
-    inverse square of their distance is no measure of what reaches a pixel.
+    Every object occludes, transparent ones too: light that passes through them is carried by
+    photons. Points nearer to an emitter than `Scene.emitter_offset` get no light from it, because
+    the inverse square of their distance is no measure of the mean over a pixel.
 
     Parameters
     ----------
     scene, caster : Scene, RayCaster
-        The scene and its objects, ready to be hit.
+        The emitters, and the objects that occlude them.
     position, normal : (m, 3)
-        Points on surfaces, and normals on the side that is lit.
+        Points on surfaces, and normals on the lit side.
     n_threads : int, optional
         Threads to use; None for every core.
 
@@ -50,35 +49,16 @@ def direct_irradiance(
     normal = unit_vectors(normal, "normal", (len(position), 3))
     total = np.zeros_like(position)
     for emitter in scene.emitters:
-        direction, distance, irradiance = _arriving(emitter, position, scene.emitter_offset)
-        irradiance *= np.maximum(np.einsum("ij,ij->i", direction, normal), 0.0)[:, None]
+        direction, distance, facing = emitter.direct(position, scene.emitter_offset)
+        cosine = np.maximum(np.einsum("ij,ij->i", direction, normal), 0.0)
+        irradiance = facing * cosine[:, None]
         lit = np.flatnonzero(irradiance.any(axis=1))
-        blocked = caster.occluded(
+        occluded = caster.occluded(
             position[lit],
             direction[lit],
             distance[lit] - scene.emitter_offset,
             leaving=normal[lit],
             n_threads=threads,
         )
-        total[lit] += np.where(blocked[:, None], 0.0, irradiance[lit])
+        total[lit] += np.where(occluded[:, None], 0.0, irradiance[lit])
     return total
-
-
-def _arriving(emitter: Emitter, position: Floats, gap: float) -> tuple[Floats, Floats, Floats]:
-    """Return direction to an emitter, distance, and unblocked irradiance facing it, per point.
-
-    Direction and irradiance are zero for points nearer than the gap.
-    """
-    if isinstance(emitter, CollimatedEmitter):
-        direction = np.tile(-np.asarray(emitter.direction), (len(position), 1))
-        irradiance = np.tile(np.asarray(emitter.irradiance), (len(position), 1))
-        return direction, np.full(len(position), np.inf), irradiance
-    offset = np.asarray(emitter.position) - position
-    distance = np.linalg.norm(offset, axis=1)
-    inverse = np.divide(1.0, distance, out=np.zeros_like(distance), where=distance > gap)[:, None]
-    direction = offset * inverse
-    intensity = np.asarray(emitter.power) / (4.0 * np.pi)
-    if isinstance(emitter, LambertianEmitter):
-        cosine = np.maximum(-direction @ np.asarray(emitter.direction), 0.0)[:, None]
-        intensity = np.asarray(emitter.power) / np.pi * cosine
-    return direction, distance, intensity * inverse**2

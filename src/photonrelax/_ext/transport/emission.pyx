@@ -11,16 +11,16 @@ from .sampling cimport (
     cap_direction, disk_point, radical_inverse_2, radical_inverse_3, sphere_direction, wrapped,
 )
 
-# The values of emit.py.
+# The kinds of scene.emission_region.
 cdef enum:
     DISK = 0
     CAP = 1
     SPHERE = 2
     ELLIPSE = 3
 
-# Random numbers of a photon: two for its place, this one, then those of events.
+# Random numbers of a photon: two for its coordinates, this one, then those of events.
 cdef enum:
-    OF_CHOICE = 2
+    OF_SELECTION = 2
 
 
 cdef double ellipse_direction(double* out, const double* p, const double* shape) noexcept nogil:
@@ -45,7 +45,7 @@ cdef double ellipse_direction(double* out, const double* p, const double* shape)
 
 @cython.final
 cdef class EmissionRegion:
-    """The numbers of one `emission.EmissionRegion`, for the loop."""
+    """The numbers of a `scene.emission_region.EmissionRegion`; `density` is of its photons."""
 
     def __init__(
         self, int kind, const double[::1] origin, const double[:, ::1] frame,
@@ -68,7 +68,7 @@ cdef class EmissionRegion:
             )
 
     cdef double from_point(self, double* direction, double u, double v) noexcept nogil:
-        """Write the direction and return the density for a point-like emitter."""
+        """Write a direction from a point and return its density."""
         cdef double[2] disk
         cdef double[3] local
         cdef double cosine = 1.0
@@ -87,7 +87,7 @@ cdef class EmissionRegion:
     cdef double from_plane(
         self, double* origin, double* direction, double* coords, double u, double v
     ) noexcept nogil:
-        """Write a ray of parallel light and its place on the emitter plane."""
+        """Write a ray of parallel light and its coordinates on the emitter plane."""
         cdef double[3] local
         cdef int c
         disk_point(local, u, v)
@@ -116,7 +116,7 @@ cdef class EmissionRegion:
 
 @cython.final
 cdef class Emission:
-    """The photons of one emitter, by index; an empty shift asks for random ones."""
+    """The photons of one emitter, by index; an empty shift selects the random sampler."""
 
     def __init__(
         self, EmissionRegion region, uint64_t seed, uint64_t emitter_id,
@@ -130,14 +130,14 @@ cdef class Emission:
             self.shift[0], self.shift[1] = shift[0], shift[1]
 
     cdef uint64_t key(self, uint64_t index) noexcept nogil:
-        """Return what the random numbers of a photon depend on."""
+        """Return the key of the random numbers of a photon."""
         return hash_key(self.seed, self.emitter_id, index)
 
     def spectrum_photons(self, uint64_t first, uint8_t[::1] out, double share):
-        """Choose a share of the photons, `first` and on, each by its index alone."""
+        """Select a share of the photons, `first` and on, each by its index alone."""
         cdef Py_ssize_t i
         for i in range(out.shape[0]):
-            out[i] = uniform(self.key(first + i), OF_CHOICE) < share
+            out[i] = uniform(self.key(first + i), OF_SELECTION) < share
 
     cdef double ray(
         self, uint64_t index, double* origin, double* direction, double* coords

@@ -24,9 +24,10 @@ from ..._ext.transport import trace as _kernel
 from ..._util.validation import Floats
 from ...photons.energy_ledger import FATES
 from ...photons.neighbourhoods import MIN_NORMAL_COSINE
+from ...scene.emission_region import EmissionRegion
 from ...scene.materials import DIFFUSE, MaterialTable
 from ...scene.scene import Scene
-from ..emission import ELLIPSE, LUMINANCE, PATHS, EmissionPlan, EmissionRegion, emission
+from ..emission import LUMINANCE, PATHS, EmissionPlan, emission
 from ..frequency import operators
 from ..raycast import Intersections, RayCaster, empty_intersections
 from .path_replay import CHUNK, Beams, Follower, Landings, Ways, started
@@ -127,7 +128,7 @@ class SpectrumTracer:
             light[:, angle, angle] = 1.0 / (4.0 * np.pi**2 * _SMALL**2)
         else:
             light[:, range(2), range(2)] = 1.0 / (4.0 * np.pi**2 * self._dot**2)
-            light[:, angle, angle] = operators.COSINE_LOBE if region.kind == ELLIPSE else 0.0
+            light[:, angle, angle] = operators.COSINE_LOBE if region.is_cosine_lobe else 0.0
         return operators.occluded(light, clear, angular=not region.is_plane)
 
     def _ways(
@@ -223,7 +224,7 @@ class _Bundle:
             return started(self._origin + step, self._direction, self._across, 0.0)
         direction = self._direction + step
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        if region.kind == ELLIPSE:
+        if region.is_cosine_lobe:
             # Nothing leaves backwards; such a ray, turned over, meets nothing on the way.
             behind = direction @ region.frame[2] <= 0.0
             direction[behind] = -region.frame[2]

@@ -1,0 +1,166 @@
+"""Regions of emitter coordinates that photons are sampled over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from .._util.validation import Floats
+
+DISK, CAP, SPHERE, ELLIPSE = range(4)
+"""Values of `EmissionRegion.kind`; the kernel of emission has the same."""
+
+# Rays start this fraction of the scene's radius before its bounding sphere.
+_CLEARANCE = 1e-3
+
+
+class Sphere(NamedTuple):
+    """A bounding sphere: centre (3,) and radius, m."""
+
+    centre: Floats
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class EmissionRegion:
+    """The region one emitter is sampled over, and the flux that leaves through it.
+
+    Attributes
+    ----------
+    kind : int
+        `DISK` on the plane of parallel light; `CAP` or `SPHERE` of directions, sampled uniformly;
+        `ELLIPSE`, the outline of a cap in the projected hemisphere of a cosine lobe, in which the
+        lobe is uniform.
+    origin : (3,) float64
+        Centre of the disk, or the point all rays come from, m.
+    frame : (3, 3) float64
+        Unit rows u, v, w; w is the direction of the light, the axis of the cap, or the normal.
+    shape : (4,) float64
+        Disk: radius, m. Cap: 1 - cos of its half angle. Ellipse: cos and sin of the angle between
+        normal and axis of the cap, cos and sin of its half angle.
+    area : float
+        Of the region: m², sr, or projected sr.
+    flux : (3,) float64
+        Leaving through the region, W.
+    start_distance : float
+        Distance from the point to the origins of the rays, m: off the surface the point may lie
+        on, and up to the scene. Rays from afar would lose their digits in float32 otherwise.
+    """
+
+    kind: int
+    origin: Floats
+    frame: Floats
+    shape: Floats
+    area: float
+    flux: Floats
+    start_distance: float = 0.0
+
+    @property
+    def is_plane(self) -> bool:
+        """Whether emitter coordinates are metres on a plane, rather than unit vectors."""
+        return self.kind == DISK
+
+    @property
+    def is_cosine_lobe(self) -> bool:
+        """Whether the density of directions falls with the cosine to w, and ends at 90°."""
+        return self.kind == ELLIPSE
+
+
+def disk_region(
+    direction: Floats, irradiance: Floats, target: Sphere, scene: Sphere
+) -> EmissionRegion:
+    """Return the disk of parallel light that covers the target, upstream of the whole scene."""
+    upstream = (scene.centre - target.centre) @ direction - (1.0 + _CLEARANCE) * scene.radius
+    area = np.pi * target.radius**2
+    return EmissionRegion(
+        DISK,
+        target.centre + upstream * direction,
+        _frame(direction),
+        np.array([target.radius, 0.0, 0.0, 0.0]),
+        area,
+        area * irradiance,
+    )
+
+
+def cap_region(
+    position: Floats, power: Floats, target: Sphere, start_distance: float
+) -> EmissionRegion:
+    """Return the cone of directions to the target, or all directions from inside of it.
+
+    `power` is that of all directions, which get equal shares.
+    """
+    shape = np.zeros(4)
+    axis, distance = _towards(target.centre, position)
+    if distance <= target.radius:
+        return EmissionRegion(
+            SPHERE, position, np.eye(3), shape, 4.0 * np.pi, power, start_distance
+        )
+    sin, cos = _half_angle(target.radius, distance)
+    # 1 - cos, without its cancellation for thin cones.
+    shape[0] = sin**2 / (1.0 + cos)
+    return EmissionRegion(
+        CAP,
+        position,
+        _frame(axis),
+        shape,
+        2.0 * np.pi * shape[0],
+        0.5 * shape[0] * power,
+        start_distance,
+    )
+
+
+def cosine_lobe_region(
+    position: Floats, normal: Floats, power: Floats, target: Sphere, start_distance: float
+) -> EmissionRegion:
+    """Return the cone to the target if that is wholly in front, else the whole hemisphere.
+
+    `power` is that of the hemisphere. A target wholly behind gets no flux.
+    """
+    axis, distance = _towards(target.centre, position)
+    cos_tilt, sin_tilt, sin, cos = 1.0, 0.0, 1.0, 0.0
+    aside = np.zeros(3)
+    if distance > target.radius and abs(axis @ normal) >= target.radius / distance:
+        cos_tilt = float(axis @ normal)
+        sin, cos = _half_angle(target.radius, distance)
+        aside = axis - cos_tilt * normal
+        sin_tilt = float(np.linalg.norm(aside))
+    projected = max(sin**2 * cos_tilt, 0.0)
+    return EmissionRegion(
+        ELLIPSE,
+        position,
+        _frame(normal, aside),
+        np.array([cos_tilt, sin_tilt, cos, sin]),
+        np.pi * projected,
+        projected * power,
+        start_distance,
+    )
+
+
+def start_distance(position: Floats, scene: Sphere, emitter_offset: float) -> float:
+    """Return a length of rays from a point on which they meet nothing: the offset at least."""
+    distance = float(np.linalg.norm(scene.centre - position))
+    return max(distance - (1.0 + _CLEARANCE) * scene.radius, 0.0, emitter_offset)
+
+
+def _towards(centre: Floats, position: Floats) -> tuple[Floats, float]:
+    offset = centre - position
+    distance = float(np.linalg.norm(offset))
+    return (offset / distance if distance > 0.0 else offset), distance
+
+
+def _half_angle(radius: float, distance: float) -> tuple[float, float]:
+    """Return sine and cosine of the half angle under which a sphere is seen from outside."""
+    sin = radius / distance
+    return sin, np.sqrt((1.0 - sin) * (1.0 + sin))
+
+
+def _frame(w: Floats, aside: Floats | None = None) -> Floats:
+    """Return right-handed unit rows u, v, w, with u along `aside` where that has a length."""
+    if aside is None or not aside.any():
+        # The axis least along w.
+        aside = np.eye(3)[np.abs(w).argmin()]
+    u = aside - (aside @ w) * w
+    u /= np.linalg.norm(u)
+    return np.array([u, np.cross(w, u), w])
