@@ -4,13 +4,13 @@ import zipfile
 import numpy as np
 import pytest
 
-from photonrelax.photons.energy_ledger import FATES, EnergyLedger
+from photonrelax.photons.energy_ledger import PATH_OUTCOMES, EnergyLedger
 from photonrelax.photons.photon_map import PhotonMap
 
 
 def ledger():
-    shares = {name: np.full((2, 3), 1.0 + i) for i, name in enumerate(FATES)}
-    ends = {name: np.array([i, 2 * i]) for i, name in enumerate(FATES)}
+    shares = {name: np.full((2, 3), 1.0 + i) for i, name in enumerate(PATH_OUTCOMES)}
+    ends = {name: np.array([i, 2 * i]) for i, name in enumerate(PATH_OUTCOMES)}
     return EnergyLedger(emitted=np.full((2, 3), 15.0), **shares, ends=ends)
 
 
@@ -248,13 +248,13 @@ def test_ledger_balance_is_the_worst_channel():
     balanced = ledger()
     assert balanced.imbalance == 0.0
     lost = balanced.stored - [[0.0, 0.0, 0.0], [0.0, 0.15, 0.0]]
-    shares = {name: getattr(balanced, name) for name in FATES} | {"stored": lost}
+    shares = {name: getattr(balanced, name) for name in PATH_OUTCOMES} | {"stored": lost}
     off = EnergyLedger(emitted=balanced.emitted, **shares, ends=balanced.ends)
     assert off.imbalance == pytest.approx(0.01)
 
 
 def test_ledger_refuses_unknown_ends():
-    shares = {name: np.zeros((1, 3)) for name in FATES}
+    shares = {name: np.zeros((1, 3)) for name in PATH_OUTCOMES}
     with pytest.raises(ValueError, match="ends should have the keys"):
         EnergyLedger(emitted=np.zeros((1, 3)), **shares, ends={"lost": [1]})
 

@@ -3,7 +3,7 @@ import pytest
 import trimesh
 
 import photonrelax as pr
-from photonrelax.photons.energy_ledger import FATES
+from photonrelax.photons.energy_ledger import PATH_OUTCOMES
 from tests.analytic.slab import slab_transmittance
 from tests.helpers.tracing_scenes import (
     DOWN,
@@ -30,7 +30,7 @@ def test_the_ledger_balances(scene, paths, max_bounces):
     photons = pr.trace_photons(scene, 20_000, paths=paths, max_bounces=max_bounces)
     ledger = photons.ledger
     assert ledger.imbalance < 1e-9
-    assert sum(ledger.ends[fate].sum() for fate in FATES) == photons.n_emitted == 20_000
+    assert sum(ledger.ends[fate].sum() for fate in PATH_OUTCOMES) == photons.n_emitted == 20_000
     assert ledger.emitted.shape == (len(scene.emitters), 3)
 
 

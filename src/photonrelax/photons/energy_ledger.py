@@ -14,7 +14,7 @@ from .._util.npz import check_names
 from .._util.validation import Floats, float_array, int_array
 
 # What can become of emitted flux; with "emitted" before them, the rows of an EnergyLedger.
-FATES = ("stored", "absorbed", "escaped", "cut", "discarded")
+PATH_OUTCOMES = ("stored", "absorbed", "escaped", "cut", "discarded")
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,35 +50,41 @@ class EnergyLedger:
 
     def __post_init__(self) -> None:
         shape = (len(self.emitted), 3)
-        for name in ("emitted", *FATES):
+        for name in ("emitted", *PATH_OUTCOMES):
             set_field(self, name, frozen(float_array(getattr(self, name), name, shape)))
-        if set(self.ends) != set(FATES):
-            raise ValueError(f"ends should have the keys {FATES}, but has {tuple(self.ends)}")
-        ends = {k: frozen(int_array(self.ends[k], f"ends[{k!r}]", shape[:1])) for k in FATES}
+        if set(self.ends) != set(PATH_OUTCOMES):
+            raise ValueError(
+                f"ends should have the keys {PATH_OUTCOMES}, but has {tuple(self.ends)}"
+            )
+        ends = {
+            k: frozen(int_array(self.ends[k], f"ends[{k!r}]", shape[:1])) for k in PATH_OUTCOMES
+        }
         set_field(self, "ends", ends)
 
     @property
     def imbalance(self) -> float:
         """Largest difference between emitted and accounted flux, relative to the emitted."""
-        accounted = np.sum([getattr(self, name) for name in FATES], axis=0)
+        accounted = np.sum([getattr(self, name) for name in PATH_OUTCOMES], axis=0)
         scale = np.maximum(self.emitted, np.finfo(np.float64).tiny)
         return float((np.abs(self.emitted - accounted) / scale).max(initial=0.0))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain lists and numbers, for JSON."""
-        flux = {name: getattr(self, name).tolist() for name in ("emitted", *FATES)}
-        return {**flux, "ends": {name: self.ends[name].tolist() for name in FATES}}
+        flux = {name: getattr(self, name).tolist() for name in ("emitted", *PATH_OUTCOMES)}
+        return {**flux, "ends": {name: self.ends[name].tolist() for name in PATH_OUTCOMES}}
 
 
 def ledger_arrays(ledger: EnergyLedger) -> dict[str, NDArray]:
-    flux = {f"ledger_{name}": getattr(ledger, name) for name in ("emitted", *FATES)}
-    return flux | {f"ledger_ends_{name}": ledger.ends[name] for name in FATES}
+    flux = {f"ledger_{name}": getattr(ledger, name) for name in ("emitted", *PATH_OUTCOMES)}
+    return flux | {f"ledger_ends_{name}": ledger.ends[name] for name in PATH_OUTCOMES}
 
 
 def ledger_from(arrays: Mapping[str, NDArray]) -> EnergyLedger:
-    columns = [f"ledger_{name}" for name in FATES] + [f"ledger_ends_{name}" for name in FATES]
+    columns = [f"ledger_{name}" for name in PATH_OUTCOMES] + [
+        f"ledger_ends_{name}" for name in PATH_OUTCOMES
+    ]
     check_names(arrays, columns)
     return EnergyLedger(
-        **{name: arrays[f"ledger_{name}"] for name in ("emitted", *FATES)},
-        ends={name: arrays[f"ledger_ends_{name}"] for name in FATES},
+        **{name: arrays[f"ledger_{name}"] for name in ("emitted", *PATH_OUTCOMES)},
+        ends={name: arrays[f"ledger_ends_{name}"] for name in PATH_OUTCOMES},
     )

@@ -57,7 +57,7 @@ def direct_irradiance(
             position[lit],
             direction[lit],
             distance[lit] - scene.emitter_offset,
-            leaving=normal[lit],
+            origin_normal=normal[lit],
             n_threads=threads,
         )
         total[lit] += np.where(occluded[:, None], 0.0, irradiance[lit])

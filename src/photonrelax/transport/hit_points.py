@@ -79,7 +79,7 @@ class _Rays:
 
     origin: Floats
     direction: Floats
-    leaving: Floats  # normal of the surface left, NaN at the camera
+    origin_normal: Floats  # normal of the surface left, NaN at the camera
     weight: Floats  # without the division by the number of samples
     medium: NDArray[np.int32]  # object the ray is inside of, or -1
     pixel: NDArray[np.int64]
@@ -170,7 +170,7 @@ def _levels(
             rays[smooth], found[smooth], table, min_weight=min_weight, n_threads=n_threads
         )
         found = caster.intersect(
-            rays.origin, rays.direction, leaving=rays.leaving, n_threads=n_threads
+            rays.origin, rays.direction, origin_normal=rays.origin_normal, n_threads=n_threads
         )
 
 
@@ -178,7 +178,7 @@ def _camera_rays(origins: Floats, directions: Floats, pixel: NDArray[np.int64]) 
     return _Rays(
         origins,
         directions,
-        leaving=np.full_like(origins, np.nan),
+        origin_normal=np.full_like(origins, np.nan),
         weight=np.ones_like(origins),
         medium=np.full(len(origins), -1, dtype=np.int32),
         pixel=pixel,
@@ -239,7 +239,7 @@ def _split(
     return _Rays(
         origin=found.position[parent],
         direction=direction[kept],
-        leaving=found.geometric_normal[parent],
+        origin_normal=found.geometric_normal[parent],
         weight=weight[kept],
         medium=medium[kept],
         pixel=rays.pixel[parent],

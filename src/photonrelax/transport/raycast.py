@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._ext.transport.raycast import Found, Frame, Triangles
+from .._ext.transport.raycast import EmbreeFrame, EmbreeHits, Triangles
 from .._util.parallel import for_each_slice, thread_count
 from .._util.validation import Floats, float_array
 from ..scene.meshes import nondegenerate_faces, release_arrays, vertices_of
@@ -84,7 +84,7 @@ class RayCaster:
 
     Attributes
     ----------
-    frame : Frame
+    frame : EmbreeFrame
         For kernels that bring their rays into embree's frame themselves.
     triangles : Triangles
         For kernels that resolve what `find` found themselves.
@@ -108,7 +108,7 @@ class RayCaster:
         smooth = np.array([item.smooth for item in objects], dtype=np.uint8)
         self.triangles = Triangles(self.frame, whole.corners, whole.faces, whole.face_id, smooth)
 
-    def find(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> Found:
+    def find(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> EmbreeHits:
         """Return what embree finds for rays (n, 3) that are in its frame already.
 
         Raises
@@ -124,14 +124,14 @@ class RayCaster:
                     f"but are {rays.dtype} of shape {rays.shape} and strides {rays.strides}"
                 )
         found = self._scene.run(origins, directions, query="INTERSECT", output=True)
-        return Found(found, len(origins))
+        return EmbreeHits(found, len(origins))
 
     def intersect(
         self,
         origins: ArrayLike,
         directions: ArrayLike,
         *,
-        leaving: ArrayLike | None = None,
+        origin_normal: ArrayLike | None = None,
         n_threads: int | None = 1,
     ) -> Intersections:
         """Return what rays hit first.
@@ -140,7 +140,7 @@ class RayCaster:
         ----------
         origins, directions : (n, 3)
             Directions need not be unit.
-        leaving : (n, 3), optional
+        origin_normal : (n, 3), optional
             The geometric normal, of either sign, of the surface each ray starts on; a row of
             zeros or NaN where it starts in free space. Keeps rays from hitting where they start.
         n_threads : int, optional
@@ -151,13 +151,13 @@ class RayCaster:
         TypeError, ValueError
             If shapes differ, an origin is not finite or a direction is not finite or zero.
         """
-        origins, directions, leaving = _check_rays(origins, directions, leaving)
+        origins, directions, origin_normal = _check_rays(origins, directions, origin_normal)
         out = empty_intersections(len(origins))
 
         def work(rows: slice) -> None:
             o, d = origins[rows], directions[rows]
-            enter = self._enter(o, d, leaving[rows], _NO_LIMITS, first=rows.start)
-            self.triangles.resolve(o, d, self.find(*enter[:2]), out[rows])
+            enter = self._to_embree(o, d, origin_normal[rows], _NO_LIMITS, first=rows.start)
+            self.triangles.refine_hits(o, d, self.find(*enter[:2]), out[rows])
 
         for_each_slice(work, len(origins), _CHUNK, thread_count(n_threads))
         return out
@@ -168,14 +168,14 @@ class RayCaster:
         directions: ArrayLike,
         max_distance: ArrayLike,
         *,
-        leaving: ArrayLike | None = None,
+        origin_normal: ArrayLike | None = None,
         n_threads: int | None = 1,
     ) -> NDArray[np.bool_]:
         """Return whether rays hit anything nearer than `max_distance`, (n,).
 
         Parameters
         ----------
-        origins, directions, leaving, n_threads
+        origins, directions, origin_normal, n_threads
             As for `intersect`.
         max_distance : float or (n,)
             m, from the origin; inf for rays without end. It is compared in float32: hits within
@@ -186,21 +186,27 @@ class RayCaster:
         TypeError, ValueError
             As for `intersect`, and if a `max_distance` is negative or NaN.
         """
-        origins, directions, leaving = _check_rays(origins, directions, leaving)
+        origins, directions, origin_normal = _check_rays(origins, directions, origin_normal)
         limits = _check_limits(max_distance, len(origins))
         out = np.empty(len(origins), dtype=bool)
 
         def work(rows: slice) -> None:
-            enter = self._enter(
-                origins[rows], directions[rows], leaving[rows], limits[rows], first=rows.start
+            enter = self._to_embree(
+                origins[rows], directions[rows], origin_normal[rows], limits[rows], first=rows.start
             )
             out[rows] = self._scene.run(*enter, query="OCCLUDED") >= 0
 
         for_each_slice(work, len(origins), _CHUNK, thread_count(n_threads))
         return out
 
-    def _enter(
-        self, origins: Floats, directions: Floats, leaving: Floats, limits: Floats, *, first: int
+    def _to_embree(
+        self,
+        origins: Floats,
+        directions: Floats,
+        origin_normal: Floats,
+        limits: Floats,
+        *,
+        first: int,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         """Return rays and their lengths in embree's frame; `first` numbers them in errors."""
         out = (
@@ -208,7 +214,7 @@ class RayCaster:
             np.empty(origins.shape, dtype=np.float32),
             np.empty(limits.shape, dtype=np.float32),
         )
-        bad = self.frame.enter(origins, directions, leaving, limits, *out)
+        bad = self.frame.to_embree(origins, directions, origin_normal, limits, *out)
         if bad >= 0:
             raise ValueError(
                 "origins and directions should be finite and directions not zero, but ray "
@@ -272,9 +278,9 @@ def _embree(vertices: Floats, faces: NDArray[np.int32]) -> Any:
     return embree
 
 
-def _frame(relative: Floats, embree: Any) -> Frame:
+def _frame(relative: Floats, embree: Any) -> EmbreeFrame:
     centre = 0.5 * (relative.min(axis=0) + relative.max(axis=0))
-    return Frame(
+    return EmbreeFrame(
         np.asarray(embree.origin, dtype=np.float64),
         centre,
         scale=embree.scale,
@@ -284,14 +290,15 @@ def _frame(relative: Floats, embree: Any) -> Frame:
 
 
 def _check_rays(
-    origins: ArrayLike, directions: ArrayLike, leaving: ArrayLike | None
+    origins: ArrayLike, directions: ArrayLike, origin_normal: ArrayLike | None
 ) -> tuple[Floats, Floats, Floats]:
     """Return rays with their shapes checked; their values are checked on the way into embree."""
     origins = float_array(origins, "origins", (None, 3), finite=False)
     directions = float_array(directions, "directions", (len(origins), 3), finite=False)
-    if leaving is None:
+    if origin_normal is None:
         return origins, directions, _NO_RAYS
-    return origins, directions, float_array(leaving, "leaving", (len(origins), 3), finite=False)
+    shape = (len(origins), 3)
+    return origins, directions, float_array(origin_normal, "origin_normal", shape, finite=False)
 
 
 def _check_limits(max_distance: ArrayLike, n: int) -> Floats:

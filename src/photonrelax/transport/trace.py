@@ -32,7 +32,7 @@ from .._ext.transport.deposits import Columns, Deposits
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, check_choice, check_seed, count, float_array
-from ..photons.energy_ledger import FATES, EnergyLedger
+from ..photons.energy_ledger import PATH_OUTCOMES, EnergyLedger
 from ..photons.photon_map import NothingStoredError, PhotonMap
 from ..scene.materials import DIFFUSE
 from ..scene.scene import Scene
@@ -217,8 +217,8 @@ class _Tracer:
     def trace(self, job: Job) -> _Batch:
         """Follow some photons of one emitter to their ends."""
         emitter_id, photons = job
-        energy = np.zeros((-(-len(photons) // _kernel.BLOCK), len(FATES), 3))
-        ends = np.zeros(len(FATES), dtype=np.int64)
+        energy = np.zeros((-(-len(photons) // _kernel.BLOCK), len(PATH_OUTCOMES), 3))
+        ends = np.zeros(len(PATH_OUTCOMES), dtype=np.int64)
         paths = self._paths()
         paths.start(
             self._emissions[emitter_id],
@@ -373,24 +373,26 @@ def _photon_map(
 
 def _ledger(plan: EmissionPlan, accounts: list[_Account]) -> EnergyLedger:
     n_emitters, flux = len(plan.regions), plan.flux_per_photon
-    totals = np.zeros((len(FATES), n_emitters, 3))
-    ends = np.zeros((len(FATES), n_emitters), dtype=np.int64)
+    totals = np.zeros((len(PATH_OUTCOMES), n_emitters, 3))
+    ends = np.zeros((len(PATH_OUTCOMES), n_emitters), dtype=np.int64)
     for e in range(n_emitters):
         mine = [account for account in accounts if account.emitter_id == e]
         if mine:
             blocks = np.concatenate([account.energy for account in mine])
-            blocks = blocks.reshape(-1, len(FATES) * 3)
-            totals[:, e] = np.reshape([fsum(column) for column in blocks.T], (len(FATES), 3))
+            blocks = blocks.reshape(-1, len(PATH_OUTCOMES) * 3)
+            totals[:, e] = np.reshape(
+                [fsum(column) for column in blocks.T], (len(PATH_OUTCOMES), 3)
+            )
             ends[:, e] = np.sum([account.ends for account in mine], axis=0)
     return EnergyLedger(
         emitted=plan.counts[:, np.newaxis] * flux,
-        **dict(zip(FATES, totals * flux, strict=True)),
-        ends=dict(zip(FATES, ends, strict=True)),
+        **dict(zip(PATH_OUTCOMES, totals * flux, strict=True)),
+        ends=dict(zip(PATH_OUTCOMES, ends, strict=True)),
     )
 
 
 def _nothing_stored(ledger: EnergyLedger, accounts: list[_Account], how: _How) -> str:
-    ends = {fate: int(ledger.ends[fate].sum()) for fate in FATES}
+    ends = {fate: int(ledger.ends[fate].sum()) for fate in PATH_OUTCOMES}
     met = sum(account.n_met_specular for account in accounts)
     return (
         f'no photons were stored for paths="{how.paths}": of {sum(ends.values())} paths, '

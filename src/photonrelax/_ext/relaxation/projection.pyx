@@ -12,7 +12,7 @@ from libc.stdint cimport int8_t, int32_t
 import numpy as np
 
 from ..common.vec3 cimport dot
-from ..transport.raycast cimport Found, Frame, Hit, Triangles
+from ..transport.raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
 
 # Hits farther along a ray than this multiple of the displacement do not count.
 cdef double MAX_DISTANCE_SCALE = 2.0
@@ -90,7 +90,7 @@ cdef class SurfacePositions:
     it is projected onto.
     """
 
-    cdef Frame frame
+    cdef EmbreeFrame frame
     cdef Triangles triangles
     cdef const int32_t[::1] object_id
     cdef double ray_offset, min_cosine
@@ -99,7 +99,7 @@ cdef class SurfacePositions:
     cdef int8_t[::1] side
 
     def __init__(
-        self, Frame frame, Triangles triangles, const int32_t[::1] object_id, *,
+        self, EmbreeFrame frame, Triangles triangles, const int32_t[::1] object_id, *,
         double ray_offset, double min_cosine,
     ):
         self.frame, self.triangles = frame, triangles
@@ -130,13 +130,15 @@ cdef class SurfacePositions:
             for j in range(moves.n_pending):
                 moves.ray(origin, direction, moves.pending[j], sign, self.ray_offset)
                 finite &= isfinite(
-                    self.frame.enter_one(origin, direction, NULL, &origins[j, 0], &directions[j, 0])
+                    self.frame.ray_to_embree(
+                        origin, direction, NULL, &origins[j, 0], &directions[j, 0]
+                    )
                 )
         if not finite:
             raise ValueError("photons should move to finite positions, but some do not")
         moves.origins, moves.directions = origins.base, directions.base
 
-    def project_hits(self, Displacements moves, Found found, int sign):
+    def project_hits(self, Displacements moves, EmbreeHits found, int sign):
         """Project photons whose rays found their own object; after rays `UP` none is pending."""
         cdef Py_ssize_t j, left = 0
         if found.n_rays != moves.n_pending:
@@ -167,13 +169,13 @@ cdef class SurfacePositions:
         if triangle < 0:
             return False
         moves.ray(origin, direction, i, -1, self.ray_offset)
-        if not self.triangles.meets(triangle, origin, direction, 2.0 * self.ray_offset, &hit):
+        if not self.triangles.intersects(triangle, origin, direction, 2.0 * self.ray_offset, &hit):
             return False
         self.place(moves, i, triangle, &hit)
         return True
 
     cdef bint project_hit(
-        self, Displacements moves, Found found, Py_ssize_t j, int sign
+        self, Displacements moves, EmbreeHits found, Py_ssize_t j, int sign
     ) noexcept nogil:
         """Project a photon to what its ray hit; false where a ray the other way is needed."""
         cdef Py_ssize_t i = moves.pending[j]
@@ -186,7 +188,7 @@ cdef class SurfacePositions:
         cdef Hit hit
         cdef bint any_hit
         moves.ray(origin, direction, i, sign, self.ray_offset)
-        any_hit = self.triangles.resolve_one(found, j, origin, direction, &hit)
+        any_hit = self.triangles.refine_hit(found, j, origin, direction, &hit)
         if any_hit and hit.distance <= max_distance and hit.object_id == self.object_id[photon]:
             self.place(moves, i, found.triangle[j], &hit)
         elif sign < 0:

@@ -1,8 +1,8 @@
-"""What kernels that cast rays share: embree's frame, what it finds, the triangles it knows."""
+"""Embree's frame, hits and triangles, for kernels that cast rays."""
 
 
 cdef struct Hit:
-    # Where a ray meets a triangle: m, unit vectors.
+    # Intersection of a ray and a triangle: m, unit vectors.
     int object_id
     double distance
     double[3] position
@@ -10,8 +10,8 @@ cdef struct Hit:
     double[3] shading
 
 
-cdef struct Sight:
-    # A triangle and a ray, from the triangle's first corner.
+cdef struct TriangleRay:
+    # A ray and the edges of a triangle, relative to the triangle's first corner.
     const double* corner
     double[3] ab
     double[3] ac
@@ -19,19 +19,19 @@ cdef struct Sight:
     double[3] direction
 
 
-cdef class Found:
-    # `triangle` is -1 where a ray meets nothing.
+cdef class EmbreeHits:
+    # `triangle` is -1 for rays that miss.
     cdef readonly Py_ssize_t n_rays
     cdef const int[::1] triangle
     cdef const float[::1] u, v
 
 
-cdef class Frame:
+cdef class EmbreeFrame:
     cdef double[3] origin
     cdef double[3] centre
     cdef double scale, radius, step
 
-    cdef double enter_one(
+    cdef double ray_to_embree(
         self, const double* origin, const double* direction, const double* normal,
         float* out_origin, float* out_direction,
     ) noexcept nogil
@@ -39,23 +39,25 @@ cdef class Frame:
 
 
 cdef class Triangles:
-    cdef Frame frame
+    cdef EmbreeFrame frame
     cdef const double[:, ::1] corners
     cdef const int[:, ::1] faces
     cdef const int[::1] face_id
     cdef const unsigned char[::1] smooth
 
-    cdef void prefetch(self, Found found, Py_ssize_t ray) noexcept nogil
-    cdef bint resolve_one(
-        self, Found found, Py_ssize_t ray, const double* origin, const double* direction, Hit* hit,
+    cdef void prefetch(self, EmbreeHits found, Py_ssize_t ray) noexcept nogil
+    cdef bint refine_hit(
+        self, EmbreeHits found, Py_ssize_t ray, const double* origin, const double* direction,
+        Hit* hit,
     ) noexcept nogil
-    cdef bint meets(
-        self, int triangle, const double* origin, const double* direction, double reach, Hit* hit,
+    cdef bint intersects(
+        self, int triangle, const double* origin, const double* direction,
+        double max_distance, Hit* hit,
     ) noexcept nogil
-    cdef void look(
-        self, Sight* sight, int triangle, const double* origin, const double* direction
+    cdef void triangle_setup(
+        self, TriangleRay* local, int triangle, const double* origin, const double* direction
     ) noexcept nogil
     cdef void write_hit(
-        self, Hit* hit, int triangle, double u, double v, const Sight* sight
+        self, Hit* hit, int triangle, double u, double v, const TriangleRay* local
     ) noexcept nogil
     cdef void interpolate_normal(self, int triangle, double u, double v, Hit* hit) noexcept nogil

@@ -1,7 +1,7 @@
-"""Rays into embree's frame, and embree's answers back into exact hits.
+"""Conversion of rays to embree's float32 frame, and refinement of embree's hits in float64.
 
-Embree works in float32 and only says which triangle a ray meets; where it meets it is computed
-here in float64, from the ray as it was given. Every loop writes row i only.
+Embree works in float32 and only tells which triangle a ray hits; the intersection is computed here
+in float64, from the original ray. Every loop body writes row i only.
 """
 
 cimport cython
@@ -19,18 +19,18 @@ cdef extern from *:
     """
     void prefetch_line(const void* address) noexcept nogil
 
-# Barycentric coordinates may leave [0, 1] by this much through the rounding of embree's choice.
+# Barycentric coordinates may leave [0, 1] by this much through embree's rounding.
 cdef double OUTSIDE = 1e-4
-# How many rays before its own the corners of a triangle are called for: some 100 ns each.
+# Number of rays between the prefetch of a triangle's corners and their use: some 100 ns each.
 cdef enum:
-    AHEAD = 6
+    PREFETCH_DISTANCE = 6
 
 
 @cython.final
-cdef class Frame:
-    """Embree's coordinates: (x - origin) * scale; and a sphere (centre, radius) around the scene.
+cdef class EmbreeFrame:
+    """Embree's coordinates, (x - origin) * scale, and a sphere (centre, radius) around the scene.
 
-    `step` is how far rays are moved off the surface they leave, in m.
+    `step` is the distance that rays are moved off the surface they leave, m.
     """
 
     def __init__(self, const double[::1] origin, const double[::1] centre, *,
@@ -43,34 +43,40 @@ cdef class Frame:
         self.radius = radius
         self.step = step
 
-    def enter(self, const double[:, ::1] origins, const double[:, ::1] directions,
-              const double[:, ::1] leaving, const double[::1] limits,
-              float[:, ::1] out_origins, float[:, ::1] out_directions, float[::1] out_limits):
-        """Write rays as embree takes them; return the first one that is not a ray, or -1.
+    def to_embree(
+        self, const double[:, ::1] origins, const double[:, ::1] directions,
+        const double[:, ::1] origin_normal, const double[::1] limits,
+        float[:, ::1] out_origins, float[:, ::1] out_directions, float[::1] out_limits,
+    ):
+        """Write rays in embree's frame; return the index of the first invalid one, or -1.
 
-        `leaving` and `limits` (with `out_limits`) may have no rows: no surface left, no limit.
+        `origin_normal` has no rows for rays that start in free space; `limits` and `out_limits`
+        have none for rays without end.
         """
         cdef Py_ssize_t i, bad = -1
-        cdef bint from_surface = leaving.shape[0] > 0
+        cdef bint from_surface = origin_normal.shape[0] > 0
         cdef bint limited = limits.shape[0] > 0
         cdef double skipped
         with nogil:
             for i in range(origins.shape[0]):
-                skipped = self.enter_one(
-                    &origins[i, 0], &directions[i, 0], &leaving[i, 0] if from_surface else NULL,
-                    &out_origins[i, 0], &out_directions[i, 0])
+                skipped = self.ray_to_embree(
+                    &origins[i, 0], &directions[i, 0],
+                    &origin_normal[i, 0] if from_surface else NULL,
+                    &out_origins[i, 0], &out_directions[i, 0],
+                )
                 if not isfinite(skipped):
                     bad = i
                     break
                 if limited:
-                    # Embree calls a ray of negative length blocked.
+                    # Embree reports rays of negative length as occluded.
                     out_limits[i] = <float>(max(limits[i] - skipped, 0.0) * self.scale)
         return bad
 
-    cdef double enter_one(self, const double* origin, const double* direction,
-                          const double* normal, float* out_origin,
-                          float* out_direction) noexcept nogil:
-        """Write one ray and return the length of its skipped beginning; NaN if it is no ray."""
+    cdef double ray_to_embree(
+        self, const double* origin, const double* direction, const double* normal,
+        float* out_origin, float* out_direction,
+    ) noexcept nogil:
+        """Write one ray and return the length skipped at its start; not finite if it is invalid."""
         cdef double d[3]
         cdef double o[3]
         cdef double from_centre[3]
@@ -87,7 +93,7 @@ cdef class Frame:
             if side != 0.0:
                 o[axis] += side * normal[axis]
             from_centre[axis] = o[axis] - self.centre[axis]
-        # A ray from afar starts where the scene may begin: far origins are coarse in float32.
+        # Distant origins are coarse in float32: start at the scene's bounding sphere.
         skipped = -dot(from_centre, d) - self.radius
         if skipped < 0.0:
             skipped = 0.0
@@ -97,7 +103,7 @@ cdef class Frame:
         return skipped
 
     cdef double step_along(self, const double* normal, const double* d) noexcept nogil:
-        """Multiple of the normal that steps to the side d points to; 0 without a normal."""
+        """Multiple of the normal that steps off the surface towards d; 0 without a normal."""
         cdef double square = dot(normal, normal)
         if not (square > 0.0 and isfinite(square)):
             return 0.0
@@ -105,8 +111,8 @@ cdef class Frame:
 
 
 @cython.final
-cdef class Found:
-    """What embree found for `n_rays` rays; refuses arrays of other lengths or types."""
+cdef class EmbreeHits:
+    """Embree's hits of `n_rays` rays; raises ValueError for arrays of other lengths or types."""
 
     def __init__(self, dict found, Py_ssize_t n_rays):
         self.n_rays = n_rays
@@ -120,15 +126,15 @@ cdef class Found:
 
 @cython.final
 cdef class Triangles:
-    """The triangles embree knows, in float64 relative to the frame's origin.
+    """Embree's triangles, in float64 relative to the frame's origin.
 
     corners (v, 6) are vertices and their normals; faces (f, 4) are three corners and the object;
-    face_id (f,) is the number in the object's mesh; smooth (objects,) says whether normals are
+    face_id (f,) is the index in the object's mesh; smooth (objects,) is nonzero where normals are
     interpolated.
     """
 
     def __init__(
-        self, Frame frame, const double[:, ::1] corners, const int[:, ::1] faces,
+        self, EmbreeFrame frame, const double[:, ::1] corners, const int[:, ::1] faces,
         const int[::1] face_id, const unsigned char[::1] smooth,
     ):
         self.frame = frame
@@ -137,9 +143,10 @@ cdef class Triangles:
         self.face_id = face_id
         self.smooth = smooth
 
-    def resolve(self, const double[:, ::1] origins, const double[:, ::1] directions,
-                Found found, out):
-        """Write the exact hits of rays into `out` (Intersections) from what embree `found`."""
+    def refine_hits(
+        self, const double[:, ::1] origins, const double[:, ::1] directions, EmbreeHits found, out
+    ):
+        """Write the float64 intersections of embree's hits into `out` (Intersections)."""
         cdef int[::1] object_id = out.object_id
         cdef int[::1] face_id = out.face_id
         cdef double[::1] distance = out.distance
@@ -153,7 +160,7 @@ cdef class Triangles:
         with nogil:
             for i in range(found.n_rays):
                 self.prefetch(found, i)
-                met = self.resolve_one(found, i, &origins[i, 0], &directions[i, 0], &hit)
+                met = self.refine_hit(found, i, &origins[i, 0], &directions[i, 0], &hit)
                 object_id[i] = hit.object_id
                 face_id[i] = self.face_id[found.triangle[i]] if met else -1
                 distance[i] = hit.distance if met else INFINITY
@@ -162,88 +169,90 @@ cdef class Triangles:
                     geometric[i, axis] = hit.geometric[axis] if met else NAN
                     shading[i, axis] = hit.shading[axis] if met else NAN
 
-    cdef void prefetch(self, Found found, Py_ssize_t ray) noexcept nogil:
-        """Call for the triangles of rays to come: they lie all over the memory."""
+    cdef void prefetch(self, EmbreeHits found, Py_ssize_t ray) noexcept nogil:
+        """Prefetch the triangles of the next rays, which are scattered in memory."""
         cdef int triangle, corner
         cdef const double* row
-        if ray + 2 * AHEAD < found.n_rays:
-            triangle = found.triangle[ray + 2 * AHEAD]
+        if ray + 2 * PREFETCH_DISTANCE < found.n_rays:
+            triangle = found.triangle[ray + 2 * PREFETCH_DISTANCE]
             if triangle >= 0:
                 prefetch_line(&self.faces[triangle, 0])
-        if ray + AHEAD < found.n_rays:
-            triangle = found.triangle[ray + AHEAD]
+        if ray + PREFETCH_DISTANCE < found.n_rays:
+            triangle = found.triangle[ray + PREFETCH_DISTANCE]
             if triangle >= 0:
                 for corner in range(3):
                     row = &self.corners[self.faces[triangle, corner], 0]
                     prefetch_line(row)
                     prefetch_line(row + 5)
 
-    cdef bint resolve_one(
-        self, Found found, Py_ssize_t ray, const double* origin, const double* direction, Hit* hit
+    cdef bint refine_hit(
+        self, EmbreeHits found, Py_ssize_t ray, const double* origin, const double* direction,
+        Hit* hit,
     ) noexcept nogil:
-        """Write where a ray meets its triangle; false, and object -1, where it meets none."""
+        """Write the float64 intersection of a ray; false, and object -1, for a miss."""
         cdef int triangle = found.triangle[ray]
         cdef double u, v
-        cdef Sight sight
+        cdef TriangleRay local
         if triangle < 0:
             hit.object_id = -1
             return False
         u, v = found.u[ray], found.v[ray]
-        self.look(&sight, triangle, origin, direction)
-        barycentric(&u, &v, &sight)
-        self.write_hit(hit, triangle, u, v, &sight)
+        self.triangle_setup(&local, triangle, origin, direction)
+        barycentric(&u, &v, &local)
+        self.write_hit(hit, triangle, u, v, &local)
         return True
 
-    cdef bint meets(
-        self, int triangle, const double* origin, const double* direction, double reach, Hit* hit
+    cdef bint intersects(
+        self, int triangle, const double* origin, const double* direction, double max_distance,
+        Hit* hit,
     ) noexcept nogil:
-        """Write where a ray meets a triangle, as `resolve_one` does; false where it does not.
+        """Write the intersection of a ray and one triangle; false where there is none.
 
-        The triangle itself is asked, not embree: another may lie before it, within `reach`.
+        Other triangles are ignored, also where they lie nearer.
         """
         cdef double u, v, t
-        cdef Sight sight
-        self.look(&sight, triangle, origin, direction)
-        if not (plane_point(&u, &v, &t, &sight) and 0.0 <= t <= reach):
+        cdef TriangleRay local
+        self.triangle_setup(&local, triangle, origin, direction)
+        if not (plane_point(&u, &v, &t, &local) and 0.0 <= t <= max_distance):
             return False
         if not (u >= 0.0 and v >= 0.0 and u + v <= 1.0):
             return False
-        self.write_hit(hit, triangle, u, min(v, 1.0 - u), &sight)
+        self.write_hit(hit, triangle, u, min(v, 1.0 - u), &local)
         return True
 
-    cdef void look(
-        self, Sight* sight, int triangle, const double* origin, const double* direction
+    cdef void triangle_setup(
+        self, TriangleRay* local, int triangle, const double* origin, const double* direction
     ) noexcept nogil:
-        """Write a ray as seen from the first corner of a triangle."""
+        """Write a ray and the edges of a triangle, relative to its first corner."""
         cdef const double* b = &self.corners[self.faces[triangle, 1], 0]
         cdef const double* c = &self.corners[self.faces[triangle, 2], 0]
         cdef int axis
-        sight.corner = &self.corners[self.faces[triangle, 0], 0]
+        local.corner = &self.corners[self.faces[triangle, 0], 0]
         for axis in range(3):
-            sight.ab[axis] = b[axis] - sight.corner[axis]
-            sight.ac[axis] = c[axis] - sight.corner[axis]
-            sight.origin[axis] = (origin[axis] - self.frame.origin[axis]) - sight.corner[axis]
-            sight.direction[axis] = direction[axis]
-        normalise(sight.direction)
+            local.ab[axis] = b[axis] - local.corner[axis]
+            local.ac[axis] = c[axis] - local.corner[axis]
+            local.origin[axis] = (origin[axis] - self.frame.origin[axis]) - local.corner[axis]
+            local.direction[axis] = direction[axis]
+        normalise(local.direction)
 
     cdef void write_hit(
-        self, Hit* hit, int triangle, double u, double v, const Sight* sight
+        self, Hit* hit, int triangle, double u, double v, const TriangleRay* local
     ) noexcept nogil:
         cdef double offset, distance = 0.0
         cdef int axis
-        cross(hit.geometric, sight.ab, sight.ac)
+        cross(hit.geometric, local.ab, local.ac)
         normalise(hit.geometric)
         for axis in range(3):
-            offset = u * sight.ab[axis] + v * sight.ac[axis]
-            hit.position[axis] = sight.corner[axis] + u * sight.ab[axis] + v * sight.ac[axis]
-            distance += (offset - sight.origin[axis]) * sight.direction[axis]
+            offset = u * local.ab[axis] + v * local.ac[axis]
+            hit.position[axis] = local.corner[axis] + u * local.ab[axis] + v * local.ac[axis]
+            distance += (offset - local.origin[axis]) * local.direction[axis]
             hit.position[axis] += self.frame.origin[axis]
         hit.distance = max(distance, 0.0)
         hit.object_id = self.faces[triangle, 3]
         self.interpolate_normal(triangle, u, v, hit)
 
     cdef void interpolate_normal(self, int triangle, double u, double v, Hit* hit) noexcept nogil:
-        """Write the interpolated normal, or the geometric one where that is not sensible."""
+        """Write the interpolated normal, or the geometric one where that points behind the face."""
         cdef int axis
         cdef const double* a
         cdef const double* b
@@ -261,30 +270,30 @@ cdef class Triangles:
             hit.shading[axis] = hit.geometric[axis]
 
 
-cdef bint plane_point(double* u, double* v, double* t, const Sight* sight) noexcept nogil:
-    """Write where a ray meets a triangle's plane (Möller & Trumbore 1997); false if nowhere."""
+cdef bint plane_point(double* u, double* v, double* t, const TriangleRay* local) noexcept nogil:
+    """Intersect a ray and a triangle's plane (Möller & Trumbore 1997); false if parallel."""
     cdef double[3] p
     cdef double[3] q
     cdef double det
-    cross(p, sight.direction, sight.ac)
-    cross(q, sight.origin, sight.ab)
-    det = dot(sight.ab, p)
+    cross(p, local.direction, local.ac)
+    cross(q, local.origin, local.ab)
+    det = dot(local.ab, p)
     if det == 0.0:
         return False
-    u[0] = dot(sight.origin, p) / det
-    v[0] = dot(sight.direction, q) / det
-    t[0] = dot(sight.ac, q) / det
+    u[0] = dot(local.origin, p) / det
+    v[0] = dot(local.direction, q) / det
+    t[0] = dot(local.ac, q) / det
     return True
 
 
-cdef void barycentric(double* u, double* v, const Sight* sight) noexcept nogil:
-    """Replace embree's u, v by exact ones, clamped to the triangle.
+cdef void barycentric(double* u, double* v, const TriangleRay* local) noexcept nogil:
+    """Replace embree's u, v by those of float64, clamped to the triangle.
 
-    Embree's are kept where the exact ray does not meet the triangle, which happens at grazing
-    angles: embree's ray starts a step off the surface.
+    Embree's are kept where the ray misses the triangle in float64. That happens at grazing angles,
+    because embree's ray starts a step off the surface.
     """
     cdef double exact_u, exact_v, t
-    if not plane_point(&exact_u, &exact_v, &t, sight):
+    if not plane_point(&exact_u, &exact_v, &t, local):
         return
     # Written so that NaN fails.
     if not (t >= 0.0 and exact_u >= -OUTSIDE and exact_v >= -OUTSIDE

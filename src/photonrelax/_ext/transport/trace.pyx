@@ -16,10 +16,10 @@ from ..common.vec3 cimport dot, orthonormal_frame
 from .deposits cimport Deposit, Deposits
 from .emission cimport Emission
 from .optics cimport facing_normal, fresnel_reflectance, reflect_into, refract_into
-from .raycast cimport Found, Frame, Hit, Triangles
+from .raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
 from .sampling cimport disk_point, hemisphere_direction
 
-# The values of scene.py, and the places of photonmap.FATES and emit.PATHS.
+# The values of scene.py, and the places of photonmap.PATH_OUTCOMES and emit.PATHS.
 cdef enum:
     DIFFUSE = 0
     MIRROR = 1
@@ -135,7 +135,7 @@ cdef class Paths:
     """
 
     cdef Surfaces surfaces
-    cdef Frame frame
+    cdef EmbreeFrame frame
     cdef Triangles triangles
     cdef unsigned char[::1] memory
     cdef Ray* ray
@@ -151,7 +151,7 @@ cdef class Paths:
     cdef readonly int64_t n_met_specular
 
     def __init__(
-        self, Surfaces surfaces, Frame frame, Triangles triangles, Py_ssize_t size, *,
+        self, Surfaces surfaces, EmbreeFrame frame, Triangles triangles, Py_ssize_t size, *,
         int wanted, int max_bounces,
     ):
         self.surfaces, self.frame, self.triangles = surfaces, frame, triangles
@@ -217,7 +217,7 @@ cdef class Paths:
         )
         self.enter(path, NULL)
 
-    def advance(self, Found found):
+    def advance(self, EmbreeHits found):
         """Take every live ray through the surface it hit; return how many are still live."""
         cdef Py_ssize_t i, live = 0
         if found.n_rays != self.n_live:
@@ -239,18 +239,18 @@ cdef class Paths:
     cdef void enter(self, Py_ssize_t row, const double* leaving) noexcept nogil:
         """Write a ray as embree takes it."""
         cdef Ray* ray = &self.ray[row]
-        cdef double skipped = self.frame.enter_one(
+        cdef double skipped = self.frame.ray_to_embree(
             ray.origin, ray.direction, leaving, &self.origins[row, 0], &self.directions[row, 0]
         )
         if not isfinite(skipped):
             self.sound = False
 
-    cdef bint meet(self, Found found, Py_ssize_t row, Py_ssize_t target) noexcept nogil:
+    cdef bint meet(self, EmbreeHits found, Py_ssize_t row, Py_ssize_t target) noexcept nogil:
         """Take one ray through what it hit; true if it goes on, from row `target`."""
         cdef Ray* ray = &self.ray[row]
         cdef Event event
         cdef double[3] out
-        if not self.triangles.resolve_one(found, row, ray.origin, ray.direction, &event.hit):
+        if not self.triangles.refine_hit(found, row, ray.origin, ray.direction, &event.hit):
             return self.end(ray, ESCAPED)
         event.ray = ray
         event.counter = PER_EVENT * (1 + ray.n_specular + ray.n_diffuse)

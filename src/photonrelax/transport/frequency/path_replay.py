@@ -62,7 +62,7 @@ class Beams:
         Unit vectors across the ray.
     operator : (n, 4, 4)
         On the frequencies of the light as it left the emitter.
-    leaving : (n, 3)
+    origin_normal : (n, 3)
         Normal of the surface left, NaN at the emitter.
     throughput : (n, 3)
         Share of the light that has come this far on this way.
@@ -74,7 +74,7 @@ class Beams:
     direction: Floats
     across: Floats
     operator: Floats
-    leaving: Floats
+    origin_normal: Floats
     throughput: Floats
     medium: NDArray[np.int32]
 
@@ -133,7 +133,10 @@ class Follower:
         rows = np.arange(n)
         for event in range(int(ways.length.max(initial=0))):
             hits = self._caster.intersect(
-                beams.origin, beams.direction, leaving=beams.leaving, n_threads=self._n_threads
+                beams.origin,
+                beams.direction,
+                origin_normal=beams.origin_normal,
+                n_threads=self._n_threads,
             )
             true = hits.object_id == ways.objects[rows, event]
             rows, beams, hits = rows[true], beams[true], hits[true]

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ..._ext.transport import trace as _kernel
 from ..._util.validation import Floats
-from ...photons.energy_ledger import FATES
+from ...photons.energy_ledger import PATH_OUTCOMES
 from ...photons.neighbourhoods import MIN_NORMAL_COSINE
 from ...scene.emission_region import EmissionRegion
 from ...scene.materials import DIFFUSE, MaterialTable
@@ -141,8 +141,8 @@ class SpectrumTracer:
             emission(self._plan, emitter_id, seed=self._seed, sampler=self._sampler),
             photons,
             luminance=LUMINANCE * self._plan.flux_per_photon[emitter_id],
-            ledger=np.zeros((-(-n // _kernel.BLOCK), len(FATES), 3)),
-            ends=np.zeros(len(FATES), dtype=np.int64),
+            ledger=np.zeros((-(-n // _kernel.BLOCK), len(PATH_OUTCOMES), 3)),
+            ends=np.zeros(len(PATH_OUTCOMES), dtype=np.int64),
         )
         emitted = self._paths.live()
         rays = np.ascontiguousarray(emitted[:, 1:4]), emitted[:, 4:].copy()
@@ -155,7 +155,7 @@ class SpectrumTracer:
         origin, direction = np.ascontiguousarray(before[:, 1:4]), before[:, 4:].copy()
         hits = empty_intersections(len(before))
         found = self._caster.find(*self._paths.rays)
-        self._caster.triangles.resolve(origin, direction, found, hits)
+        self._caster.triangles.refine_hits(origin, direction, found, hits)
         self._paths.advance(found)
         after = self._paths.live()
         path = before[:, 0].astype(np.intp)
