@@ -135,6 +135,20 @@ def test_one_over_density_sums_to_the_measure_of_the_region(emitter, measure):
     assert np.sum(1.0 / rays.emitter_density) == pytest.approx(measure, rel=2e-4)
 
 
+@pytest.mark.parametrize(("sampler", "limit"), [("halton", 2e-3), ("random", 0.015)])
+def test_a_point_inside_its_target_shines_evenly_in_all_directions(sampler, limit):
+    """Heights and azimuths of directions on the sphere are uniform, and independent."""
+    rays = rays_of(pr.PointEmitter(CENTRE), sampler=sampler)
+    x, y, z = rays.direction.T
+    np.testing.assert_allclose(np.linalg.norm(rays.direction, axis=1), 1.0, rtol=1e-15)
+    azimuth = np.arctan2(y, x) / np.pi
+    for number in (x, y, z, azimuth):
+        expected = np.linspace(-1.0, 1.0, N)
+        np.testing.assert_allclose(np.sort(number), expected, atol=2 * limit)
+    cells = np.histogram2d(z, azimuth, bins=(8, 8), range=[[-1, 1], [-1, 1]])[0]
+    np.testing.assert_allclose(cells / N, 1 / 64, atol=limit)
+
+
 def test_lambertian_density_is_proportional_to_the_cosine():
     emitter = at(0.9, 2.0)
     rays = rays_of(emitter)

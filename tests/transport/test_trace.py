@@ -150,6 +150,23 @@ def test_all_deposits_are_direct_or_caustic_or_global():
     assert len(first) == len(np.unique(first.emitter_coords, axis=0))
 
 
+def test_diffuse_surfaces_scatter_with_cosine_density():
+    """In a room of walls at ±1 photons come from the wall that their direction leads back to."""
+    room = pr.SceneObject(box([2, 2, 2]), pr.Diffuse(0.8))
+    photons = pr.trace_photons(
+        pr.Scene([room], [pr.PointEmitter([0.1, 0.2, 0.3])]), 10_000, paths="global"
+    )
+    distance = (np.sign(photons.wi) - photons.position) / photons.wi
+    wall = distance.argmin(axis=1)
+    axes = (wall[:, None] + [0, 1, 2]) % 3
+    cosine, x, y = np.abs(np.take_along_axis(photons.wi, axes, axis=1)).T
+    expected = (np.arange(len(photons)) + 0.5) / len(photons)
+    # Kolmogorov's bound for a probability of one in 10,000.
+    limit = 2.23 / np.sqrt(len(photons))
+    for number in (cosine**2, 2 / np.pi * np.arctan2(y, x)):
+        assert np.abs(np.sort(number) - expected).max() < limit
+
+
 def placed(mesh, scale, shift):
     mesh.apply_translation(shift)
     return mesh.apply_scale(scale)

@@ -1,7 +1,7 @@
-"""Inline sampling shared by the kernels: Halton numbers and area-preserving maps.
+"""Halton numbers and area-preserving maps, as inline functions for kernels.
 
-Every map takes the unit square to its target with constant density (cosine density for the
-hemisphere) and little distortion, so evenly spaced points stay evenly spaced.
+Every map of the unit square, or of the unit disk, to its target has constant density (cosine
+density for the hemisphere) and little distortion, so evenly spaced points stay evenly spaced.
 """
 
 from libc.math cimport M_PI, M_PI_2, M_PI_4, cos, fabs, sin, sqrt
@@ -19,7 +19,7 @@ cdef extern from *:
 
 
 cdef inline double radical_inverse_2(uint64_t index) noexcept nogil:
-    """The bits of the index mirrored at the binary point."""
+    """Van der Corput number in base 2: the bits of the index mirrored at the binary point."""
     cdef uint64_t z = index
     z = ((z >> 1) & <uint64_t>0x5555555555555555) | ((z & <uint64_t>0x5555555555555555) << 1)
     z = ((z >> 2) & <uint64_t>0x3333333333333333) | ((z & <uint64_t>0x3333333333333333) << 2)
@@ -31,7 +31,7 @@ cdef inline double radical_inverse_2(uint64_t index) noexcept nogil:
 
 
 cdef inline double radical_inverse_3(uint64_t index) noexcept nogil:
-    """The ternary digits of the index mirrored at the point; exact for indices below 3^33."""
+    """Van der Corput number in base 3; exact for indices below 3^33."""
     cdef uint64_t mirrored = 0, scale = 1, rest
     while index >= 27:
         rest = index // 27
@@ -47,7 +47,7 @@ cdef inline double radical_inverse_3(uint64_t index) noexcept nogil:
 
 
 cdef inline double wrapped(double x, double shift) noexcept nogil:
-    """The sum of two numbers in [0, 1), modulo one."""
+    """Sum of two numbers in [0, 1), modulo one."""
     x += shift
     return x - 1.0 if x >= 1.0 else x
 
