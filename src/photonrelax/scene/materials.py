@@ -2,20 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._util.frozen import frozen, set_field
 from .._util.validation import Floats, positive, rgb
 
-if TYPE_CHECKING:
-    pass
 
-DIFFUSE, MIRROR, DIELECTRIC = 0, 1, 2
-"""Values of `MaterialTable.kind`."""
+@dataclass(frozen=True, eq=False)
+class MaterialRow:
+    """One material as a row of a `MaterialTable`.
+
+    Attributes
+    ----------
+    kind : str
+        Name of the kernel's kind.
+    reflectance : (3,)
+        Albedo or reflectance.
+    ior, exterior_ior : float
+        Indices of refraction.
+    absorption : (3,)
+        1/m.
+    """
+
+    kind: str
+    reflectance: ArrayLike = (1.0, 1.0, 1.0)
+    ior: float = 1.0
+    exterior_ior: float = 1.0
+    absorption: ArrayLike = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +50,10 @@ class Diffuse:
     def __post_init__(self) -> None:
         set_field(self, "albedo", frozen(rgb(self.albedo, "albedo", high=1.0)))
 
+    def row(self) -> MaterialRow:
+        """The material as kernels read it."""
+        return MaterialRow("diffuse", reflectance=self.albedo)
+
 
 @dataclass(frozen=True, eq=False)
 class Mirror:
@@ -48,6 +69,10 @@ class Mirror:
 
     def __post_init__(self) -> None:
         set_field(self, "reflectance", frozen(rgb(self.reflectance, "reflectance", high=1.0)))
+
+    def row(self) -> MaterialRow:
+        """The material as kernels read it."""
+        return MaterialRow("mirror", reflectance=self.reflectance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +96,15 @@ class Dielectric:
         set_field(self, "exterior_ior", positive(self.exterior_ior, "exterior_ior"))
         set_field(self, "absorption", frozen(rgb(self.absorption, "absorption")))
 
+    def row(self) -> MaterialRow:
+        """The material as kernels read it."""
+        return MaterialRow(
+            "dielectric",
+            ior=self.ior,
+            exterior_ior=self.exterior_ior,
+            absorption=self.absorption,
+        )
+
 
 Material = Diffuse | Mirror | Dielectric
 
@@ -81,8 +115,8 @@ class MaterialTable:
 
     Attributes
     ----------
-    kind : (n,) int32
-        `DIFFUSE`, `MIRROR` or `DIELECTRIC`.
+    kind : (n,) str
+        "diffuse", "mirror" or "dielectric".
     reflectance : (n, 3)
         Albedo or reflectance; 1 for dielectrics.
     ior, exterior_ior : (n,)
@@ -91,22 +125,20 @@ class MaterialTable:
         1/m; 0 for other materials.
     """
 
-    kind: NDArray[np.int32]
+    kind: tuple[str, ...]
     reflectance: Floats
     ior: Floats
     exterior_ior: Floats
     absorption: Floats
 
-
-def _tabulate(table: MaterialTable, row: int, material: Material) -> None:
-    if isinstance(material, Diffuse):
-        table.kind[row] = DIFFUSE
-        table.reflectance[row] = material.albedo
-    elif isinstance(material, Mirror):
-        table.kind[row] = MIRROR
-        table.reflectance[row] = material.reflectance
-    else:
-        table.kind[row] = DIELECTRIC
-        table.ior[row] = material.ior
-        table.exterior_ior[row] = material.exterior_ior
-        table.absorption[row] = material.absorption
+    @classmethod
+    def of(cls, materials: Iterable[Material]) -> MaterialTable:
+        """Table of materials, a row each."""
+        rows = [material.row() for material in materials]
+        return cls(
+            kind=tuple(row.kind for row in rows),
+            reflectance=np.array([row.reflectance for row in rows], dtype=np.float64),
+            ior=np.array([row.ior for row in rows], dtype=np.float64),
+            exterior_ior=np.array([row.exterior_ior for row in rows], dtype=np.float64),
+            absorption=np.array([row.absorption for row in rows], dtype=np.float64),
+        )

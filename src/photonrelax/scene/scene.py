@@ -18,7 +18,7 @@ from .._util.validation import Floats
 from .camera import Camera
 from .emission_region import Sphere
 from .emitters import Emitter
-from .materials import Dielectric, Diffuse, Material, MaterialTable, _tabulate
+from .materials import Dielectric, Diffuse, Material, MaterialTable
 from .meshes import check_mesh, check_winding, nondegenerate_vertices
 
 if TYPE_CHECKING:
@@ -129,19 +129,8 @@ class Scene:
         return Sphere(centre, float(max(radii)))
 
     def material_table(self) -> MaterialTable:
-        """Return the materials of all objects as arrays."""
-        materials = [item.material for item in self.objects]
-        n = len(materials)
-        table = MaterialTable(
-            kind=np.zeros(n, dtype=np.int32),
-            reflectance=np.ones((n, 3)),
-            ior=np.ones(n),
-            exterior_ior=np.ones(n),
-            absorption=np.zeros((n, 3)),
-        )
-        for i, material in enumerate(materials):
-            _tabulate(table, i, material)
-        return table
+        """The materials of all objects as arrays."""
+        return MaterialTable.of(item.material for item in self.objects)
 
     @cached_property
     def _vertices(self) -> tuple[Floats, ...]:

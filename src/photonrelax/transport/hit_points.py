@@ -1,7 +1,7 @@
-"""What the camera sees: pixel rays, and the diffuse points they reach.
+"""Hit points of camera rays on diffuse surfaces.
 
-Rays that meet smooth surfaces split into reflection and refraction until they reach a diffuse
-surface. Direct light at such points is found by shadow rays.
+Rays that hit specular surfaces split into reflection and refraction until they reach a diffuse
+surface.
 """
 
 from __future__ import annotations
@@ -12,21 +12,22 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .._ext.transport.hit_points import Surfaces
+from .._ext.transport.hit_points import split
+from .._ext.transport.materials import Materials
 from .._util.parallel import thread_count
 from .._util.validation import Floats, count, positive
 from ..scene.camera import Camera, pixel_rays
-from ..scene.materials import DIELECTRIC, DIFFUSE, MaterialTable
 from ..scene.scene import Scene
+from .optics import from_behind
 from .raycast import Intersections, RayCaster
 
-# Between parallel mirrors rays of no loss never end.
+# Between parallel mirrors without loss rays never end.
 MAX_DEPTH = 10_000
 
 
 @dataclass(frozen=True, eq=False)
 class HitPoints:
-    """Points on diffuse surfaces that pixels see directly or through smooth surfaces.
+    """Points on diffuse surfaces that pixels see, directly or by way of specular surfaces.
 
     Attributes
     ----------
@@ -35,12 +36,12 @@ class HitPoints:
     position : (m, 3)
         m.
     normal : (m, 3)
-        Unit shading normal on the side that is seen.
+        Unit shading normal on the side of the camera ray.
     albedo : (m, 3)
         Of the surface.
     weight : (m, 3)
-        What the point's radiance is multiplied by in the sum that is the pixel's radiance;
-        includes the division by the number of samples per pixel.
+        Factor of the point's radiance in the sum that is the pixel's radiance; includes the
+        division by the number of samples per pixel.
     object_id : (m,) int32
         The object the point is on.
     """
@@ -58,15 +59,15 @@ class HitPoints:
 
 @dataclass(frozen=True, eq=False)
 class FirstSurfaces:
-    """The surfaces nearest to the camera in some rows of the picture, smooth ones included.
+    """The surfaces nearest to the camera in some rows of the image, specular ones included.
 
     Attributes
     ----------
     normal : (rows, width, 3)
-        Shading normal on the side that is seen, the mean over the samples of the pixel; zero for
-        samples that see nothing.
+        Shading normal on the side of the camera, the mean over the samples of the pixel; zero for
+        samples that hit nothing.
     depth : (rows, width)
-        Distance along the viewing axis, m, the least over the samples; inf where nothing is seen.
+        Distance along the viewing axis, m, the least over the samples; inf where nothing is hit.
     """
 
     normal: Floats
@@ -75,13 +76,13 @@ class FirstSurfaces:
 
 @dataclass(frozen=True, eq=False)
 class _Rays:
-    """Rays on their way from the camera."""
+    """Segments of camera paths."""
 
     origin: Floats
     direction: Floats
-    origin_normal: Floats  # normal of the surface left, NaN at the camera
+    origin_normal: Floats  # of the surface that the ray starts on, NaN at the camera
     weight: Floats  # without the division by the number of samples
-    medium: NDArray[np.int32]  # object the ray is inside of, or -1
+    medium: NDArray[np.int32]  # object that the ray last entered, or -1
     pixel: NDArray[np.int64]
 
     def __getitem__(self, rows: NDArray) -> _Rays:
@@ -100,74 +101,76 @@ def trace_hit_points(
     min_weight: float = 1e-3,
     n_threads: int | None = None,
 ) -> tuple[HitPoints, FirstSurfaces]:
-    """Follow the rays of some rows of the picture to diffuse surfaces.
+    """Trace the rays of some rows of the image to diffuse surfaces.
 
-    At a dielectric a ray goes on as two, weighted by Fresnel's reflectance and the rest; the
+    At a dielectric a ray splits in two, weighted by the Fresnel reflectance and its complement; the
     refracted one also by (n_camera/n_other)², as radiance is. Beer–Lambert applies inside, though
     not between a camera in glass and another object in the same glass: the camera is taken to be
-    outside unless the first thing met is a dielectric from behind.
+    outside unless the first hit is a dielectric from behind.
 
     Parameters
     ----------
     scene, caster : Scene, RayCaster
-        The scene and its objects, ready to be hit.
+        The scene, and a caster of its objects.
     camera : Camera
-        The camera, which may be another than the scene's.
+        The camera; it need not be that of the scene.
     rows : range
         Rows of pixels.
     supersampling, offset : int, (float, float)
-        s·s samples per pixel; where in the cells of their grid they are.
+        s·s samples per pixel; their position in the cells of the sample grid.
     max_depth : int
-        Smooth surfaces a ray may meet; what lies beyond is black.
+        Largest number of specular events of a ray; what lies beyond is black.
     min_weight : float
-        Rays of less weight than this in every channel are not followed.
+        Rays of less weight than this in every channel are not traced.
     n_threads : int, optional
         Threads to use; None for every core. The result does not depend on it.
 
     Returns
     -------
     HitPoints, FirstSurfaces
-        The diffuse points; normal and depth of the first surface seen.
+        The diffuse points; normal and depth of the first surfaces.
 
     Raises
     ------
     ValueError
-        If rows are none or not in the picture, or a number is out of its range.
+        If there are no rows, rows are not in the image, or a number is out of its range.
     """
     threads = thread_count(n_threads)
     least = positive(min_weight, "min_weight")
     count(max_depth, "max_depth", low=0, high=MAX_DEPTH)
     rays = _camera_rays(*pixel_rays(camera, rows, supersampling, offset=offset))
     found = caster.intersect(rays.origin, rays.direction, n_threads=threads)
-    table = scene.material_table()
+    materials = Materials(scene.material_table())
     points = []
-    for onward, reached in _levels(caster, rays, found, table, min_weight=least, n_threads=threads):
-        diffuse = table.kind[reached.object_id] == DIFFUSE
-        points.append(_hit_points(onward[diffuse], reached[diffuse], table, supersampling**2))
+    for segments, hits in _levels(
+        caster, rays, found, materials, min_weight=least, n_threads=threads
+    ):
+        diffuse = materials.diffuse[hits.object_id]
+        points.append(_hit_points(segments[diffuse], hits[diffuse], materials, supersampling**2))
         if len(points) > max_depth:
             break
-    return _joined(points), _first_surfaces(camera, rays, found)
+    return _concatenate_points(points), _first_surfaces(camera, rays, found)
 
 
 def _levels(
     caster: RayCaster,
     rays: _Rays,
     found: Intersections,
-    table: MaterialTable,
+    materials: Materials,
     *,
     min_weight: float,
     n_threads: int,
 ) -> Iterator[tuple[_Rays, Intersections]]:
-    """Yield rays and what they hit, misses left out: from the camera, then after each split."""
+    """Yield rays and their hits, without misses: from the camera, then after each split."""
     while True:
         rays, found = rays[found.hit], found[found.hit]
-        rays = _absorb(rays, found, table)
+        rays = _absorb(rays, found, materials)
         yield rays, found
-        smooth = table.kind[found.object_id] != DIFFUSE
-        if not smooth.any():
+        specular = ~materials.diffuse[found.object_id]
+        if not specular.any():
             return
         rays = _split(
-            rays[smooth], found[smooth], table, min_weight=min_weight, n_threads=n_threads
+            rays[specular], found[specular], materials, min_weight=min_weight, n_threads=n_threads
         )
         found = caster.intersect(
             rays.origin, rays.direction, origin_normal=rays.origin_normal, n_threads=n_threads
@@ -194,41 +197,35 @@ def _first_surfaces(camera: Camera, rays: _Rays, found: Intersections) -> FirstS
     )
 
 
-def _from_behind(rays: _Rays, found: Intersections) -> NDArray[np.bool_]:
-    return np.einsum("ij,ij->i", rays.direction, found.geometric_normal) > 0.0
-
-
 def _seen_normal(rays: _Rays, found: Intersections) -> Floats:
-    """Return shading normals on the side of the face that the ray comes from."""
-    return np.where(_from_behind(rays, found), -1.0, 1.0)[:, None] * found.shading_normal
+    """Shading normals on the side of the face that the ray comes from."""
+    behind = from_behind(rays.direction, found.geometric_normal)
+    return np.where(behind, -1.0, 1.0)[:, None] * found.shading_normal
 
 
-def _absorb(rays: _Rays, found: Intersections, table: MaterialTable) -> _Rays:
-    """Apply Beer–Lambert on the way to the hits.
-
-    Meeting a dielectric from behind is being inside it, whatever was entered before.
-    """
-    leaves = _from_behind(rays, found) & (table.kind[found.object_id] == DIELECTRIC)
-    medium = np.where(leaves, found.object_id, rays.medium)
+def _absorb(rays: _Rays, found: Intersections, materials: Materials) -> _Rays:
+    """Apply Beer–Lambert on the way to the hits."""
+    medium, _ = materials.media(rays.direction, found, rays.medium)
     inside = np.flatnonzero(medium >= 0)
     weight = rays.weight.copy()
-    depth = table.absorption[medium[inside]] * found.distance[inside, None]
+    depth = materials.table.absorption[medium[inside]] * found.distance[inside, None]
     weight[inside] *= np.exp(-depth)
     return replace(rays, weight=weight)
 
 
 def _split(
-    rays: _Rays, found: Intersections, table: MaterialTable, *, min_weight: float, n_threads: int
+    rays: _Rays, found: Intersections, materials: Materials, *, min_weight: float, n_threads: int
 ) -> _Rays:
-    """Return reflections and refractions of rays at smooth surfaces, less the faint ones."""
+    """Reflections and refractions of rays at specular surfaces, without the faint ones."""
     n = len(found)
     direction, weight = np.empty((2 * n, 3)), np.empty((2 * n, 3))
     medium = np.empty(2 * n, dtype=np.int32)
-    Surfaces(table).split(
-        rays.direction,
-        rays.weight,
-        rays.medium,
+    split(
+        materials,
         found,
+        direction=rays.direction,
+        weight=rays.weight,
+        medium=rays.medium,
         out_direction=direction,
         out_weight=weight,
         out_medium=medium,
@@ -247,19 +244,19 @@ def _split(
 
 
 def _hit_points(
-    rays: _Rays, found: Intersections, table: MaterialTable, n_samples: int
+    rays: _Rays, found: Intersections, materials: Materials, n_samples: int
 ) -> HitPoints:
     return HitPoints(
         pixel=rays.pixel,
         position=found.position,
         normal=_seen_normal(rays, found),
-        albedo=table.reflectance[found.object_id],
+        albedo=materials.table.reflectance[found.object_id],
         weight=rays.weight / n_samples,
         object_id=found.object_id,
     )
 
 
-def _joined(parts: list[HitPoints]) -> HitPoints:
+def _concatenate_points(parts: list[HitPoints]) -> HitPoints:
     return HitPoints(
         **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(HitPoints)}
     )

@@ -1,4 +1,4 @@
-"""Optics of smooth surfaces: reflect, refract, Fresnel, Beer–Lambert, for arrays.
+"""Optics of smooth surfaces for arrays: reflection, refraction, Fresnel and Beer–Lambert.
 
 Normals face against the incoming direction; indices are those of the side the ray comes from
 (`n1`) and of the other side (`n2`).
@@ -13,14 +13,14 @@ from .._ext.transport import optics as _kernel
 from .._util.parallel import thread_count
 from .._util.validation import Floats, float_array, unit_vectors
 
-# How far rounding may carry a cosine out of [0, 1].
+# Rounding error allowed in cosines, beyond [0, 1].
 _COSINE_SLACK = 1e-9
 
 
 def fresnel(
     cos_i: ArrayLike, n1: ArrayLike, n2: ArrayLike, *, n_threads: int | None = None
 ) -> Floats:
-    """Return the reflectance of a smooth interface for unpolarised light.
+    """Fresnel reflectance of a smooth interface for unpolarised light.
 
     Parameters
     ----------
@@ -59,12 +59,12 @@ def fresnel(
 
 
 def reflect(direction: ArrayLike, normal: ArrayLike, *, n_threads: int | None = None) -> Floats:
-    """Return the mirror direction of each ray.
+    """Mirror direction of each ray.
 
     Parameters
     ----------
     direction, normal : (n, 3) array_like
-        Travelling directions and surface normals; need not be of unit length.
+        Directions of propagation and surface normals; need not be of unit length.
     n_threads : int, optional
         Threads to use; None for all cores.
 
@@ -93,12 +93,12 @@ def refract(
     *,
     n_threads: int | None = None,
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the refracted direction of each ray, by Snell's law.
+    """Refracted direction of each ray, by Snell's law.
 
     Parameters
     ----------
     direction, normal : (n, 3) array_like
-        Travelling directions and normals facing against them; need not be of unit length.
+        Directions of propagation and normals facing against them; need not be of unit length.
     n1, n2 : (n,) array_like or float
         Index of refraction on the side of the ray and on the other side.
     n_threads : int, optional
@@ -136,7 +136,7 @@ def refract(
 def beer_lambert(
     absorption: ArrayLike, distance: ArrayLike, *, n_threads: int | None = None
 ) -> Floats:
-    """Return the transmittance exp(-absorption · distance) of an absorbing medium.
+    """Transmittance exp(-absorption · distance) of an absorbing medium.
 
     Parameters
     ----------
@@ -169,6 +169,12 @@ def beer_lambert(
     out = np.empty((len(lengths), 3))
     _kernel.beer_lambert(_rows(coefficient, out.shape), lengths, out, thread_count(n_threads))
     return out
+
+
+def from_behind(direction: Floats, geometric_normal: Floats) -> NDArray[np.bool_]:
+    """True for rays (n, 3) that meet the back of their face, (n,)."""
+    behind: NDArray[np.bool_] = np.einsum("ij,ij->i", direction, geometric_normal) > 0.0
+    return behind
 
 
 def _index(value: ArrayLike, name: str) -> Floats:

@@ -29,15 +29,15 @@ from numpy.typing import NDArray
 
 from .._ext.transport import trace as _kernel
 from .._ext.transport.deposits import Columns, Deposits
+from .._ext.transport.materials import Materials
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, check_choice, check_seed, count, float_array
 from ..photons.energy_ledger import PATH_OUTCOMES, EnergyLedger
 from ..photons.photon_map import NothingStoredError, PhotonMap
-from ..scene.materials import DIFFUSE
 from ..scene.scene import Scene
 from .emission import LUMINANCE, PATHS, SAMPLERS, EmissionPlan, emission, plan_emission
-from .frequency.spectra import Retraced, SpectrumTracer, joined, surfaces
+from .frequency.spectra import ReplayBatch, SpectrumTracer, batches_by_emitter
 from .raycast import RayCaster
 
 # Far beyond any path that matters; a mirrored room would keep its light for ever.
@@ -118,7 +118,7 @@ def trace_photons(
     how = _checked(seed, paths, sampler, max_bounces, frequency_share)
     plan = plan_emission(scene, n_emitted, paths)
     most = min(count(batch_size, "batch_size"), int(plan.counts.max()))
-    size = -(-most // _kernel.BLOCK) * _kernel.BLOCK
+    size = -(-most // _kernel.LEDGER_BLOCK) * _kernel.LEDGER_BLOCK
     tracer = _Tracer(scene, caster or RayCaster(scene.objects), plan, how, size=size)
     return _traced(tracer, thread_count(n_threads), progress)
 
@@ -197,15 +197,15 @@ class _Tracer:
     def __init__(
         self, scene: Scene, caster: RayCaster, plan: EmissionPlan, how: _How, *, size: int
     ) -> None:
-        table = scene.material_table()
-        if not (table.kind == DIFFUSE).any():
+        materials = Materials(scene.material_table())
+        if not materials.diffuse.any():
             raise ValueError(
                 "scene should have a Diffuse object to store photons on, "
                 f"but none of its {len(scene.objects)} objects is"
             )
         self.size = size
         self._scene, self.plan = scene, plan
-        self._surfaces = surfaces(table)
+        self._materials = materials
         self._caster = caster
         self.how = how
         self._flux = plan.flux_per_photon
@@ -217,7 +217,7 @@ class _Tracer:
     def trace(self, job: Job) -> _Batch:
         """Follow some photons of one emitter to their ends."""
         emitter_id, photons = job
-        energy = np.zeros((-(-len(photons) // _kernel.BLOCK), len(PATH_OUTCOMES), 3))
+        energy = np.zeros((-(-len(photons) // _kernel.LEDGER_BLOCK), len(PATH_OUTCOMES), 3))
         ends = np.zeros(len(PATH_OUTCOMES), dtype=np.int64)
         paths = self._paths()
         paths.start(
@@ -232,7 +232,7 @@ class _Tracer:
         account = _Account(emitter_id, len(photons), energy, ends, paths.n_met_specular)
         return _Batch(paths, account, photons.start)
 
-    def chosen(self, batch: _Batch, first_row: int) -> Retraced:
+    def chosen(self, batch: _Batch, first_row: int) -> ReplayBatch:
         """Return which photons of a batch, written from a row on, are to get spectra."""
         emitter_id, n = batch.account.emitter_id, batch.account.n_paths
         drawn = np.empty(n, dtype=np.uint8)
@@ -240,10 +240,10 @@ class _Tracer:
         ends = batch.paths.deposits.ends()
         starts = np.concatenate([[0], ends[:-1]])
         path = np.flatnonzero((drawn > 0) & (ends > starts))
-        return Retraced(emitter_id, batch.first + path, first_row + starts[path])
+        return ReplayBatch(emitter_id, batch.first + path, first_row + starts[path])
 
     def spectra(
-        self, chosen: list[Retraced], n_stored: int, n_threads: int, progress: Progress | None
+        self, chosen: list[ReplayBatch], n_stored: int, n_threads: int, progress: Progress | None
     ) -> Floats:
         """Return the column of spectra, NaN for photons not among the chosen."""
         tracer = SpectrumTracer(
@@ -257,7 +257,7 @@ class _Tracer:
         )
         out = np.full((n_stored, 3), np.nan)
         report = Reporter(progress, "spectra", sum(len(some.rows) for some in chosen))
-        for some in joined(chosen):
+        for some in batches_by_emitter(chosen):
             out[some.rows] = tracer.spectra(some)
             report.advance(len(some.rows))
         return out
@@ -271,11 +271,11 @@ class _Tracer:
             return self._put_away.pop()
         except IndexError:
             return _kernel.Paths(
-                self._surfaces,
+                self._materials,
                 self._caster.frame,
                 self._caster.triangles,
                 self.size,
-                wanted=PATHS.index(self.how.paths),
+                path_filter=PATHS.index(self.how.paths),
                 max_bounces=self.how.max_bounces,
             )
 

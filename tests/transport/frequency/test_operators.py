@@ -8,7 +8,6 @@ import pytest
 from photonrelax.transport.frequency import operators
 from photonrelax.transport.frequency.operators import (
     COSINE_LOBE,
-    carried,
     deposited,
     diffused,
     kernel_radius,
@@ -25,6 +24,11 @@ PACKETS = [
 INCIDENCE = 0.7
 
 
+def carried(spectrum, operator):
+    """Spectra after an operator: K Σ Kᵀ."""
+    return operator @ spectrum @ np.swapaxes(operator, -1, -2)
+
+
 def light(x, theta):
     total = np.zeros(np.broadcast(x, theta).shape)
     for centre, axes, wave, weight in PACKETS:
@@ -36,7 +40,7 @@ def light(x, theta):
 
 
 def moments(field, size=(1.0, 1.0), n=512, reach=24.0):
-    """Return Σ of a light field: the second moments of the amplitude of its FFT, (1, 2, 2).
+    """Σ of a light field: the second moments of the amplitude of its FFT, (1, 2, 2).
 
     The field is sampled to `reach` times its sizes.
     """
@@ -62,8 +66,8 @@ def assert_carries(operator, transformed, size=(1.0, 1.0), size_out=None, rtol=1
     assert not (np.abs(before - after) <= 10 * limit).all()
 
 
-def test_travel_shears_the_angles_frequencies():
-    assert_carries(operators.travel(0.8 * ONE), lambda x, theta: light(x - 0.8 * theta, theta))
+def test_propagation_shears_the_angles_frequencies():
+    assert_carries(operators.propagate(0.8 * ONE), lambda x, theta: light(x - 0.8 * theta, theta))
 
 
 def test_a_tilted_surface_stretches_space():
@@ -72,11 +76,13 @@ def test_a_tilted_surface_stretches_space():
 
 def test_a_turning_normal_shears_spaces_frequencies():
     bend = np.full((1, 1, 1), 0.5)
-    assert_carries(operators.curve(bend), lambda x, theta: light(x, theta - 0.5 * x))
+    assert_carries(operators.curvature(bend), lambda x, theta: light(x, theta - 0.5 * x))
 
 
 def test_angles_scale():
-    assert_carries(operators.turn(np.full((1, 1), 1.4)), lambda x, theta: light(x, theta / 1.4))
+    assert_carries(
+        operators.scale_angles(np.full((1, 1), 1.4)), lambda x, theta: light(x, theta / 1.4)
+    )
 
 
 @pytest.mark.parametrize("radius", [1.0, -1.7])
@@ -109,7 +115,7 @@ def test_an_interface_is_snells_law_at_a_circle(radius, ratio):
 
 
 def before_mirror(x, theta, radius):
-    """Return (x, θ) of the ray that leaves a circle as (x, θ), before it came there."""
+    """(x, θ), before it is reflected, of the ray that leaves a circle as (x, θ)."""
     i = INCIDENCE
     direction = rotated((np.sin(i), np.cos(i)), (np.cos(i), -np.sin(i)), theta)
     point, normal = on_circle(
@@ -138,7 +144,7 @@ def rotated(ahead, aside, theta):
 
 
 def on_circle(start, direction, radius):
-    """Return where lines meet a circle through the origin below it (above, if negative)."""
+    """Intersections of lines and a circle through the origin, below it (above, if negative)."""
     offset = start - np.array([0.0, -radius])[:, None, None]
     b, c = (offset * direction).sum(axis=0), (offset**2).sum(axis=0) - radius**2
     # The root near zero, without cancellation.
@@ -148,7 +154,7 @@ def on_circle(start, direction, radius):
 
 
 def across(point, incoming):
-    """Return (x, θ) of rays as measured from the one that comes to the origin."""
+    """(x, θ) of rays relative to the one that arrives at the origin."""
     i = INCIDENCE
     ahead = np.array([np.sin(i), -np.cos(i)])[:, None, None]
     aside = np.array([np.cos(i), np.sin(i)])[:, None, None]
@@ -243,7 +249,7 @@ def test_slices_of_parallel_light_beyond_a_focus_are_exact(focal_length):
     beam[:, [2, 3], [2, 3]] = 1.0 / (4.0 * np.pi**2 * 1e-12)
     beam = occluded(beam, 0.3 * focal)
     mirror = operators.reflect(np.ones(40), np.eye(2) * (-0.5 / focal)[:, None, None])
-    there = operators.travel(distance, 2) @ mirror @ root(beam)
+    there = operators.propagate(distance, 2) @ mirror @ root(beam)
     exact = [beyond_a_mirror(*each) for each in zip(beam, focal, distance, strict=True)]
     np.testing.assert_allclose(operators.roughest(there)[:, 0], exact, rtol=1e-9)
 
@@ -258,10 +264,10 @@ def beyond_a_mirror(beam, focal, distance):
 
 def test_a_point_lights_smoothly_from_afar_and_a_parallel_beam_keeps_its_pattern():
     dot, lobe = 1e8, 0.5
-    far = carried(np.diag([dot, lobe])[np.newaxis], operators.travel(3.0 * ONE))
+    far = carried(np.diag([dot, lobe])[np.newaxis], operators.propagate(3.0 * ONE))
     assert slice_of(far) == pytest.approx(lobe / 3.0**2, rel=1e-6)
     pattern, parallel = 0.3, 1e8
-    same = carried(np.diag([pattern, parallel])[np.newaxis], operators.travel(3.0 * ONE))
+    same = carried(np.diag([pattern, parallel])[np.newaxis], operators.propagate(3.0 * ONE))
     assert slice_of(same) == pytest.approx(pattern, rel=1e-6)
 
 
@@ -269,9 +275,9 @@ def test_a_concave_mirror_shrinks_a_pattern_towards_its_focus():
     beam = np.diag([0.3, 1e8])[np.newaxis]
     mirror = operators.reflect(ONE, np.full((1, 1, 1), -0.5))  # focal length 1
     for distance in (0.5, 0.9, 1.5, 3.0):
-        there = carried(carried(beam, mirror), operators.travel(distance * ONE))
+        there = carried(carried(beam, mirror), operators.propagate(distance * ONE))
         assert slice_of(there) == pytest.approx(0.3 / (1 - distance) ** 2, rel=1e-6)
-    focus = carried(carried(beam, mirror), operators.travel(ONE))
+    focus = carried(carried(beam, mirror), operators.propagate(ONE))
     assert slice_of(focus) == pytest.approx(1e8, rel=1e-6)
 
 

@@ -1,4 +1,4 @@
-"""Spectra that photons carry: along their paths, and what they say about the light there."""
+"""Local frequency spectra of photons: along their paths, and against the light they describe."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ import photonrelax as pr
 from photonrelax import gallery
 from photonrelax.transport.emission import plan_emission
 from photonrelax.transport.frequency.operators import diffused, kernel_radius
-from photonrelax.transport.frequency.path_replay import Follower, Ways
+from photonrelax.transport.frequency.path_replay import PathEvents, PathReplayer
 from photonrelax.transport.frequency.spectra import _Bundle
 from photonrelax.transport.raycast import RayCaster
 from tests.helpers.tracing_scenes import DOWN, SCENES, box, floor
@@ -21,7 +21,7 @@ def carriers(photons):
     return photons.subset(~np.isnan(photons.spectrum[:, 0]))
 
 
-WAYS = {
+PATHS = {
     "off the bend": ("reflector", [[1, 0]], [[True, False]], [[-0.1, 0.45], [0.25, 0.3]]),
     "through the ball": (
         "sphere",
@@ -38,11 +38,11 @@ WAYS = {
 }
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("point", [False, True])
-def test_operators_tell_where_neighbouring_rays_land(way, point):
+def test_operators_tell_where_neighbouring_rays_land(path, point):
     """The operator is carried along; the rays are cast."""
-    name, objects, reflected, places = WAYS[way]
+    name, objects, reflected, places = PATHS[path]
     scene = gallery.scene(name)
     if point:  # far enough for its rays to fall almost as the parallel ones do
         towards = np.asarray(scene.emitters[0].direction)
@@ -51,21 +51,24 @@ def test_operators_tell_where_neighbouring_rays_land(way, point):
     region = plan_emission(scene, 1000).regions[0]
     n = len(places)
     bundle = bundle_at(region, np.array(places))
-    ways = Ways(np.repeat(objects, n, 0), np.repeat(reflected, n, 0), np.full(n, len(objects[0])))
-    follower = Follower(scene, RayCaster(scene.objects))
-    landings = follower.follow(bundle.beams(), ways)
-    assert not np.isnan(landings.position).any()
+    events = PathEvents(
+        np.repeat(objects, n, 0), np.repeat(reflected, n, 0), np.full(n, len(objects[0]))
+    )
+    replayer = PathReplayer(scene, RayCaster(scene.objects))
+    hits = replayer.replay(bundle.rays(), events)
+    assert not np.isnan(hits.position).any()
     # Some facets wide; on each of them normals turn at one rate, which differs by some percent.
     step = 0.01 if not point else 0.01 / 15.0
-    stretch = bundle.stretch(landings)
+    jacobian = bundle.jacobian(hits)
     for axis in np.eye(2):
         there, back = (
-            follower.follow(bundle.beside(np.tile(s * step * axis, (n, 1))), ways) for s in (1, -1)
+            replayer.replay(bundle.probes(np.tile(s * step * axis, (n, 1))), events)
+            for s in (1, -1)
         )
-        moved = np.einsum("nij,nj->ni", landings.axes, there.position - back.position)
+        moved = np.einsum("nij,nj->ni", hits.axes, there.position - back.position)
         found = moved / (2 * step)
-        limit = 0.05 * np.linalg.norm(stretch, axis=(1, 2))
-        assert (np.linalg.norm(found - stretch @ axis, axis=1) < limit).all()
+        limit = 0.05 * np.linalg.norm(jacobian, axis=(1, 2))
+        assert (np.linalg.norm(found - jacobian @ axis, axis=1) < limit).all()
 
 
 def bundle_at(region, places):
@@ -129,7 +132,7 @@ def test_kernels_stay_off_the_edge_of_a_shadow_and_grow_with_the_distance_from_i
     beside = (z == 0.0) & (x > 0.05) & (x < 3.0) & (np.abs(y) < 4.0)
     assert beside.sum() > 200
     radius = allowed(photons.subset(beside))
-    # Rungs 2^(1/4) apart, and spokes, cost at most 1/1.4.
+    # Offsets 2^(1/4) apart, and angles between probes, cost at most 1/1.4.
     assert (radius < 0.33 * x[beside]).all()
     assert (radius > 0.15 * x[beside]).all()
 
@@ -168,10 +171,10 @@ def test_throughput_is_that_of_fresnel_and_of_beer_and_lambert(kappa):
     glass = pr.SceneObject(box([4, 4, 0.5], [0, 0, 1]), pr.Dielectric(1.5, absorption=kappa))
     scene = pr.Scene([floor(), glass], [DOWN])
     region = plan_emission(scene, 10).regions[0]
-    ways = Ways(np.array([[1, 1, 0]]), np.zeros((1, 3), dtype=bool), np.array([3]))
-    follower = Follower(scene, RayCaster(scene.objects))
-    landings = follower.follow(bundle_at(region, np.array([[0.1, 0.2]])).beams(), ways)
-    np.testing.assert_allclose(landings.throughput, 0.96**2 * np.exp(-0.5 * kappa), rtol=1e-9)
+    events = PathEvents(np.array([[1, 1, 0]]), np.zeros((1, 3), dtype=bool), np.array([3]))
+    replayer = PathReplayer(scene, RayCaster(scene.objects))
+    hits = replayer.replay(bundle_at(region, np.array([[0.1, 0.2]])).rays(), events)
+    np.testing.assert_allclose(hits.throughput, 0.96**2 * np.exp(-0.5 * kappa), rtol=1e-9)
 
 
 @pytest.mark.parametrize("lamp", [pr.PointEmitter, pr.LambertianEmitter])

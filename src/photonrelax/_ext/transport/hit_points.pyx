@@ -1,71 +1,66 @@
-"""Camera rays at smooth surfaces: each splits into its reflection and its refraction."""
+"""Camera rays at specular surfaces: each splits into its reflection and its refraction.
+
+Every loop body writes only rows 2i and 2i + 1.
+"""
 
 from cython.parallel cimport prange
+from libc.stdint cimport int32_t
 
 from ..common.vec3 cimport dot
-from .optics cimport facing_normal, fresnel_reflectance, reflect_into, refract_into
+from .materials cimport (
+    Interface, Materials, interface_at, medium_at_hit, medium_beyond, reflected_share,
+)
+from .optics cimport reflect_into, refract_into
 
-# MaterialTable.kind
-cdef enum:
-    DIELECTRIC = 2
+
+def split(
+    Materials materials, hits, *, const double[:, ::1] direction, const double[:, ::1] weight,
+    const int32_t[::1] medium, double[:, ::1] out_direction, double[:, ::1] out_weight,
+    int32_t[::1] out_medium, int n_threads,
+):
+    """Write the two continuations of ray i to rows 2i (reflected) and 2i + 1 (refracted).
+
+    Directions are unit vectors; `medium` are the objects that rays last entered, -1 for none. A
+    continuation that does not exist has weight 0.
+    """
+    cdef const int32_t[::1] object_id = hits.object_id
+    cdef const double[:, ::1] geometric = hits.geometric_normal
+    cdef const double[:, ::1] shading = hits.shading_normal
+    cdef Py_ssize_t i
+    for i in prange(direction.shape[0], nogil=True, num_threads=n_threads, schedule="static"):
+        split_direction(
+            &out_direction[2 * i, 0], &out_weight[2 * i, 0], materials, object_id[i],
+            &direction[i, 0], &weight[i, 0], &geometric[i, 0], &shading[i, 0],
+        )
+        split_media(
+            &out_medium[2 * i], materials, object_id[i],
+            dot(&direction[i, 0], &geometric[i, 0]) > 0.0, medium[i],
+        )
 
 
-cdef class Surfaces:
-    """The materials of objects, row by object_id."""
+cdef void split_direction(
+    double* out_direction, double* out_weight, Materials materials, int32_t object_id,
+    const double* d, const double* weight, const double* geometric, const double* shading,
+) noexcept nogil:
+    """Write two rows: 6 numbers of direction and 6 of weight."""
+    cdef Interface at
+    cdef double reflected
+    cdef int c
+    interface_at(&at, materials, object_id, d, geometric, shading)
+    reflected = reflected_share(materials, object_id, -dot(d, at.normal), at.n1, at.n2)
+    reflect_into(out_direction, d, at.normal)
+    for c in range(3):
+        out_direction[3 + c] = d[c]
+    if reflected < 1.0:
+        refract_into(out_direction + 3, d, at.normal, at.n1, at.n2)
+    for c in range(3):
+        out_weight[c] = weight[c] * reflected * materials.reflectance[object_id, c]
+        # Radiance over the square of the index is constant across an interface.
+        out_weight[3 + c] = weight[c] * (1.0 - reflected) * (at.n1 / at.n2) ** 2
 
-    cdef const int[::1] kind
-    cdef const double[:, ::1] reflectance
-    cdef const double[::1] ior
-    cdef const double[::1] exterior_ior
 
-    def __init__(self, table):
-        self.kind = table.kind
-        self.reflectance = table.reflectance
-        self.ior = table.ior
-        self.exterior_ior = table.exterior_ior
-
-    def split(self, const double[:, ::1] direction, const double[:, ::1] weight,
-              const int[::1] medium, hits, *, double[:, ::1] out_direction,
-              double[:, ::1] out_weight, int[::1] out_medium, int n_threads):
-        """Write the two continuations of ray i to rows 2i (reflected) and 2i + 1 (refracted).
-
-        Directions are unit vectors. A continuation that does not exist has weight 0 and the
-        direction of its ray.
-        """
-        cdef const int[::1] object_id = hits.object_id
-        cdef const double[:, ::1] geometric = hits.geometric_normal
-        cdef const double[:, ::1] shading = hits.shading_normal
-        cdef Py_ssize_t i
-        for i in prange(direction.shape[0], nogil=True, num_threads=n_threads, schedule="static"):
-            self.split_one(
-                object_id[i], &direction[i, 0], &weight[i, 0], medium[i], &geometric[i, 0],
-                &shading[i, 0], &out_direction[2 * i, 0], &out_weight[2 * i, 0],
-                &out_medium[2 * i])
-
-    cdef void split_one(self, int item, const double* d, const double* weight, int medium,
-                        const double* geometric, const double* shading, double* out_d,
-                        double* out_weight, int* out_medium) noexcept nogil:
-        """Write two rows: 6 numbers of direction, 6 of weight, 2 media."""
-        cdef bint inside = dot(d, geometric) > 0.0
-        cdef bint transparent = self.kind[item] == DIELECTRIC
-        cdef double n1 = 1.0
-        cdef double n2 = 1.0
-        cdef double reflected = 1.0
-        cdef double n[3]
-        cdef int axis
-        if transparent:
-            n1 = self.ior[item] if inside else self.exterior_ior[item]
-            n2 = self.exterior_ior[item] if inside else self.ior[item]
-        facing_normal(n, d, geometric, shading, n1, n2)
-        reflect_into(out_d, d, n)
-        for axis in range(3):
-            out_d[3 + axis] = d[axis]
-        if transparent:
-            reflected = fresnel_reflectance(-dot(d, n), n1, n2)
-            refract_into(out_d + 3, d, n, n1, n2)
-        for axis in range(3):
-            out_weight[axis] = weight[axis] * reflected * self.reflectance[item, axis]
-            # Radiance over index squared is what an interface keeps.
-            out_weight[3 + axis] = weight[axis] * (1.0 - reflected) * (n1 / n2) ** 2
-        out_medium[0] = item if transparent and inside else medium
-        out_medium[1] = -1 if inside else item
+cdef void split_media(
+    int32_t* out, Materials materials, int32_t object_id, bint inside, int32_t medium
+) noexcept nogil:
+    out[0] = medium_at_hit(materials, object_id, inside, medium)
+    out[1] = medium_beyond(object_id, inside)

@@ -1,4 +1,4 @@
-"""Inline optics shared by the kernels.
+"""Optics of smooth interfaces, as inline functions for kernels.
 
 Normals face against the incoming direction: -dot(d, n) is the cosine of incidence, >= 0. The
 forms below keep their relative precision at grazing incidence and for nearly equal indices,
@@ -11,13 +11,13 @@ from ..common.vec3 cimport dot, normalise
 
 
 cdef inline double cos_refracted_squared(double cos_i, double n1, double n2) noexcept nogil:
-    """Snell's law for cosines; negative is total internal reflection."""
+    """Squared cosine of refraction, by Snell's law; negative for total internal reflection."""
     cdef double sin2_i = (1.0 - cos_i) * (1.0 + cos_i)
     return cos_i * cos_i + (n2 - n1) / n2 * ((n2 + n1) / n2) * sin2_i
 
 
 cdef inline double fresnel_reflectance(double cos_i, double n1, double n2) noexcept nogil:
-    """Unpolarised mean of both Fresnel reflectances.
+    """Fresnel reflectance for unpolarised light.
 
     The numerators of r_s and r_p are expanded by their denominators, which turns
     n1 cos_i - n2 cos_t into (n1^2 - n2^2) / (n1 cos_i + n2 cos_t), and likewise for p.
@@ -42,6 +42,7 @@ cdef inline double fresnel_reflectance(double cos_i, double n1, double n2) noexc
 
 
 cdef inline void reflect_into(double* out, const double* d, const double* n) noexcept nogil:
+    """Write the reflected unit direction."""
     cdef double twice = 2.0 * dot(d, n)
     out[0] = d[0] - twice * n[0]
     out[1] = d[1] - twice * n[1]
@@ -52,7 +53,7 @@ cdef inline void reflect_into(double* out, const double* d, const double* n) noe
 cdef inline bint refract_into(
     double* out, const double* d, const double* n, double n1, double n2
 ) noexcept nogil:
-    """Write the refracted unit direction; false, and nothing written, where there is none."""
+    """Write the refracted unit direction; false, and nothing written, for total reflection."""
     cdef double cos_i = -dot(d, n)
     cdef double ratio = n1 / n2
     cdef double cos2_t = cos_refracted_squared(cos_i, n1, n2)
@@ -69,26 +70,27 @@ cdef inline bint refract_into(
     return True
 
 
-cdef inline void facing_normal(
+cdef inline bint facing_normal(
     double* n, const double* d, const double* geometric, const double* shading, double n1, double n2
 ) noexcept nogil:
-    """Write the normal against d that light meets a surface with.
+    """Write the normal that faces a ray at a specular surface; true for the shading normal.
 
-    It is the shading normal where the reflection about it stays before the face and the
-    refraction, if there is one, goes behind; else the geometric normal. Mirrors have n1 = n2.
+    That is used where the reflection about it stays on the ray's side of the face and the
+    refraction, if there is one, goes to the other; else the geometric normal. Mirrors have n1 = n2.
     """
     cdef double side = -1.0 if dot(d, geometric) > 0.0 else 1.0
     cdef double[3] out
-    cdef bint sound
+    cdef bint consistent
     cdef int c
     for c in range(3):
         n[c] = side * shading[c]
-    sound = dot(d, n) < 0.0
-    if sound:
+    consistent = dot(d, n) < 0.0
+    if consistent:
         reflect_into(out, d, n)
-        sound = side * dot(out, geometric) > 0.0
-    if sound and refract_into(out, d, n, n1, n2):
-        sound = side * dot(out, geometric) < 0.0
-    if not sound:
+        consistent = side * dot(out, geometric) > 0.0
+    if consistent and refract_into(out, d, n, n1, n2):
+        consistent = side * dot(out, geometric) < 0.0
+    if not consistent:
         for c in range(3):
             n[c] = side * geometric[c]
+    return consistent

@@ -1,10 +1,10 @@
-"""Local spectra of light, after Durand et al. 2005: conventions, operators, the radius they allow.
+"""Local frequency spectra of light (Durand et al. 2005): conventions, operators, kernel radii.
 
-The poster on frequency-driven kernels (FPPM) leaves out its derivations; this is what is used here.
+The poster on frequency-driven kernels (FPPM) gives no derivations; these are used here.
 
 **Light field.** Around a ray, L(x, θ) is the light at distance x across the ray, m, that travels at
 the angle θ to it, rad, to first order in both. In three dimensions there are two such sections,
-one in the plane of incidence and one across it; vectors are then (x₁, x₂, θ₁, θ₂).
+one in the plane of incidence and one perpendicular to it; vectors are then (x₁, x₂, θ₁, θ₂).
 
 **Spectrum.** Its Fourier transform over Ω = (Ω_x, Ω_θ), cycles/m and cycles/rad, is taken to be
 the Gaussian exp(-½ Ωᵀ Σ⁻¹ Ω), of *amplitude*, not power, around Ω = 0, with
@@ -20,29 +20,31 @@ L'(v) = L(M⁻¹ v). By the change of variables in the Fourier integral L̂'(Ω)
 
     Ω' = K Ω,    Σ' = K Σ Kᵀ,    K = M⁻ᵀ.
 
-========== ================== =========================== ======================================
-event      rays               frequencies                 where it comes from
-========== ================== =========================== ======================================
-travel     x' = x + d θ       Ω_θ' = Ω_θ - d Ω_x          shear (Durand et al. 2005, §3)
-project    x' = x / cos θ₀    Ω_x' = cos θ₀ Ω_x           a tilted surface cuts the beam
-curve      θ' = θ + G x       Ω_x' = Ω_x - Gᵀ Ω_θ         angles to a normal that turns by G x
-turn       θ' = ρ θ           Ω_θ' = Ω_θ / ρ              Snell's law, differentiated
-rotate     v' = R v           Ω' = R Ω                    another frame across the ray
-========== ================== =========================== ======================================
+============ =============== =================== ==========================================
+event        rays            frequencies         where it comes from
+============ =============== =================== ==========================================
+propagate    x' = x + d θ    Ω_θ' = Ω_θ - d Ω_x  shear (Durand et al. 2005, §3)
+project      x' = x / cos θ₀ Ω_x' = cos θ₀ Ω_x   projection onto a tilted surface
+curvature    θ' = θ + G x    Ω_x' = Ω_x - Gᵀ Ω_θ angles to a normal that changes by G x
+scale_angles θ' = ρ θ        Ω_θ' = Ω_θ / ρ      Snell's law, differentiated
+rotate       v' = R v        Ω' = R Ω            another frame across the ray
+============ =============== =================== ==========================================
 
-A mirror is project, curve, curve, project back; an interface has turn between the two curves:
-n₁ sin θ₁ = n₂ sin θ₂ gives dθ₂ = n₁ cos θ₁ / (n₂ cos θ₂) dθ₁ in the plane of incidence and
-n₁ / n₂ across it. Where the normal turns by S x along the surface, angles in the plane of incidence
-change by S x and those across it by cos θ₀ S x, the share of the ray that lies along the normal.
-(Belcour et al.'s covariance tracing is the same algebra on power spectra.)
+A mirror is projection, curvature twice, and projection back; an interface scales angles between the
+two curvatures: n₁ sin θ₁ = n₂ sin θ₂ gives dθ₂ = n₁ cos θ₁ / (n₂ cos θ₂) dθ₁ in the plane of
+incidence and n₁ / n₂ perpendicular to it. Where the normal changes by S x along the surface (S is
+the shape operator), angles in the plane of incidence change by S x and those perpendicular to it by
+cos θ₀ S x, the component of the ray along the normal. (Belcour et al.'s covariance tracing is the
+same algebra on power spectra.)
 
-**Occlusion.** Light cut off, or bent in another way, at a distance s is multiplied by a window,
-exp(-x²/s²); spectra convolve, and those of Gaussians add: Σ' = Σ + diag(1 / (2π²s²), 0). The width
-is for light whose sheet is stretched by A, with s = |A / A'| the distance at which the stretch
-would vanish, in a fold: its irradiance 1/A has E''/E = 3 / (As)², which the bound below takes for
-8π² a, or a = 3 / (8π²s²) before the stretch; a third more keeps the bias at a fold, with all its
-orders, at 5 %. Next to a shadow's edge kernels then stay off the edge. Light that is not cut off
-but changes by half of itself at that distance, as at the angle of total reflection, counts as if.
+**Occlusion.** Light that is occluded, or takes another path, at a distance s is multiplied by a
+window, exp(-x²/s²); spectra convolve, and those of Gaussians add: Σ' = Σ + diag(1 / (2π²s²), 0).
+The width is for light whose sheet is stretched by A, with s = |A / A'| the distance at which the
+stretch would vanish, in a fold: its irradiance 1/A has E''/E = 3 / (As)², which the bound below
+takes for 8π² a, or a = 3 / (8π²s²) before the stretch; a third more keeps the bias at a fold, with
+all its orders, at 5 %. Next to a shadow's edge, kernels then stay off the edge. Light that changes
+by half of itself at that distance, as at the angle of total reflection, is treated like occluded
+light.
 
 **Deposit.** A Lambertian surface keeps E(x) = ∫ L cos θ dθ. The cosine, as the Gaussian of its
 variance σ² = π²/4 - 2, widens the spectrum over angle; the integral is its slice Ω_θ = 0, of
@@ -50,10 +52,10 @@ variance
 
     e = a - c² / (b + 1/(4π²σ²)).
 
-What is reflected has no angular frequency of its own, so FPPM's r_θ is infinite and r_x decides.
-Photons carry (e, b, c) rather than (a, b, c): a follows from these, while in light that is nearly
-parallel a and what is taken from it have all their digits in common. For the same reason spectra
-are carried along a path as roots F, Σ = F Fᵀ, and e is what F leaves (see `deposited`).
+The reflected light has no angular frequency, so FPPM's r_θ is infinite and r_x decides. Photons
+store (e, b, c) rather than (a, b, c): a follows from these, while in nearly parallel light the two
+terms of e cancel to all their digits. For the same reason spectra are propagated along a path as
+roots F, Σ = F Fᵀ, and e is computed from F (see `deposited`).
 
 **Radius.** Around a wave of frequency f the mean over a disc of radius r is 2 J₁(z)/z of its value,
 z = 2πfr, and 1 - 2 J₁(z)/z ≤ z²/8. Of an irradiance whose spectrum has variance a along both axes,
@@ -74,24 +76,18 @@ import numpy as np
 from ..._util.validation import Floats
 
 BIAS = 0.05
-"""Largest bias of a disc over the amplitude of what it averages."""
+"""Largest bias of the mean over a disc, relative to the amplitude of the light."""
 
 COSINE_LOBE = 1.0 / (4.0 * np.pi**2 * (np.pi**2 / 4.0 - 2.0))
 """Variance of the spectrum of cos θ over angle, cycles²/rad²."""
 
 _WINDOW = 1.0 / (2.0 * np.pi**2)
-# Grazing rays would make operators singular.
-_LEAST_COSINE = 1e-6
+# Operators are singular at grazing incidence.
+_MIN_COSINE = 1e-6
 
 
-def carried(spectrum: Floats, operator: Floats) -> Floats:
-    """Return spectra (n, 2s, 2s) after an operator: K Σ Kᵀ."""
-    moved: Floats = operator @ spectrum @ np.swapaxes(operator, -1, -2)
-    return moved
-
-
-def travel(distance: Floats, sections: int = 1) -> Floats:
-    """Return the operator (n, 2s, 2s) of `distance` (n,), m, through free space."""
+def propagate(distance: Floats, sections: int = 1) -> Floats:
+    """Operator (n, 2s, 2s) of free flight over `distance` (n,), m."""
     operator = _identity(len(distance), sections)
     for i in range(sections):
         operator[:, sections + i, i] = -distance
@@ -99,25 +95,25 @@ def travel(distance: Floats, sections: int = 1) -> Floats:
 
 
 def project(cosine: Floats, sections: int = 1) -> Floats:
-    """Return the operator of a surface at the cosine (n,): from across the ray to along it.
+    """Operator of the projection from across a ray onto a surface, at the cosine (n,) of incidence.
 
-    Only the first section, in the plane of incidence, is tilted. With 1 / cosine it leads back.
+    Only the first section, in the plane of incidence, is tilted. 1 / cosine projects back.
     """
     operator = _identity(len(cosine), sections)
     operator[:, 0, 0] = cosine
     return operator
 
 
-def curve(gradient: Floats) -> Floats:
-    """Return the operator that adds `gradient` (n, s, s), rad/m, times x to the angles."""
+def curvature(gradient: Floats) -> Floats:
+    """Operator that adds `gradient` (n, s, s), rad/m, times x to the angles."""
     n, sections, _ = gradient.shape
     operator = _identity(n, sections)
     operator[:, :sections, sections:] = -np.swapaxes(gradient, 1, 2)
     return operator
 
 
-def turn(scale: Floats) -> Floats:
-    """Return the operator that multiplies the angles in each section by `scale` (n, s)."""
+def scale_angles(scale: Floats) -> Floats:
+    """Operator that multiplies the angles in each section by `scale` (n, s)."""
     n, sections = scale.shape
     operator = _identity(n, sections)
     for i in range(sections):
@@ -126,21 +122,22 @@ def turn(scale: Floats) -> Floats:
 
 
 def rotate(rotation: Floats) -> Floats:
-    """Return the operator of another frame: `rotation` (n, 2, 2) has its axes as rows."""
+    """Operator of another frame across the ray: `rotation` (n, 2, 2) has its axes as rows."""
     operator = np.zeros((len(rotation), 4, 4))
     operator[:, :2, :2] = operator[:, 2:, 2:] = rotation
     return operator
 
 
 def reflect(cosine: Floats, shape: Floats) -> Floats:
-    """Return the operator of a mirror.
+    """Operator of a mirror.
 
     Parameters
     ----------
     cosine : (n,)
         Of incidence.
     shape : (n, s, s)
-        How the normal that faces the light turns along the surface, 1/m: positive for convex ones.
+        Shape operator of the surface for the normal that faces the light, 1/m: positive where
+        it is convex.
 
     Returns
     -------
@@ -148,14 +145,14 @@ def reflect(cosine: Floats, shape: Floats) -> Floats:
         Angles of the outgoing light are measured in the mirrored frame.
     """
     sections = shape.shape[1]
-    cosine = np.maximum(cosine, _LEAST_COSINE)
-    bend = 2.0 * _weighed(shape, cosine)
-    operator: Floats = project(1.0 / cosine, sections) @ curve(bend) @ project(cosine, sections)
+    cosine = np.maximum(cosine, _MIN_COSINE)
+    bend = curvature(2.0 * _angle_gradient(shape, cosine))
+    operator: Floats = project(1.0 / cosine, sections) @ bend @ project(cosine, sections)
     return operator
 
 
 def refract(cosine: Floats, cosine_out: Floats, ratio: Floats, shape: Floats) -> Floats:
-    """Return the operator of an interface.
+    """Operator of a dielectric interface.
 
     Parameters
     ----------
@@ -165,22 +162,26 @@ def refract(cosine: Floats, cosine_out: Floats, ratio: Floats, shape: Floats) ->
         Index of refraction on the side of the light over that beyond.
     shape : (n, s, s)
         As for `reflect`.
+
+    Returns
+    -------
+    (n, 2s, 2s)
     """
     sections = shape.shape[1]
-    cosine = np.maximum(cosine, _LEAST_COSINE)
-    cosine_out = np.maximum(cosine_out, _LEAST_COSINE)
+    cosine = np.maximum(cosine, _MIN_COSINE)
+    cosine_out = np.maximum(cosine_out, _MIN_COSINE)
     scale = np.repeat(ratio[:, np.newaxis], sections, axis=1)
     scale[:, 0] *= cosine / cosine_out
-    onto = curve(_weighed(shape, cosine)) @ project(cosine, sections)
-    off = project(1.0 / cosine_out, sections) @ curve(-_weighed(shape, cosine_out))
-    operator: Floats = off @ turn(scale) @ onto
+    onto = curvature(_angle_gradient(shape, cosine)) @ project(cosine, sections)
+    off = project(1.0 / cosine_out, sections) @ curvature(-_angle_gradient(shape, cosine_out))
+    operator: Floats = off @ scale_angles(scale) @ onto
     return operator
 
 
 def occluded(spectrum: Floats, distance: Floats, *, angular: bool = False) -> Floats:
-    """Return spectra of light that is cut off, or bent otherwise, at a distance (n,).
+    """Spectra of light that is occluded, or takes another path, at a distance (n,).
 
-    The distance is in m across the ray or, `angular`, in rad around a point.
+    The distance is in m across the ray or, if `angular`, in rad around a point.
     """
     sections = spectrum.shape[1] // 2
     out = spectrum.copy()
@@ -191,15 +192,15 @@ def occluded(spectrum: Floats, distance: Floats, *, angular: bool = False) -> Fl
 
 
 def root(spectrum: Floats) -> Floats:
-    """Return roots F (n, 2s, 2s), Σ = F Fᵀ, of spectra with frequencies of all kinds.
+    """Roots F (n, 2s, 2s), Σ = F Fᵀ, of positive definite spectra.
 
-    Operators apply to them from the left: K F.
+    Operators multiply them from the left: K F.
     """
     return np.asarray(np.linalg.cholesky(spectrum), dtype=np.float64)
 
 
 def deposited(root: Floats) -> tuple[Floats, Floats]:
-    """Return what Lambertian surfaces keep of the light that comes to them.
+    """Spectra of the irradiance on Lambertian surfaces.
 
     Parameters
     ----------
@@ -209,18 +210,18 @@ def deposited(root: Floats) -> tuple[Floats, Floats]:
     Returns
     -------
     slices : (n, s, s)
-        G, Gᵀ G being Σ sliced at Ω_θ = 0, the lobe of the cosine included: what the rows of F over
-        space leave beside those over angle. The difference Σ_xx - Σ_xθ (…)⁻¹ Σ_θx would leave
-        nothing but rounding of light that is nearly parallel.
+        G, where Gᵀ G is Σ sliced at Ω_θ = 0, with the lobe of the cosine. It comes from a QR
+        decomposition of F, because the difference Σ_xx - Σ_xθ (…)⁻¹ Σ_θx is all rounding error in
+        nearly parallel light.
     regression : (n, s, s)
-        Multiplied by a frequency Ω_x, the Ω_θ that is expected beside it.
+        Times a frequency Ω_x, the expected Ω_θ.
     """
     n, twice, m = root.shape
     sections = twice // 2
     columns = np.zeros((n, m + sections, twice))
     columns[:, :m] = np.swapaxes(np.roll(root, sections, axis=1), 1, 2)
     columns[:, m:, :sections] = np.sqrt(COSINE_LOBE) * np.eye(sections)
-    # From the largest row to the least, rounding stays in proportion to each.
+    # Sorted from the largest row, the rounding error of each is in proportion to its size.
     size = np.abs(columns).max(axis=2, keepdims=True)
     columns = np.take_along_axis(columns, np.argsort(-size, axis=1), axis=1)
     upper: Floats = np.asarray(np.linalg.qr(columns, mode="r"), dtype=np.float64)
@@ -230,11 +231,11 @@ def deposited(root: Floats) -> tuple[Floats, Floats]:
 
 
 def roughest(root: Floats) -> Floats:
-    """Return (e, b, c), (n, 3), of the section in which irradiance is roughest.
+    """(e, b, c), (n, 3), of the section in which the irradiance is roughest.
 
     `root` (n, 4, m) is that of the spectrum on the receiver. Along the unit vector t in which
-    irradiance varies most, e = tᵀ Gᵀ G t; b and c are those of the angle that tells most of Ω_x,
-    so that e = a - c² / (b + 1/(4π²σ²)) for a = tᵀ Σ_xx t.
+    irradiance varies most, e = tᵀ Gᵀ G t; b and c are those of the angle that correlates most
+    with Ω_x, so that e = a - c² / (b + 1/(4π²σ²)) for a = tᵀ Σ_xx t.
     """
     slices, regression = deposited(root)
     _, size, axes = np.linalg.svd(slices)
@@ -243,24 +244,24 @@ def roughest(root: Floats) -> Floats:
     length = np.linalg.norm(angle, axis=1, keepdims=True)
     angle = np.where(length > 0.0, angle / np.where(length > 0.0, length, 1.0), t)
     along = np.einsum("ni,nij->nj", t, root[:, :2])
-    turning = np.einsum("ni,nij->nj", angle, root[:, 2:])
-    products = [np.einsum("nj,nj->n", turning, other) for other in (turning, along)]
+    angular = np.einsum("ni,nij->nj", angle, root[:, 2:])
+    products = [np.einsum("nj,nj->n", angular, other) for other in (angular, along)]
     return np.column_stack([size[:, 0] ** 2, *products])
 
 
 def diffused(spectrum: Floats) -> Floats:
-    """Return the spectra (n, 3) that Lambertian surfaces reflect of those (e, b, c) they receive.
+    """Spectra (n, 3) that Lambertian surfaces reflect of those (e, b, c) they receive.
 
-    Angular frequency is gone; NaN, for none known, stays NaN.
+    They have no angular frequencies. NaN, for an unknown spectrum, stays NaN.
     """
     return spectrum * np.array([1.0, 0.0, 0.0])
 
 
 def kernel_radius(variance: Floats, bias: float = BIAS) -> Floats:
-    """Return the radius, m, of a disc whose mean is off by 5 % of the light's amplitude at most.
+    """Radius, m, of a disc whose mean differs by at most `bias` times the light's amplitude.
 
-    `variance` is that of the irradiance's spectrum, cycles²/m²: the first coefficient of what
-    `diffused` returns. Infinite where it is zero. Another `bias` stands for other than 5 %.
+    `variance` is that of the irradiance's spectrum, cycles²/m²: the first coefficient of
+    `diffused`. The radius is infinite where it is zero.
     """
     with np.errstate(divide="ignore"):
         radius: Floats = np.sqrt(bias / np.asarray(variance, dtype=np.float64)) / np.pi
@@ -271,8 +272,8 @@ def _identity(n: int, sections: int) -> Floats:
     return np.tile(np.eye(2 * sections), (n, 1, 1))
 
 
-def _weighed(shape: Floats, cosine: Floats) -> Floats:
-    """Return how a turning normal changes angles to it: across the plane of incidence, by less."""
-    weighed = shape.copy()
-    weighed[:, 1:] *= cosine[:, np.newaxis, np.newaxis]
-    return weighed
+def _angle_gradient(shape: Floats, cosine: Floats) -> Floats:
+    """Change of angles to the normal along the surface: by cos θ₀ out of the plane of incidence."""
+    gradient = shape.copy()
+    gradient[:, 1:] *= cosine[:, np.newaxis, np.newaxis]
+    return gradient

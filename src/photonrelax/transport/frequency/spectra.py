@@ -1,15 +1,16 @@
-"""Spectra of traced photons: those chosen go their way again, with neighbours all around.
+"""Local frequency spectra of traced photons, by replay of their paths with neighbours around them.
 
-Light of collimated and point-like emitters is a sheet: one ray for every emitter coordinate. So
-what cuts a piece off, wherever on the way, cuts off a piece of the emitter coordinates, and how far
-away that is tells the window that widens the spectrum as it leaves the emitter (see `spectrum`).
-It is found by rays around the photon's, at offsets that double: `clear_distance`.
+Light of collimated and point-like emitters has one ray for every emitter coordinate. Whatever cuts
+off a part of it, wherever on the path, therefore cuts off a part of the emitter coordinates, and
+the distance to that part is the width of the window that widens the spectrum at the emitter (see
+"Occlusion" in `operators`). `occlusion_distance` finds it with probe rays around the photon's, at
+offsets that double.
 
-What leaves the emitter, for the rest, is as smooth as it can be:
+Apart from the window, the light that leaves an emitter is as smooth as can be:
 
-* collimated light has no spatial frequency, and in angle the bandwidth of a sun of 1e-6 rad;
-* a point has in space that of a dot of 1e-6 of the scene's size; in angle none where it shines
-  alike in all directions, and that of a cosine where it is Lambertian.
+* collimated light has no spatial frequencies, and the angular bandwidth of a source of 1e-6 rad;
+* a point has the spatial bandwidth of a source of 1e-6 of the scene's size, and no angular
+  frequencies where it is isotropic, or those of a cosine where it is Lambertian.
 """
 
 from __future__ import annotations
@@ -21,45 +22,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._ext.transport import trace as _kernel
+from ..._ext.transport.materials import Materials
 from ..._util.validation import Floats
 from ...photons.energy_ledger import PATH_OUTCOMES
 from ...photons.neighbourhoods import MIN_NORMAL_COSINE
 from ...scene.emission_region import EmissionRegion
-from ...scene.materials import DIFFUSE, MaterialTable
 from ...scene.scene import Scene
 from ..emission import LUMINANCE, PATHS, EmissionPlan, emission
 from ..frequency import operators
 from ..raycast import Intersections, RayCaster, empty_intersections
-from .path_replay import CHUNK, Beams, Follower, Landings, Ways, started
+from .paraxial import ParaxialRays, emitted_rays
+from .path_replay import PathEvents, PathReplayer, ReplayHits
 
-# Standard deviation of the angles, rad, in light that is called parallel, and, over the size of the
-# scene, of what is called a point.
-_SMALL = 1e-6
-# Probes are at the first of these rungs at first, each the half of the one before.
-_FIRST_RUNG, _RUNGS = 6, 11
-# From the last rung that is clear towards the next.
-_STEPS = (2**0.5, 2**0.25)
-_SPOKES = 8
-# Of the distance at which probes still find nothing: an edge, or a fold, may be nearest between
-# two of them, where an edge is nearer by the cosine of half the angle, a fold by its square.
-_BETWEEN_SPOKES = np.cos(np.pi / _SPOKES) ** 2
-# How far the second order may carry a probe from where the first expects it, over its offset; and
-# by how much of itself the light there may differ: as roughness, both are alike.
-_STRAY = 0.5
+# Photons replayed at a time.
+BATCH_SIZE = 4096
+# Standard deviation of the angles in collimated light, rad, and of the positions in the light of a
+# point, over the scene's size.
+_SOURCE_SIZE = 1e-6
+# Offsets of probes: level l is 2^-l of the emitter's radius. The first level that is tried, and
+# the number of levels.
+_FIRST_LEVEL, _N_LEVELS = 6, 11
+# Factors tried between the largest level without occlusion and the next.
+_REFINEMENTS = (2**0.5, 2**0.25)
+# Probes around a ray, at equal angles.
+_N_PROBES = 8
+# Lower bound of the distance to an edge or fold over the offset of probes that do not see it. An
+# edge between two probes is nearer by the cosine of half the angle between them, a fold by its
+# square.
+_BETWEEN_PROBES = np.cos(np.pi / _N_PROBES) ** 2
+# Largest deviation of a probe from the linear prediction, over its offset, and largest relative
+# change of its throughput: as roughness of the light the two count alike.
+_MAX_LINEARISATION_ERROR = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Retraced:
-    """Photons of one emitter to be traced again.
+class ReplayBatch:
+    """Photons of one emitter whose paths are replayed.
 
     Attributes
     ----------
     emitter_id : int
+        Index of the emitter.
     photons : (m,) int64
-        Their indices among those of the emitter; each was stored where it first met a diffuse
-        surface.
+        Indices among the photons of the emitter; each was stored at its first diffuse hit.
     rows : (m,) intp
-        Of the photons in the map.
+        Rows of the photons in the map.
     """
 
     emitter_id: int
@@ -67,19 +74,19 @@ class Retraced:
     rows: NDArray[np.intp]
 
 
-def joined(chosen: list[Retraced]) -> Iterator[Retraced]:
-    """Yield photons of one emitter together, as many as are followed at a time."""
-    for emitter_id in sorted({some.emitter_id for some in chosen}):
-        mine = [some for some in chosen if some.emitter_id == emitter_id]
-        photons = np.concatenate([some.photons for some in mine])
-        rows = np.concatenate([some.rows for some in mine])
-        for first in range(0, len(rows), CHUNK):
-            part = slice(first, first + CHUNK)
-            yield Retraced(emitter_id, photons[part], rows[part])
+def batches_by_emitter(batches: list[ReplayBatch]) -> Iterator[ReplayBatch]:
+    """Regroup photons into batches of up to `BATCH_SIZE` of one emitter, in order."""
+    for emitter_id in sorted({batch.emitter_id for batch in batches}):
+        mine = [batch for batch in batches if batch.emitter_id == emitter_id]
+        photons = np.concatenate([batch.photons for batch in mine])
+        rows = np.concatenate([batch.rows for batch in mine])
+        for first in range(0, len(rows), BATCH_SIZE):
+            part = slice(first, first + BATCH_SIZE)
+            yield ReplayBatch(emitter_id, photons[part], rows[part])
 
 
 class SpectrumTracer:
-    """A scene, its emission, and what it takes to know the spectra of its photons."""
+    """A scene and its emission, prepared for the spectra of its photons."""
 
     def __init__(
         self,
@@ -93,119 +100,122 @@ class SpectrumTracer:
         n_threads: int | None = None,
     ) -> None:
         self._plan, self._seed, self._sampler = plan, seed, sampler
-        self._table = scene.material_table()
+        self._materials = Materials(scene.material_table())
         self._caster = caster
         self._paths = _kernel.Paths(
-            surfaces(self._table),
+            self._materials,
             caster.frame,
             caster.triangles,
-            CHUNK,
-            wanted=PATHS.index("caustic"),
+            BATCH_SIZE,
+            path_filter=PATHS.index("caustic"),
             max_bounces=max_bounces,
         )
-        self._follower = Follower(scene, caster, n_threads)
-        self._dot = _SMALL * scene.scale
+        self._replayer = PathReplayer(scene, caster, n_threads)
+        self._point_size = _SOURCE_SIZE * scene.scale
 
-    def spectra(self, chosen: Retraced) -> Floats:
-        """Return (e, b, c) of up to `CHUNK` photons as they land; NaN where followed in vain."""
-        emitter_id, photons = chosen.emitter_id, chosen.photons
-        region = self._plan.regions[emitter_id]
-        ways, rays = self._ways(emitter_id, photons)
-        bundle = _Bundle(region, *rays)
-        landings = self._follower.follow(bundle.beams(), ways)
-        clear = clear_distance(self._follower, bundle, ways, landings)
-        light = self._emitted(region, clear)
-        out = np.full((len(photons), 3), np.nan)
-        known = _known(landings)
-        out[known] = operators.roughest(landings.operator[known] @ operators.root(light[known]))
+    def spectra(self, batch: ReplayBatch) -> Floats:
+        """(e, b, c) of up to `BATCH_SIZE` photons at their receivers, (n, 3).
+
+        NaN for photons whose replay leaves the path.
+        """
+        region = self._plan.regions[batch.emitter_id]
+        events, origin, direction = self._trace_events(batch.emitter_id, batch.photons)
+        bundle = _Bundle(region, origin, direction)
+        hits = self._replayer.replay(bundle.rays(), events)
+        distance = occlusion_distance(self._replayer, bundle, events, hits)
+        light = self._emitted(region, distance)
+        out = np.full((len(events), 3), np.nan)
+        on_path = hits.on_path
+        out[on_path] = operators.roughest(hits.operator[on_path] @ operators.root(light[on_path]))
         return out
 
-    def _emitted(self, region: EmissionRegion, clear: Floats) -> Floats:
-        """Return the spectra (n, 4, 4) of what leaves the emitter, through windows of a size."""
-        light = np.zeros((len(clear), 4, 4))
-        angle = range(2, 4)
+    def _emitted(self, region: EmissionRegion, distance: Floats) -> Floats:
+        """Spectra (n, 4, 4) of the light at the emitter, occluded at a distance (n,)."""
+        light = np.zeros((len(distance), 4, 4))
+        space, angle = range(2), range(2, 4)
         if region.is_plane:
-            light[:, angle, angle] = 1.0 / (4.0 * np.pi**2 * _SMALL**2)
+            light[:, angle, angle] = 1.0 / (4.0 * np.pi**2 * _SOURCE_SIZE**2)
         else:
-            light[:, range(2), range(2)] = 1.0 / (4.0 * np.pi**2 * self._dot**2)
+            light[:, space, space] = 1.0 / (4.0 * np.pi**2 * self._point_size**2)
             light[:, angle, angle] = operators.COSINE_LOBE if region.is_cosine_lobe else 0.0
-        return operators.occluded(light, clear, angular=not region.is_plane)
+        return operators.occluded(light, distance, angular=not region.is_plane)
 
-    def _ways(
+    def _trace_events(
         self, emitter_id: int, photons: NDArray[np.int64]
-    ) -> tuple[Ways, tuple[Floats, Floats]]:
-        """Trace photons again; note what they meet, and the rays, two of (n, 3), they start as."""
+    ) -> tuple[PathEvents, Floats, Floats]:
+        """Trace photons again; return their events and their primal rays, two of (n, 3)."""
         n = len(photons)
         steps: list[_Step] = []
         self._paths.start(
             emission(self._plan, emitter_id, seed=self._seed, sampler=self._sampler),
             photons,
             luminance=LUMINANCE * self._plan.flux_per_photon[emitter_id],
-            ledger=np.zeros((-(-n // _kernel.BLOCK), len(PATH_OUTCOMES), 3)),
+            ledger=np.zeros((-(-n // _kernel.LEDGER_BLOCK), len(PATH_OUTCOMES), 3)),
             ends=np.zeros(len(PATH_OUTCOMES), dtype=np.int64),
         )
-        emitted = self._paths.live()
-        rays = np.ascontiguousarray(emitted[:, 1:4]), emitted[:, 4:].copy()
+        _, origin, direction = self._live_rays()
         while self._paths.n_live:
             steps.append(self._step())
-        return _noted(steps, n, self._table), rays
+        return _path_events(steps, n, self._materials.diffuse), origin, direction
+
+    def _live_rays(self) -> tuple[NDArray[np.intp], Floats, Floats]:
+        """Paths (n,), origins and directions (n, 3) of the live rays."""
+        rows = self._paths.live_rays()
+        return rows[:, 0].astype(np.intp), np.ascontiguousarray(rows[:, 1:4]), rows[:, 4:].copy()
 
     def _step(self) -> _Step:
-        before = self._paths.live()
-        origin, direction = np.ascontiguousarray(before[:, 1:4]), before[:, 4:].copy()
-        hits = empty_intersections(len(before))
+        """Advance the live paths by one event."""
+        path, origin, direction = self._live_rays()
+        hits = empty_intersections(len(path))
         found = self._caster.find(*self._paths.rays)
         self._caster.triangles.refine_hits(origin, direction, found, hits)
         self._paths.advance(found)
-        after = self._paths.live()
-        path = before[:, 0].astype(np.intp)
-        went_on = np.searchsorted(path, after[:, 0])
-        towards = np.einsum("ni,ni->n", direction[went_on], hits.geometric_normal[went_on])
-        onwards = np.einsum("ni,ni->n", after[:, 4:], hits.geometric_normal[went_on])
+        live, _, outgoing = self._live_rays()
+        row = np.searchsorted(path, live)
+        normal = hits.geometric_normal[row]
+        height_in = np.einsum("ni,ni->n", direction[row], normal)
+        height_out = np.einsum("ni,ni->n", outgoing, normal)
         reflected = np.zeros(len(path), dtype=bool)
-        reflected[went_on] = towards * onwards < 0.0
+        reflected[row] = height_in * height_out < 0.0
         return _Step(path, hits, reflected)
 
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """What the paths that were still live met next."""
+    """The next event of each path that was still live."""
 
     path: NDArray[np.intp]
     hits: Intersections
     reflected: NDArray[np.bool_]
 
 
-def _noted(steps: list[_Step], n: int, table: MaterialTable) -> Ways:
-    ways = Ways(
+def _path_events(steps: list[_Step], n: int, is_diffuse: NDArray[np.bool_]) -> PathEvents:
+    """Collect the steps of n paths; objects are told diffuse by their flags."""
+    events = PathEvents(
         np.full((n, len(steps)), -1, dtype=np.int32),
         np.zeros((n, len(steps)), dtype=bool),
         np.zeros(n, dtype=np.intp),
     )
     for event, step in enumerate(steps):
-        ways.objects[step.path, event] = step.hits.object_id
-        ways.reflected[step.path, event] = step.reflected
-        ended = table.kind[step.hits.object_id] == DIFFUSE
-        ways.length[step.path[ended]] = event + 1
-    return ways
-
-
-def surfaces(table: MaterialTable) -> _kernel.Surfaces:
-    """Return materials as the kernel takes them."""
-    return _kernel.Surfaces(
-        table.kind, table.reflectance, table.ior, table.exterior_ior, table.absorption
-    )
+        events.objects[step.path, event] = step.hits.object_id
+        events.reflected[step.path, event] = step.reflected
+        ended = is_diffuse[step.hits.object_id]
+        events.length[step.path[ended]] = event + 1
+    return events
 
 
 class _Bundle:
-    """Rays of one emitter, and others beside them."""
+    """Primal rays of one emitter, and probes beside them.
+
+    `radius` is that of a disk of the area of the emission region, at most one radian: m or rad.
+    """
 
     def __init__(self, region: EmissionRegion, origin: Floats, direction: Floats) -> None:
         self._region, self._origin, self._direction = region, origin, direction
         self._across = _across(region, direction)
-        self.reach = float(np.sqrt(region.area / np.pi))
+        self.radius = float(np.sqrt(region.area / np.pi))
         if not region.is_plane:
-            self.reach = min(self.reach, 1.0)
+            self.radius = min(self.radius, 1.0)
 
     def __len__(self) -> int:
         return len(self._origin)
@@ -213,32 +223,34 @@ class _Bundle:
     def __getitem__(self, rows: NDArray) -> _Bundle:
         return _Bundle(self._region, self._origin[rows], self._direction[rows])
 
-    def beams(self) -> Beams:
-        return started(self._origin, self._direction, self._across, self._region.start_distance)
+    def rays(self) -> ParaxialRays:
+        """The primal rays."""
+        distance = self._region.start_distance
+        return emitted_rays(self._origin, self._direction, self._across, distance)
 
-    def beside(self, offset: Floats) -> Beams:
-        """Return beams that leave the emitter at offsets (n, 2), m or, as tangents, rad."""
+    def probes(self, offset: Floats) -> ParaxialRays:
+        """Rays at offsets (n, 2) of the emitter coordinates, m or, as tangents, rad."""
         step = np.einsum("ni,nij->nj", offset, self._across)
         region = self._region
         if region.is_plane:
-            return started(self._origin + step, self._direction, self._across, 0.0)
+            return emitted_rays(self._origin + step, self._direction, self._across, 0.0)
         direction = self._direction + step
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         if region.is_cosine_lobe:
-            # Nothing leaves backwards; such a ray, turned over, meets nothing on the way.
+            # Nothing leaves backwards; such a probe leaves the path at once if it is turned over.
             behind = direction @ region.frame[2] <= 0.0
             direction[behind] = -region.frame[2]
         origin = region.origin + region.start_distance * direction
-        return started(origin, direction, self._across, region.start_distance)
+        return emitted_rays(origin, direction, self._across, region.start_distance)
 
-    def stretch(self, landings: Landings) -> Floats:
-        """Return how places along the receiver change with the emitter's coordinates (n, 2, 2)."""
-        rays = np.swapaxes(np.linalg.inv(landings.operator), 1, 2)
+    def jacobian(self, hits: ReplayHits) -> Floats:
+        """Derivatives (n, 2, 2) of positions on the receiver by the emitter coordinates."""
+        rays = np.swapaxes(np.linalg.inv(hits.operator), 1, 2)
         return rays[:, :2, :2] if self._region.is_plane else rays[:, :2, 2:]
 
 
 def _across(region: EmissionRegion, direction: Floats) -> Floats:
-    """Return unit vectors (n, 2, 3) across rays; those on an emitter's plane are all alike."""
+    """Unit vectors (n, 2, 3) across rays; the same for all rays of a plane."""
     if region.is_plane:
         return np.broadcast_to(region.frame[:2], (len(direction), 2, 3))
     aside = np.eye(3)[np.abs(direction).argmin(axis=1)]
@@ -247,73 +259,82 @@ def _across(region: EmissionRegion, direction: Floats) -> Floats:
     return np.stack([first, np.cross(direction, first)], axis=1)
 
 
-def clear_distance(follower: Follower, bundle: _Bundle, ways: Ways, landings: Landings) -> Floats:
-    """Return how far around rays light goes their way, as their operators say, (n,).
-
-    In the units of the emitter's coordinates, m or rad. Probes around a ray at an offset must meet
-    the same surfaces and land, to half of the offset, where the first order expects them. Next to a
-    fold that is the offset to the fold, and in general that over which light changes its stretch
-    by as much as that is. Nor may they lose or gain half as much light on the way: where Fresnel
-    reflectance or absorption change, as at the angle of total reflection.
-
-    Probes are few. What is narrower than two thirds of its distance from the ray may be missed
-    between them, and nearer than a 64th of the emitter's reach anything that the first probes, at
-    that distance, do not meet.
-    """
-    clear = np.full(len(bundle), bundle.reach * 0.5**_RUNGS)
-
-    def raised(rows: NDArray, scale: Floats) -> NDArray[np.bool_]:
-        """Probe at a scale (m,) and raise what is clear to it where it is."""
-        stray = _stray(follower, bundle[rows], ways[rows], landings[rows], scale)
-        fine: NDArray[np.bool_] = stray <= _STRAY
-        clear[rows[fine]] = scale[fine]
-        return fine
-
-    def at(rows: NDArray, rung: int) -> NDArray[np.bool_]:
-        return raised(rows, np.full(len(rows), bundle.reach * 0.5**rung))
-
-    rows = np.flatnonzero(_known(landings))
-    fine = at(rows, _FIRST_RUNG)
-    rising, falling = rows[fine], rows[~fine]
-    for rung in reversed(range(_FIRST_RUNG)):
-        rising = rising[at(rising, rung)]
-    for rung in range(_FIRST_RUNG + 1, _RUNGS):
-        falling = falling[~at(falling, rung)]
-    for step in _STEPS:
-        raised(rows, step * clear[rows])
-    return _BETWEEN_SPOKES * clear
-
-
-def _known(landings: Landings) -> NDArray[np.bool_]:
-    return ~np.isnan(landings.position[:, 0])
-
-
-def _stray(
-    follower: Follower, bundle: _Bundle, ways: Ways, landings: Landings, scale: Floats
+def occlusion_distance(
+    replayer: PathReplayer, bundle: _Bundle, events: PathEvents, hits: ReplayHits
 ) -> Floats:
-    """Return how far, over the offset, probes land from where they should; inf if elsewhere.
+    """Distances (n,) around rays up to which light follows the same path, nearly linearly.
 
-    Or by how much of itself the light changes that comes with them, if that is more.
+    In the units of the emitter coordinates, m or rad. Probes at this offset hit the same surfaces
+    and arrive, to half of the offset, where the operator predicts. Next to a fold that is the
+    distance to the fold; in general it is that over which the Jacobian changes by as much as it
+    is. Nor does the throughput change by more than half, as it does by the Fresnel reflectance near
+    the angle of total reflection, or by absorption.
+
+    Occluders narrower than two thirds of their distance from the ray may lie between the probes
+    undetected. So may any that are nearer than the first probes, at a 64th of the emitter's
+    radius, if those miss them.
     """
-    stretch = bundle.stretch(landings)
-    determinant = np.abs(stretch[:, 0, 0] * stretch[:, 1, 1] - stretch[:, 0, 1] * stretch[:, 1, 0])
+    distance = np.full(len(bundle), bundle.radius * 0.5**_N_LEVELS)
+
+    def probe(rows: NDArray, offset: Floats) -> NDArray[np.bool_]:
+        """Raise the distances of rows to an offset (m,) where probes there are not occluded."""
+        error = _linearisation_error(replayer, bundle[rows], events[rows], hits[rows], offset)
+        clear: NDArray[np.bool_] = error <= _MAX_LINEARISATION_ERROR
+        distance[rows[clear]] = offset[clear]
+        return clear
+
+    def probe_level(rows: NDArray, level: int) -> NDArray[np.bool_]:
+        return probe(rows, np.full(len(rows), bundle.radius * 0.5**level))
+
+    rows = np.flatnonzero(hits.on_path)
+    clear = probe_level(rows, _FIRST_LEVEL)
+    rising, falling = rows[clear], rows[~clear]
+    for level in reversed(range(_FIRST_LEVEL)):
+        rising = rising[probe_level(rising, level)]
+    for level in range(_FIRST_LEVEL + 1, _N_LEVELS):
+        falling = falling[~probe_level(falling, level)]
+    for factor in _REFINEMENTS:
+        probe(rows, factor * distance[rows])
+    return _BETWEEN_PROBES * distance
+
+
+def _linearisation_error(
+    replayer: PathReplayer,
+    bundle: _Bundle,
+    events: PathEvents,
+    hits: ReplayHits,
+    offset: Floats,
+) -> Floats:
+    """Largest errors (n,) of the linear prediction among probes around rays at an offset (n,).
+
+    The error of a probe is the distance, in emitter coordinates, between its hit and the predicted
+    one over the offset, or the relative change of its throughput if that is larger; infinite if it
+    leaves the path or hits a face that is turned away from that of the ray.
+    """
+    jacobian = bundle.jacobian(hits)
+    determinant = np.abs(
+        jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0]
+    )
     worst = np.zeros(len(bundle))
-    for turn in 2.0 * np.pi * np.arange(_SPOKES) / _SPOKES:
-        offset = scale[:, np.newaxis] * [np.cos(turn), np.sin(turn)]
-        probes = follower.follow(bundle.beside(offset), ways)
-        along = np.einsum("nij,nj->ni", landings.axes, probes.position - landings.position)
-        error = along - np.einsum("nij,nj->ni", stretch, offset)
-        # The adjugate, for the stretch has no inverse at folds.
-        back = np.column_stack(
-            [
-                stretch[:, 1, 1] * error[:, 0] - stretch[:, 0, 1] * error[:, 1],
-                stretch[:, 0, 0] * error[:, 1] - stretch[:, 1, 0] * error[:, 0],
-            ]
-        )
+    for angle in 2.0 * np.pi * np.arange(_N_PROBES) / _N_PROBES:
+        step = offset[:, np.newaxis] * [np.cos(angle), np.sin(angle)]
+        probes = replayer.replay(bundle.probes(step), events)
+        along = np.einsum("nij,nj->ni", hits.axes, probes.position - hits.position)
+        error = _adjugate(jacobian, along - np.einsum("nij,nj->ni", jacobian, step))
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.linalg.norm(back, axis=1) / (scale * determinant)
-            change = np.abs(probes.throughput / landings.throughput - 1.0).max(axis=1)
+            ratio = np.linalg.norm(error, axis=1) / (offset * determinant)
+            change = np.abs(probes.throughput / hits.throughput - 1.0).max(axis=1)
         ratio = np.maximum(ratio, change)
-        alike = np.einsum("ni,ni->n", probes.normal, landings.normal) > MIN_NORMAL_COSINE
-        worst = np.maximum(worst, np.where(alike & ~np.isnan(ratio), ratio, np.inf))
+        facing = np.einsum("ni,ni->n", probes.normal, hits.normal) > MIN_NORMAL_COSINE
+        worst = np.maximum(worst, np.where(facing & ~np.isnan(ratio), ratio, np.inf))
     return worst
+
+
+def _adjugate(matrix: Floats, vector: Floats) -> Floats:
+    """Adjugate of matrices (n, 2, 2), which unlike the inverse exists at folds, times vectors."""
+    return np.column_stack(
+        [
+            matrix[:, 1, 1] * vector[:, 0] - matrix[:, 0, 1] * vector[:, 1],
+            matrix[:, 0, 0] * vector[:, 1] - matrix[:, 1, 0] * vector[:, 0],
+        ]
+    )
