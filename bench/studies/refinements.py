@@ -75,7 +75,7 @@ def markdown(study: Study) -> str:
     columns = list(study.columns())
     heads = (f"{name}, {n:,} {sampler}" for name, n, sampler in study.lots)
     lines = [f"| relative L1 | {' | '.join(heads)} |", "| --- |" + len(columns) * " --- |"]
-    for row in sorted(columns[0], key=lambda row: row in METHODS[1:]):
+    for row in sorted(columns[0], key=lambda row: row in list(METHODS)[1:]):
         cells = [_cell(*column[row]) for column in columns]
         lines.append(f"| {row} | {' | '.join(cells)} |")
     tried = (

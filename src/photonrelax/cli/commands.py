@@ -97,6 +97,8 @@ def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
 def _check_photons(options: argparse.Namespace) -> None:
     """End with wrong usage if options about photons contradict each other."""
+    from ..estimation.methods import PASSES_METHOD
+
     emission = (options.photons, options.seed, options.sampler)
     if options.photon_map is not None and emission != (None, None, None):
         options.wrong_usage(
@@ -107,8 +109,8 @@ def _check_photons(options: argparse.Namespace) -> None:
     if passes == (None, None):
         if others != (None, None, False):
             options.wrong_usage("--state, --interval and --stochastic need --passes or --minutes")
-    elif options.method != "progressive":
-        options.wrong_usage("--passes and --minutes need --method progressive")
+    elif options.method != PASSES_METHOD:
+        options.wrong_usage(f"--passes and --minutes need --method {PASSES_METHOD}")
     elif options.photon_map is not None:
         options.wrong_usage("every pass brings its photons: leave out --photon-map")
     elif options.sampler == "random":
@@ -134,7 +136,7 @@ def _in_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
             seconds=None if options.minutes is None else 60.0 * options.minutes,
             photons_per_pass=options.photons or PHOTONS_PER_PASS,
             seed=options.seed or 0,
-            settings=settings.progressive,
+            settings=settings.of(pr.ProgressiveSettings),
             supersampling=options.supersampling,
             stochastic=options.stochastic,
             checkpoints=pr.Checkpoints(options.state, options.interval or 60.0, write),
@@ -160,7 +162,7 @@ def _image(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
             photons=photons,
             n_threads=options.threads,
             progress=bars,
-            **vars(settings),
+            **settings.given,
         )
 
 

@@ -6,11 +6,11 @@ pictures (`pictures.py`), a contact sheet (`sheet.py`), a table (`table.py`), an
 `page.html`).
 """
 
+from ..estimation.methods import METHODS_OF_SJ13 as METHODS_OF_SJ13
 from .comparison import Comparison as Comparison
 from .comparison import Entry as Entry
 from .comparison import compare as compare
 from .comparison import run_methods as run_methods
-from .request import METHODS_OF_SJ13 as METHODS_OF_SJ13
 from .request import Plan as Plan
 from .subject import DistributionSubject as DistributionSubject
 from .subject import SceneSubject as SceneSubject

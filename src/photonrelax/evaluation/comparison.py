@@ -17,7 +17,14 @@ from .._util.progress import Progress, prefixed
 from .._util.validation import Floats
 from .._version import __version__
 from ..estimation.field import Field
-from ..estimation.methods import Settings, Task, frequency_share, prepare
+from ..estimation.methods import (
+    DEFAULT_METHOD,
+    METHODS,
+    PLAIN_METHOD,
+    MethodInput,
+    Settings,
+    prepare,
+)
 from ..imaging import metrics
 from ..imaging.image import Image
 from ..imaging.metrics import Errors
@@ -235,7 +242,7 @@ class _Cast:
 
 def _traced(plan: Plan, progress: Progress | None) -> _Cast:
     """Trace the photons; where some carry spectra, without these as well, to tell their time."""
-    shares = [frequency_share(*column) for column in plan.columns().values()]
+    shares = [METHODS[name].frequency_share(how) for name, how in plan.columns().values()]
     plain, with_spectra = [], []
     for _ in range(plan.rounds):
         photons, seconds = _cast(plan, 0.0, progress)
@@ -303,7 +310,7 @@ class _Bench:
 
     def _warm_up(self) -> None:
         """Gather a little: the first method timed should not pay for threads and memory."""
-        field = prepare("standard", self._task(Settings(), None))
+        field = prepare(PLAIN_METHOD, self._task(Settings(), None))
         hits = self._view.bands[0].hits
         field(hits.position, hits.normal)
 
@@ -320,9 +327,11 @@ class _Bench:
         trees = max(prepared - started - sum(field.seconds.values()), 0.0)
         return field, caustic, field.seconds | {"gather": now - prepared + trees}
 
-    def _task(self, settings: Settings, progress: Progress | None) -> Task:
+    def _task(self, settings: Settings, progress: Progress | None) -> MethodInput:
         plan = self._plan
-        return Task(self._cast.photons, settings, plan.subject.scene, plan.n_threads, progress)
+        return MethodInput(
+            self._cast.photons, settings, plan.subject.scene, plan.n_threads, progress
+        )
 
     def _kept(self, name: str, field: Field, caustic: Floats) -> Run:
         plan, photons = self._plan, self._cast.photons
@@ -335,14 +344,14 @@ class _Bench:
 
     def _shared(self, method: str) -> dict[str, float]:
         """Return the seconds of what was done for all methods, or for those with spectra."""
-        spectra = {"spectra": self._cast.spectra} if method == "frequency" else {}
+        spectra = {"spectra": self._cast.spectra} if METHODS[method].needs_spectra else {}
         return {"cast": self._cast.seconds, **spectra, "camera": self._camera}
 
     def _keep_photon_layers(self, field: Field, method: str) -> None:
         """Keep what the photons carry: SJ13's if they are there, else with constraints if known."""
         kept = self._photon_layers
         more = field.structure is not None and "photons.constraint" not in kept
-        if not kept or more or method == "parameterised":
+        if not kept or more or method == DEFAULT_METHOD:
             self._photon_layers = photon_layers(self._view, field)
 
 

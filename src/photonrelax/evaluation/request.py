@@ -7,13 +7,10 @@ from dataclasses import dataclass, field
 
 from .._util import validation
 from .._util.validation import check_seed
-from ..estimation.methods import METHODS, Settings, check_method
+from ..estimation.methods import METHODS, METHODS_OF_SJ13, Method, Settings, method_named
 from ..imaging.metrics import SSIM_WINDOW
 from ..transport.hit_points import MAX_DEPTH
 from .subject import Subject
-
-METHODS_OF_SJ13 = ("standard", "relaxation", "diffusion", "parameterised", "progressive")
-"""What SJ13's Table I compares, in its order."""
 
 SAMPLERS = ("halton", "random")
 
@@ -67,8 +64,7 @@ class Plan:
         methods = tuple(dict.fromkeys(self.methods)) or METHODS_OF_SJ13
         object.__setattr__(self, "methods", methods)
         for method, _ in self.columns().values():
-            check_method(method)
-            self._check_spectra(method)
+            self._check_spectra(method_named(method))
         for name in ("n_emitted", "supersampling", "rounds"):
             validation.count(getattr(self, name), name)
         validation.count(self.max_depth, "max_depth", low=0, high=MAX_DEPTH)
@@ -83,11 +79,11 @@ class Plan:
         """Return method and settings of each column by its name."""
         return {name: (name, self.settings) for name in self.methods} | dict(self.variants)
 
-    def _check_spectra(self, method: str) -> None:
-        if method == "frequency" and self.subject.scene is None:
-            others = ", ".join(name for name in METHODS if name != method)
+    def _check_spectra(self, method: Method) -> None:
+        if method.needs_spectra and self.subject.scene is None:
+            others = ", ".join(each.name for each in METHODS.values() if not each.needs_spectra)
             raise ValueError(
-                f"methods on {self.subject.name} should be of {others}, but include {method}: "
+                f"methods on {self.subject.name} should be of {others}, but include {method.name}: "
                 "photons that were not traced carry no spectra"
             )
 

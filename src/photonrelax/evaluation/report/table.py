@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ..._util.parallel import thread_count
+from ...estimation.methods import METHODS
 from ..comparison import Comparison, Entry, machine, reference_cost
 
 # Stages by the rows of the table; every other stage of a method's own finds features.
@@ -79,7 +80,7 @@ def table(comparison: Comparison) -> Table:
 
 def heads(entries: tuple[Entry, ...]) -> list[str]:
     """Return what entries are called; marked are those whose photons were dealt to passes."""
-    return [f"{e.name}, dealt" if e.method in _DEALT else e.name for e in entries]
+    return [f"{e.name}, dealt" if METHODS[e.method].splits_passes else e.name for e in entries]
 
 
 def _with_reference(shown: Table, comparison: Comparison) -> Table:
@@ -157,14 +158,9 @@ def _best(values: list[float], badness: Callable[[float], float]) -> int | None:
 
 
 def _photons_per_estimate(entry: Entry) -> str:
-    counts = [stage["k"] for name, stage in entry.settings.items() if name in _GATHERING]
-    counts = [stage_k for stage_k in counts if stage_k]
-    return str(counts[-1]) if counts else "varies"
-
-
-_GATHERING = ("gather", "diffusion")
-# Methods that the photons of one map are dealt to passes for.
-_DEALT = ("progressive", "frequency")
+    method = METHODS[entry.method]
+    k = None if method.splits_passes else entry.settings[method.stages[-1]].get("k")
+    return str(k) if k else "varies"
 
 
 def _title(comparison: Comparison) -> str:
@@ -187,7 +183,7 @@ def _notes(comparison: Comparison) -> list[str]:
     ]
     threads = thread_count(comparison.plan.n_threads)
     notes.append(f"times are of {threads} threads; {machine()}.")
-    if any(entry.method in _DEALT for entry in comparison.entries):
+    if any(METHODS[entry.method].splits_passes for entry in comparison.entries):
         notes.append("dealt: the photons of the same map, not fresh ones in every pass.")
     if truth.known_errors:
         notes.append(
