@@ -114,7 +114,7 @@ def _add_relax(parser: argparse.ArgumentParser) -> None:
 def _add_compare(parser: argparse.ArgumentParser) -> None:
     from ..estimation.methods import METHODS
 
-    _add_scene(parser, *gallery.distribution_names())
+    _add_scene(parser, *gallery.pattern_names())
     _add_output(parser, "FOLDER")
     parser.add_argument(
         "--methods",
