@@ -212,7 +212,7 @@ def main(arguments: list[str]) -> None:
             photons=tuple(options.photons),
             scenes=tuple(options.scenes),
             pixels=options.pixels,
-            effort=reference.Effort(options.passes, int(options.reference_photons)),
+            effort=reference.ReferenceSettings(options.passes, int(options.reference_photons)),
             folder=options.out,
         )
         print(methods.markdown(matrix))

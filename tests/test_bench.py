@@ -20,7 +20,7 @@ from bench.studies import (
 
 import photonrelax as pr
 from photonrelax import gallery
-from photonrelax.evaluation import named, reference
+from photonrelax.evaluation import gallery_subject, reference
 
 K = 7
 
@@ -214,11 +214,11 @@ def test_squared_errors_are_told_by_the_brightest_pixels():
 
 
 def test_refinements_and_first_discs_are_measured_against_references(tmp_path, monkeypatch):
-    ring = named("ring", 16)
-    monkeypatch.setattr(first_discs, "named", lambda *_: ring)
+    ring = gallery_subject("ring", 16)
+    monkeypatch.setattr(first_discs, "gallery_subject", lambda *_: ring)
     monkeypatch.setattr(first_discs, "KS", (15, 4))
     monkeypatch.setattr(refinements, "MOST_KS", (30,))
-    effort = reference.Effort(passes=2, photons=1_000)
+    effort = reference.ReferenceSettings(passes=2, photons=1_000)
     lots = (("shapes", 3_000, "random"), ("ring", 3_000, "halton"))
     study = refinements.Study(16, effort, tmp_path, lots)
     lines = refinements.markdown(study).splitlines()
@@ -275,7 +275,7 @@ def test_methods_stand_side_by_side_on_every_scene(tmp_path):
         (3_000,),
         scenes=scenes,
         pixels=16,
-        effort=reference.Effort(passes=1, photons=3_000),
+        effort=reference.ReferenceSettings(passes=1, photons=3_000),
         folder=tmp_path,
         longest=2,
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 import photonrelax as pr
 from bench.studies.methods import FOLDER, REFERENCES, doubt_cell, truth_of
 from photonrelax.estimation.methods import Settings
-from photonrelax.evaluation import Plan, compare, named, reference
+from photonrelax.evaluation import ComparisonRequest, compare, gallery_subject, reference
 from photonrelax.imaging.metrics import relative_l1
 
 KS = (30, 15, 8, 5, 4, 2)
@@ -30,11 +30,13 @@ def markdown(
     photons: int = 125_000,
     *,
     pixels: int = 256,
-    effort: reference.Effort = REFERENCES,
+    effort: reference.ReferenceSettings = REFERENCES,
     folder: Path = FOLDER,
 ) -> str:
     """Return the relative L1 of passes by k, and of standard estimates from as many photons."""
-    plan = Plan(subject=named("prism", pixels, pixels), n_emitted=passes * photons)
+    plan = ComparisonRequest(
+        subject=gallery_subject("prism", pixels, pixels), n_emitted=passes * photons
+    )
     truth = truth_of(plan, effort, folder)
     scene = plan.subject.scene
     assert scene is not None, "the prism is a scene"
@@ -59,7 +61,7 @@ def markdown(
         scene, method="standard", n_emitted=passes * photons, seed=_OWN_SEED, gather=gather
     )
     told(f"standard, K = {K_STANDARD}, from as many at once", at_once)
-    doubt = reference.doubt(truth)
+    doubt = reference.uncertainty_of(truth)
     note = "" if doubt is None else f"The reference: {doubt.text()}."
     return "\n".join([*lines, "", note, ""])
 
@@ -68,7 +70,7 @@ def dealt(
     lots: Sequence[tuple[str, int, str]] = LOTS,
     *,
     pixels: int = 256,
-    effort: reference.Effort = REFERENCES,
+    effort: reference.ReferenceSettings = REFERENCES,
     folder: Path = FOLDER,
 ) -> str:
     """Return the relative L1 of photons dealt to passes, by k and passes."""
@@ -77,8 +79,8 @@ def dealt(
     head = ["dealt", *names, "reference: noise, bias"]
     lines = [f"| {' | '.join(head)} |", f"|{' --- |' * len(head)}"]
     for scene, n, sampler in lots:
-        plan = Plan(
-            subject=named(scene, pixels, pixels),
+        plan = ComparisonRequest(
+            subject=gallery_subject(scene, pixels, pixels),
             methods=("progressive",),
             settings=settings[0],
             variants={
@@ -90,7 +92,7 @@ def dealt(
         )
         truth = truth_of(plan, effort, folder)
         cells = [f"{entry.errors.relative_l1:.1%}" for entry in compare(plan, truth).entries]
-        cells.append(doubt_cell(reference.doubt(truth)))
+        cells.append(doubt_cell(reference.uncertainty_of(truth)))
         lines.append(f"| {scene}, {n:,} {sampler} | {' | '.join(cells)} |")
         print(f"... {scene}, {n:,} {sampler}", file=sys.stderr, flush=True)
     return "\n".join([*lines, ""])

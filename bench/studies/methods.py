@@ -14,7 +14,7 @@ import numpy as np
 import photonrelax as pr
 from bench.speed import machine
 from photonrelax.estimation.methods import Settings
-from photonrelax.evaluation import Entry, Plan, compare, named, reference
+from photonrelax.evaluation import ComparisonRequest, Entry, compare, gallery_subject, reference
 from photonrelax.imaging.metrics import check_installed, relative_l1
 
 SCENES = ("prism", "ring", "ripples", "shapes")
@@ -36,20 +36,22 @@ _SAMPLES = 2
 _ROUNDS = 3
 _OWN_SEED = 2
 _BRIGHTEST = 50
-REFERENCES = reference.Effort(passes=200, photons=2_000_000)
+REFERENCES = reference.ReferenceSettings(passes=200, photons=2_000_000)
 """What scenes are measured against here; `refinements` and `first_discs` share the files."""
 FOLDER = Path("build/bench/methods")
 # Discs of fresh photons start as small as those of references.
 _FRESH = pr.ProgressiveSettings(k=REFERENCES.k)
 
 
-def truth_of(plan: Plan, effort: reference.Effort = REFERENCES, folder: Path = FOLDER) -> pr.Image:
+def truth_of(
+    plan: ComparisonRequest, effort: reference.ReferenceSettings = REFERENCES, folder: Path = FOLDER
+) -> pr.Image:
     """Return what a plan is measured against; it is kept in the folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    return reference.kept(folder / f"{plan.subject.name}.exr", plan, effort)
+    return reference.cached_reference(folder / f"{plan.subject.name}.exr", plan, effort)
 
 
-def doubt_cell(doubt: reference.Doubt | None) -> str:
+def doubt_cell(doubt: reference.Uncertainty | None) -> str:
     """Return noise and bias of a reference for a table of relative L1."""
     return "exact" if doubt is None else f"{doubt.noise_l1:.1%}, {doubt.bias_l1:.1%}"
 
@@ -66,7 +68,7 @@ class Row:
         By method or variant.
     brightest : str
         What of the squared error of the parameterised relaxation the brightest pixels have.
-    doubt : Doubt or None
+    doubt : Uncertainty or None
         How far the reference may be off; None for an exact one.
     known : float or None
         Relative L1 of the reference where light is known without photons.
@@ -77,7 +79,7 @@ class Row:
     label: str
     entries: dict[str, Entry]
     brightest: str
-    doubt: reference.Doubt | None
+    doubt: reference.Uncertainty | None
     known: float | None
     progressive: str
 
@@ -94,7 +96,7 @@ class Matrix:
         Of the gallery, and of the photons.
     pixels : int
         Width and height of pictures, of 2 x 2 samples.
-    effort : reference.Effort
+    effort : reference.ReferenceSettings
         Of the references.
     folder : Path
         Where references are kept.
@@ -106,16 +108,16 @@ class Matrix:
     scenes: tuple[str, ...] = SCENES
     samplers: tuple[str, ...] = SAMPLERS
     pixels: int = 256
-    effort: reference.Effort = REFERENCES
+    effort: reference.ReferenceSettings = REFERENCES
     folder: Path = FOLDER
     longest: int = 64
 
     def rows(self) -> Iterator[Row]:
         """Measure."""
         for name in self.scenes:
-            on = named(name, self.pixels, self.pixels)
+            on = gallery_subject(name, self.pixels, self.pixels)
             for n, sampler in product(self.photons, self.samplers):
-                plan = Plan(
+                plan = ComparisonRequest(
                     subject=on,
                     variants=VARIANTS,
                     n_emitted=n,
@@ -128,16 +130,16 @@ class Matrix:
     def _timed(self, n: int, sampler: str) -> bool:
         return (n, sampler) == (max(self.photons), "halton")
 
-    def _row(self, plan: Plan, truth: pr.Image) -> Row:
+    def _row(self, plan: ComparisonRequest, truth: pr.Image) -> Row:
         made = compare(plan, truth)
         found = {entry.name: entry for entry in made.entries}
         longer = ""
         if self._timed(plan.n_emitted, plan.sampler):
             longer = as_near(plan, truth, found["parameterised"].errors.relative_l1, self.longest)
         label = f"{plan.subject.name}, {plan.n_emitted:,} {plan.sampler}"
-        known = made.truth.known_errors.get("relative_l1")
+        known = made.reference.analytic_errors.get("relative_l1")
         brightest = at_the_brightest(found["parameterised"].image, truth)
-        return Row(label, found, brightest, reference.doubt(truth), known, longer)
+        return Row(label, found, brightest, reference.uncertainty_of(truth), known, longer)
 
 
 def at_the_brightest(image: pr.Image, truth: pr.Image, n: int = _BRIGHTEST) -> str:
@@ -150,7 +152,7 @@ def at_the_brightest(image: pr.Image, truth: pr.Image, n: int = _BRIGHTEST) -> s
     return f"{share:.0%} of it is in the {n} brightest pixels, which it shows at {light:.0%}"
 
 
-def as_near(plan: Plan, truth: pr.Image, error: float, longest: int) -> str:
+def as_near(plan: ComparisonRequest, truth: pr.Image, error: float, longest: int) -> str:
     """Return the passes, in powers of two, and seconds that fresh photons take to an error.
 
     Camera rays count, as for every method.
@@ -196,7 +198,9 @@ def markdown(matrix: Matrix) -> str:
     )
     known = [
         f"Reference of {row.label} where its light is known: off by {row.known:.1%}; "
-        + ", ".join(f"{e.name} {e.known_errors['relative_l1']:.1%}" for e in row.entries.values())
+        + ", ".join(
+            f"{e.name} {e.analytic_errors['relative_l1']:.1%}" for e in row.entries.values()
+        )
         for row in rows
         if row.known is not None
     ]

@@ -10,7 +10,7 @@ from pathlib import Path
 import photonrelax as pr
 from bench.studies.methods import FOLDER, REFERENCES, truth_of
 from photonrelax.estimation.methods import METHODS, Settings
-from photonrelax.evaluation import Plan, compare, named, reference
+from photonrelax.evaluation import ComparisonRequest, compare, gallery_subject, reference
 
 KS = (15, 50, 100, 200)
 MOST_KS = (100, 200, 500)
@@ -23,7 +23,7 @@ class Study:
     """What is measured on pictures of so many pixels, and the references of scenes."""
 
     pixels: int = 256
-    effort: reference.Effort = REFERENCES
+    effort: reference.ReferenceSettings = REFERENCES
     folder: Path = FOLDER
     lots: tuple[tuple[str, int, str], ...] = LOTS
 
@@ -31,15 +31,15 @@ class Study:
         """Yield relative L1, and the number of photons it is of, by row."""
         for name, n, sampler in self.lots:
             print(f"... {name}, {n:,} {sampler}", file=sys.stderr, flush=True)
-            plan = Plan(
-                subject=named(name, self.pixels, self.pixels),
+            plan = ComparisonRequest(
+                subject=gallery_subject(name, self.pixels, self.pixels),
                 methods=("relaxation", "parameterised"),
                 variants=variants(),
                 n_emitted=n,
                 sampler=sampler,
             )
             truth = truth_of(plan, self.effort, self.folder)
-            if (doubt := reference.doubt(truth)) is not None:
+            if (doubt := reference.uncertainty_of(truth)) is not None:
                 print(f"... its reference: {doubt.text()}", file=sys.stderr, flush=True)
             yield _least({e.name: e.errors.relative_l1 for e in compare(plan, truth).entries})
 
@@ -75,7 +75,7 @@ def markdown(study: Study) -> str:
     columns = list(study.columns())
     heads = (f"{name}, {n:,} {sampler}" for name, n, sampler in study.lots)
     lines = [f"| relative L1 | {' | '.join(heads)} |", "| --- |" + len(columns) * " --- |"]
-    for row in sorted(columns[0], key=lambda row: row in METHODS[1:]):
+    for row in sorted(columns[0], key=lambda row: row in list(METHODS)[1:]):
         cells = [_cell(*column[row]) for column in columns]
         lines.append(f"| {row} | {' | '.join(cells)} |")
     tried = (

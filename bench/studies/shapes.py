@@ -18,7 +18,7 @@ import photonrelax as pr
 from bench.speed.morton import Floats
 from photonrelax import gallery
 from photonrelax.gallery import shapes as layout
-from photonrelax.gallery.photon_pattern import Distribution
+from photonrelax.gallery.photon_pattern import PhotonPattern
 from photonrelax.imaging.metrics import relative_l1
 
 KS = (1200, 600, 300, 150)
@@ -131,8 +131,8 @@ def refined_estimates() -> list[Way]:
 
 
 @lru_cache(maxsize=SEEDS)
-def distribution(seed: int) -> Distribution:
-    return gallery.distribution("shapes", seed=seed)
+def distribution(seed: int) -> PhotonPattern:
+    return gallery.pattern("shapes", seed=seed)
 
 
 def regions(n: int = _POINTS) -> dict[str, Floats]:
@@ -167,7 +167,7 @@ def measured(way: Way, seeds: int = SEEDS, *, pixels: int = 0) -> Measures:
     deep, edges, line = np.split(found, ends, axis=1)
     error = float("nan")
     if pixels:
-        exact, shown = (distribution(0).picture(f, pixels, pixels, 2) for f in (_truth, fields[0]))
+        exact, shown = (distribution(0).image(f, pixels, pixels, 2) for f in (_truth, fields[0]))
         error = relative_l1(shown, exact)
     noise = [float(np.sqrt(part.var(axis=0, ddof=1).mean())) for part in (deep, edges, line)]
     return Measures(float(line.mean()), *noise, error)
@@ -264,7 +264,7 @@ def save(path: Path, pixels: int = 300) -> None:
     shapes, gap = distribution(0), 4
     rows = []
     for ways in figure4().values():
-        pictures = [shapes.picture(w.prepare(shapes.photons), pixels, pixels, 2) for w in ways]
+        pictures = [shapes.image(w.prepare(shapes.photons), pixels, pixels, 2) for w in ways]
         rows.append(np.concatenate([_framed(p[..., 0], gap) for p in pictures], axis=1))
     sheet = np.clip(np.concatenate(rows), 0.0, 1.25) / 1.25
     grey = np.round(255 * sheet ** (1 / 2.2)).astype(np.uint8)

@@ -55,7 +55,7 @@ def test_help_imports_nothing_heavy():
 def test_list_names_every_scene(capsys):
     assert run("list") == 0
     lines = capsys.readouterr().out.splitlines()
-    names = [*gallery.names(), *gallery.distribution_names()]
+    names = [*gallery.names(), *gallery.pattern_names()]
     assert [line.split()[0] for line in lines] == names
 
 

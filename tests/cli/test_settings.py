@@ -10,7 +10,7 @@ import pytest
 import photonrelax as pr
 from photonrelax import gallery
 from photonrelax.cli import commands, settings
-from photonrelax.estimation.methods import KINDS, METHODS, STAGES, Settings, Task, prepare
+from photonrelax.estimation.methods import METHODS, SETTINGS_CLASSES, MethodInput, Settings, prepare
 from photonrelax.imaging.image import read_exr
 from photonrelax.rendering.view import resized
 
@@ -69,8 +69,8 @@ def test_what_is_no_setting_is_refused_and_told(text, complaint, capsys):
 def test_every_method_says_what_it_reads(method):
     """Settings that are not read are not among those that are told to have been used."""
     photons = pr.trace_photons(gallery.scene("ring"), 2000, frequency_share=0.02)
-    used = prepare(method, Task(photons, Settings(), None, None, None)).used
-    assert set(used) == set(STAGES[method]) <= set(KINDS)
+    used = prepare(method, MethodInput(photons, Settings(), None, None, None)).used
+    assert set(used) == set(METHODS[method].stages) <= set(SETTINGS_CLASSES)
 
 
 @pytest.mark.parametrize(

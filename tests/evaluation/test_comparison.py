@@ -13,14 +13,15 @@ from photonrelax.estimation.field import Field
 from photonrelax.estimation.methods import Settings
 from photonrelax.evaluation import (
     METHODS_OF_SJ13,
-    DistributionSubject,
-    Plan,
+    ComparisonRequest,
+    PhotonPatternSubject,
     SceneSubject,
     compare,
     reference,
     subject,
 )
 from photonrelax.evaluation import comparison as comparisons
+from photonrelax.evaluation.reference import Reference
 from photonrelax.evaluation.report import folder, images
 from photonrelax.evaluation.report import table as tables
 from photonrelax.evaluation.report.contact_sheet import contact_sheet
@@ -56,13 +57,15 @@ def truth():
 
 
 @pytest.fixture(scope="module")
-def plan():
-    return Plan(subject=SceneSubject(ring()), methods=PAIR, n_emitted=N, supersampling=1)
+def comparison_request():
+    return ComparisonRequest(
+        subject=SceneSubject(ring()), methods=PAIR, n_emitted=N, supersampling=1
+    )
 
 
 @pytest.fixture(scope="module")
-def comparison(plan, truth):
-    return compare(plan, truth)
+def comparison(comparison_request, truth):
+    return compare(comparison_request, truth)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +83,7 @@ def test_every_method_makes_the_picture_that_render_makes(comparison):
         assert (entry.n_emitted, entry.n_stored) == (N, image.stats["stages"]["trace"]["stored"])
 
 
-def test_photons_and_camera_rays_are_traced_once(plan, truth, monkeypatch):
+def test_photons_and_camera_rays_are_traced_once(comparison_request, truth, monkeypatch):
     calls = []
     for name in ("trace_photons", "look"):
         work = getattr(subject, name)
@@ -89,7 +92,7 @@ def test_photons_and_camera_rays_are_traced_once(plan, truth, monkeypatch):
             name,
             lambda *a, _name=name, _work=work, **k: calls.append(_name) or _work(*a, **k),
         )
-    compare(plan, truth)
+    compare(comparison_request, truth)
     assert calls == ["trace_photons", "look"]
 
 
@@ -108,36 +111,38 @@ def test_errors_are_those_of_the_layers(comparison, truth):
         )
 
 
-def test_a_picture_has_no_error_against_itself(plan):
+def test_a_picture_has_no_error_against_itself(comparison_request):
     itself = pr.render(ring(), method="standard", n_emitted=N, supersampling=1)
-    entry, other = compare(plan, itself).entries
+    entry, other = compare(comparison_request, itself).entries
     assert entry.errors == metrics.Errors(0.0, 0.0, 0.0, 1.0, 0.0)
     assert other.errors.relative_l1 > 0.0
 
 
-def test_direct_light_is_taken_off_a_reference_that_is_one_picture(plan, truth, comparison):
-    bare = compare(plan, pr.Image({"radiance": truth.layers["radiance"]}))
+def test_direct_light_is_taken_off_a_reference_that_is_one_picture(
+    comparison_request, truth, comparison
+):
+    bare = compare(comparison_request, pr.Image({"radiance": truth.layers["radiance"]}))
     for entry, expected in zip(bare.entries, comparison.entries, strict=True):
         assert entry.errors.relative_l1 == pytest.approx(expected.errors.relative_l1, rel=1e-9)
 
 
-def test_exposure_changes_what_is_seen_and_nothing_else(plan, truth, comparison):
-    dark = compare(replace(plan, exposure=-3.0), truth)
+def test_exposure_changes_what_is_seen_and_nothing_else(comparison_request, truth, comparison):
+    dark = compare(replace(comparison_request, exposure=-3.0), truth)
     for entry, expected in zip(dark.entries, comparison.entries, strict=True):
         assert entry.errors.relative_l2 == expected.errors.relative_l2
         assert entry.errors.flip != expected.errors.flip
 
 
-def test_methods_are_those_of_sj13(plan):
-    assert Plan(subject=SceneSubject(ring())).methods == METHODS_OF_SJ13
-    assert replace(plan, methods=("standard", "standard")).methods == ("standard",)
+def test_methods_are_those_of_sj13(comparison_request):
+    assert ComparisonRequest(subject=SceneSubject(ring())).methods == METHODS_OF_SJ13
+    assert replace(comparison_request, methods=("standard", "standard")).methods == ("standard",)
     with pytest.raises(ValueError, match="method should be one of"):
-        replace(plan, methods=("magic",))
+        replace(comparison_request, methods=("magic",))
 
 
-def test_settings_and_sampler_reach_their_stages(plan, truth):
+def test_settings_and_sampler_reach_their_stages(comparison_request, truth):
     settings = Settings(gather=pr.GatherSettings(k=20), relax=pr.RelaxSettings((1, 0)))
-    made = compare(replace(plan, settings=settings, sampler="random"), truth)
+    made = compare(replace(comparison_request, settings=settings, sampler="random"), truth)
     assert made.entries[1].settings["relax"]["n_iterations"] == (1, 0)
     assert [entry.settings["gather"]["k"] for entry in made.entries] == [20, 20]
     photons = pr.trace_photons(ring(), N, sampler="random")
@@ -145,15 +150,17 @@ def test_settings_and_sampler_reach_their_stages(plan, truth):
 
 
 def test_photons_without_a_scene_are_measured_against_their_exact_irradiance(tmp_path):
-    plan = Plan(subject=DistributionSubject("shapes", (40, 30)), n_emitted=4000, methods=PAIR)
-    truth = reference.kept(tmp_path / "none.exr", plan)
-    known = gallery.distribution("shapes")
-    expected = known.picture(lambda points, _: known.irradiance(points), 40, 30, 2) / np.pi
+    comparison_request = ComparisonRequest(
+        subject=PhotonPatternSubject("shapes", (40, 30)), n_emitted=4000, methods=PAIR
+    )
+    truth = reference.cached_reference(tmp_path / "none.exr", comparison_request)
+    known = gallery.pattern("shapes")
+    expected = known.image(lambda points, _: known.irradiance(points), 40, 30, 2) / np.pi
     np.testing.assert_array_equal(truth.layers["radiance"], expected)
-    made = compare(plan, truth)
-    assert made.about_reference == "exact irradiance at the same points"
-    photons = gallery.distribution("shapes", n=4000, sampler="halton").photons
-    seen = gallery.distribution("shapes").picture(pr.irradiance_field(photons), 40, 30, 2)
+    made = compare(comparison_request, truth)
+    assert made.reference.description == "exact irradiance at the same points"
+    photons = gallery.pattern("shapes", n=4000, sampler="halton").photons
+    seen = gallery.pattern("shapes").image(pr.irradiance_field(photons), 40, 30, 2)
     layers = made.entries[1].image.layers
     np.testing.assert_allclose(layers["radiance"], seen / np.pi, rtol=1e-12)
     assert made.entries[1].errors.relative_l1 == metrics.relative_l1(seen / np.pi, expected)
@@ -161,10 +168,14 @@ def test_photons_without_a_scene_are_measured_against_their_exact_irradiance(tmp
 
 def test_the_exact_irradiance_of_shapes_has_no_error(tmp_path, monkeypatch):
     """Means over the area of these pixels would make it 10 %.."""
-    plan = Plan(subject=DistributionSubject("shapes", (40, 30)), n_emitted=99, methods=PAIR[:1])
-    known = gallery.distribution("shapes")
+    comparison_request = ComparisonRequest(
+        subject=PhotonPatternSubject("shapes", (40, 30)), n_emitted=99, methods=PAIR[:1]
+    )
+    known = gallery.pattern("shapes")
     monkeypatch.setattr(comparisons, "prepare", lambda method, task: Exact(task.photons, known))
-    (entry,) = compare(plan, reference.kept(tmp_path / "none.exr", plan)).entries
+    (entry,) = compare(
+        comparison_request, reference.cached_reference(tmp_path / "none.exr", comparison_request)
+    ).entries
     assert entry.errors == metrics.Errors(0.0, 0.0, 0.0, 1.0, 0.0)
 
 
@@ -237,9 +248,12 @@ def test_a_folder_used_again_keeps_nothing_of_other_methods(comparison, tmp_path
     assert not [name for name in left if name.startswith("diffusion")]
 
 
-def test_settings_without_limit_are_told_as_null(plan, truth, tmp_path):
+def test_settings_without_limit_are_told_as_null(comparison_request, truth, tmp_path):
     settings = Settings(gather=pr.GatherSettings(gather_radius=np.inf))
-    folder.write(compare(replace(plan, settings=settings, methods=("standard",)), truth), tmp_path)
+    folder.write(
+        compare(replace(comparison_request, settings=settings, methods=("standard",)), truth),
+        tmp_path,
+    )
     told = json.loads((tmp_path / "comparison.json").read_text())
     assert told["methods"]["standard"]["settings"]["gather"]["gather_radius"] is None
 
@@ -272,7 +286,8 @@ def test_a_picture_that_is_too_bright_is_orange_and_one_too_dark_blue(comparison
     entry = comparison.entries[0]
     for factor, much, little in ((0.5, 0, 2), (2.0, 2, 0)):
         scaled = pr.Image({"radiance": factor * np.asarray(entry.image.layers["radiance"])})
-        made = images.method_pictures(replace(comparison, reference=scaled))
+        measured = Reference(scaled, entry.image.layers, exposure=0.0)
+        made = images.method_pictures(replace(comparison, reference=measured))
         colour = made[entry.name]["difference"].astype(float).mean(axis=(0, 1))
         assert colour[much] > colour[little]
 
@@ -290,9 +305,9 @@ def test_path_edges_are_one_more_than_bounces(comparison):
     assert "2 (blue) to" in about
 
 
-def test_constraints_are_those_of_sj13_where_they_are_known(plan, truth, comparison):
+def test_constraints_are_those_of_sj13_where_they_are_known(comparison_request, truth, comparison):
     def seen(*methods):
-        return compare(replace(plan, methods=methods), truth).photon_layers
+        return compare(replace(comparison_request, methods=methods), truth).photon_layers
 
     assert "photons.constraint" not in seen("standard")
     original = seen("standard", "relaxation")["photons.constraint"]
@@ -348,4 +363,4 @@ def test_text_lines_up_and_says_what_the_reference_is(comparison):
     lines = tables.table(comparison).text().splitlines()
     assert lines[0].startswith("ring: 10,000 photons emitted (halton, seed 0), 32 x 32 pixels")
     assert len({len(line) for line in lines[1:15]}) == 1
-    assert "reference: a picture given" in lines
+    assert "reference: a given image" in lines

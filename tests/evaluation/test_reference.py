@@ -8,27 +8,28 @@ import pytest
 
 import photonrelax as pr
 from photonrelax import gallery
-from photonrelax.evaluation import Plan, SceneSubject, compare, reference
-from photonrelax.evaluation.reference import Effort
+from photonrelax.evaluation import ComparisonRequest, SceneSubject, compare, reference
+from photonrelax.evaluation.reference import ABOUT, ReferenceSettings
 from photonrelax.evaluation.report import table as tables
-from photonrelax.evaluation.truth import ABOUT
 from photonrelax.rendering.progressive_render import pass_seed
 
 SIZE = 24
-EFFORT = Effort(passes=4, photons=5000)
+SETTINGS = ReferenceSettings(passes=4, photons=5000)
 
 
 @pytest.fixture(scope="module")
-def plan():
+def comparison_request():
     scene = gallery.scene("ring", pixels=SIZE, sections=128)
-    return Plan(subject=SceneSubject(scene), methods=("standard",), n_emitted=5000, supersampling=1)
+    return ComparisonRequest(
+        subject=SceneSubject(scene), methods=("standard",), n_emitted=5000, supersampling=1
+    )
 
 
-def test_a_reference_is_the_mean_of_two_runs_of_small_discs(plan, tmp_path):
-    image = reference.kept(tmp_path / "reference.exr", plan, EFFORT)
+def test_a_reference_is_the_mean_of_two_runs_of_small_discs(comparison_request, tmp_path):
+    image = reference.cached_reference(tmp_path / "reference.exr", comparison_request, SETTINGS)
     halves = [
         pr.render_progressive(
-            plan.subject.scene,
+            comparison_request.subject.scene,
             n_passes=2,
             photons_per_pass=5000,
             seed=pass_seed(0, half),
@@ -45,15 +46,17 @@ def test_a_reference_is_the_mean_of_two_runs_of_small_discs(plan, tmp_path):
     assert "its bias about" in about
 
 
-def test_photons_of_a_reference_are_not_those_compared(plan, tmp_path):
+def test_photons_of_a_reference_are_not_those_compared(comparison_request, tmp_path):
     """So one reference serves any number of photons."""
     path = tmp_path / "reference.exr"
-    reference.kept(path, plan, EFFORT)
+    reference.cached_reference(path, comparison_request, SETTINGS)
     before = path.read_bytes()
-    reference.kept(path, replace(plan, n_emitted=99, sampler="random"), EFFORT)
+    reference.cached_reference(
+        path, replace(comparison_request, n_emitted=99, sampler="random"), SETTINGS
+    )
     assert path.read_bytes() == before
-    assert Effort().photons == 1_000_000
-    assert Effort().k <= 4
+    assert ReferenceSettings().photons == 1_000_000
+    assert ReferenceSettings().k <= 4
 
 
 def test_noise_and_bias_are_told_apart():
@@ -68,7 +71,7 @@ def test_noise_and_bias_are_told_apart():
     noise = [0.05 * rng.normal(size=x.shape) for _ in range(2)]
     small = [blurred(0.1) + n for n in noise]
     wide = [blurred(0.2) + n + 0.02 * rng.normal(size=x.shape) for n in noise]
-    found = reference.estimated_doubt(small, wide)
+    found = reference.estimate_uncertainty(small, wide)
     truth = 0.5 * (small[0] + small[1])
     scale_l1, scale_l2 = np.abs(truth).sum(), np.linalg.norm(truth)
     bias, left = blurred(0.1) - exact, truth - blurred(0.1)
@@ -76,43 +79,51 @@ def test_noise_and_bias_are_told_apart():
     assert found.noise_l2 == pytest.approx(np.linalg.norm(left) / scale_l2, rel=0.02)
     assert found.bias_l1 == pytest.approx(np.abs(bias).sum() / scale_l1, rel=0.2)
     assert found.bias_l2 == pytest.approx(np.linalg.norm(bias) / scale_l2, rel=0.3)
-    alike = reference.estimated_doubt(small, [s + 0.02 * rng.normal(size=x.shape) for s in small])
+    alike = reference.estimate_uncertainty(
+        small, [s + 0.02 * rng.normal(size=x.shape) for s in small]
+    )
     assert alike.bias_l1 < 0.05 * found.bias_l1
 
 
-def test_larger_discs_are_found_to_have_more_bias(plan, tmp_path):
-    doubts = [
-        reference.doubt(reference.kept(tmp_path / f"{k}.exr", plan, replace(EFFORT, k=k)))
+def test_larger_discs_are_found_to_have_more_bias(comparison_request, tmp_path):
+    uncertainties = [
+        reference.uncertainty_of(
+            reference.cached_reference(
+                tmp_path / f"{k}.exr", comparison_request, replace(SETTINGS, k=k)
+            )
+        )
         for k in (4, 40)
     ]
-    assert doubts[1].bias_l1 > 2.0 * doubts[0].bias_l1
-    assert doubts[1].noise_l1 < doubts[0].noise_l1
+    assert uncertainties[1].bias_l1 > 2.0 * uncertainties[0].bias_l1
+    assert uncertainties[1].noise_l1 < uncertainties[0].noise_l1
 
 
-def test_a_reference_is_computed_once_and_kept(plan, tmp_path, monkeypatch):
+def test_a_reference_is_computed_once_and_kept(comparison_request, tmp_path, monkeypatch):
     path = tmp_path / "reference.exr"
-    first = reference.kept(path, plan, EFFORT)
+    first = reference.cached_reference(path, comparison_request, SETTINGS)
     assert [p.name for p in tmp_path.iterdir()] == ["reference.exr"]
     monkeypatch.setattr(reference, "_computed", None)
-    again = reference.kept(path, plan, EFFORT)
+    again = reference.cached_reference(path, comparison_request, SETTINGS)
     assert again.layers["caustic"].tobytes() == first.layers["caustic"].tobytes()
 
 
 @pytest.mark.parametrize("change", [{"photons": 4000}, {"k": 5}, {"seed": 1}, {"passes": 3}])
-def test_a_reference_of_something_else_is_replaced(change, plan, tmp_path, monkeypatch):
+def test_a_reference_of_something_else_is_replaced(
+    change, comparison_request, tmp_path, monkeypatch
+):
     path = tmp_path / "reference.exr"
-    few = replace(EFFORT, passes=1)
-    reference.kept(path, plan, few)
+    few = replace(SETTINGS, passes=1)
+    reference.cached_reference(path, comparison_request, few)
     calls = []
     computed = reference._computed
     monkeypatch.setattr(reference, "_computed", lambda *a: calls.append(a) or computed(*a))
     for _ in range(2):
-        reference.kept(path, plan, replace(few, **change))
+        reference.cached_reference(path, comparison_request, replace(few, **change))
     assert len(calls) == 1
 
 
 @pytest.mark.parametrize("foreign", ["text", "picture"])
-def test_what_was_not_computed_here_is_not_replaced(foreign, plan, tmp_path):
+def test_what_was_not_computed_here_is_not_replaced(foreign, comparison_request, tmp_path):
     path = tmp_path / "reference.exr"
     if foreign == "text":
         path.write_text("not a picture")
@@ -120,12 +131,12 @@ def test_what_was_not_computed_here_is_not_replaced(foreign, plan, tmp_path):
         pr.Image({"radiance": np.ones((SIZE, SIZE, 3))}).write_exr(path)
     before = path.read_bytes()
     with pytest.raises(ValueError, match="should be a reference that was computed here"):
-        reference.kept(path, plan, EFFORT)
+        reference.cached_reference(path, comparison_request, SETTINGS)
     assert path.read_bytes() == before
 
 
-def test_a_reference_that_was_stopped_is_gone_on_with(plan, tmp_path):
-    straight = reference.kept(tmp_path / "straight.exr", plan, EFFORT)
+def test_a_reference_that_was_stopped_is_gone_on_with(comparison_request, tmp_path):
+    straight = reference.cached_reference(tmp_path / "straight.exr", comparison_request, SETTINGS)
     path, seen = tmp_path / "stopped.exr", []
 
     def stop(stage, done, total):
@@ -134,10 +145,12 @@ def test_a_reference_that_was_stopped_is_gone_on_with(plan, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        reference.kept(path, plan, EFFORT, stop)
+        reference.cached_reference(path, comparison_request, SETTINGS, stop)
     assert not path.exists()
     again = []
-    resumed = reference.kept(path, plan, EFFORT, lambda *told: again.append(told[:2]))
+    resumed = reference.cached_reference(
+        path, comparison_request, SETTINGS, lambda *told: again.append(told[:2])
+    )
     assert again[0][1] == 2
     assert "run 2" in again[0][0]
     for name, layer in straight.layers.items():
@@ -145,9 +158,11 @@ def test_a_reference_that_was_stopped_is_gone_on_with(plan, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["stopped.exr", "straight.exr"]
 
 
-def test_the_run_is_the_last_column_of_the_table(plan, tmp_path):
-    truth = reference.kept(tmp_path / "reference.exr", plan, EFFORT)
-    shown = tables.table(compare(replace(plan, methods=("standard", "progressive")), truth))
+def test_the_run_is_the_last_column_of_the_table(comparison_request, tmp_path):
+    truth = reference.cached_reference(tmp_path / "reference.exr", comparison_request, SETTINGS)
+    shown = tables.table(
+        compare(replace(comparison_request, methods=("standard", "progressive")), truth)
+    )
     assert shown.head == ["standard", "progressive, dealt", "reference"]
     cells = {name: cells[-1] for name, cells, _ in shown.rows}
     cost = json.loads(truth.metadata["photonrelax.reference_cost"])
@@ -177,8 +192,8 @@ BROKEN[3, 4, 1] = np.nan
     ],
 )
 def test_a_reference_that_cannot_be_measured_against_is_refused_before_the_work(
-    layers, complaint, plan, monkeypatch
+    layers, complaint, comparison_request, monkeypatch
 ):
     monkeypatch.setattr(SceneSubject, "photons", None)
     with pytest.raises(ValueError, match=complaint):
-        compare(plan, pr.Image(layers))
+        compare(comparison_request, pr.Image(layers))

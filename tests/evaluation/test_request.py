@@ -1,4 +1,4 @@
-"""Plans of comparisons: wrong ones are refused before the work, times go to what they are of."""
+"""Requests of comparisons: wrong ones are refused before the work; times are those of stages."""
 
 from dataclasses import replace
 from itertools import count
@@ -10,12 +10,12 @@ import photonrelax as pr
 from photonrelax import gallery
 from photonrelax.estimation.methods import Settings
 from photonrelax.evaluation import (
-    DistributionSubject,
-    Plan,
+    ComparisonRequest,
+    PhotonPatternSubject,
     SceneSubject,
     compare,
     comparison,
-    named,
+    gallery_subject,
 )
 from photonrelax.evaluation.report import table as tables
 
@@ -34,28 +34,28 @@ def truth(subject):
 
 
 @pytest.fixture
-def plan(subject):
-    return Plan(subject=subject, methods=("standard",), n_emitted=N, supersampling=1)
+def comparison_request(subject):
+    return ComparisonRequest(subject=subject, methods=("standard",), n_emitted=N, supersampling=1)
 
 
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        ({"subject": DistributionSubject("shapes", (10, 40))}, "at least 11 x 11 pixels"),
+        ({"subject": PhotonPatternSubject("shapes", (10, 40))}, "at least 11 x 11 pixels"),
         ({"seed": 2**64}, "seed should be below"),
         ({"seed": -1}, "seed should be at least 0"),
         ({"sampler": "sobol"}, "sampler should be one of halton, random"),
         ({"rounds": 0}, "rounds should be at least 1"),
         (
-            {"subject": DistributionSubject("shapes"), "methods": ("frequency",)},
+            {"subject": PhotonPatternSubject("shapes"), "methods": ("frequency",)},
             "photons that were not traced carry no spectra",
         ),
         ({"variants": {"mine": ("magic", Settings())}}, "method should be one of"),
     ],
 )
-def test_what_cannot_be_compared_is_refused_before_the_work(change, complaint, plan):
+def test_what_cannot_be_compared_is_refused_before_the_work(change, complaint, comparison_request):
     with pytest.raises(ValueError, match=complaint):
-        replace(plan, **change)
+        replace(comparison_request, **change)
 
 
 class Clock:
@@ -75,25 +75,25 @@ class Clock:
         monkeypatch.setattr(SceneSubject, "photons", cast)
 
 
-def test_spectra_are_paid_for_by_the_method_that_needs_them(plan, truth, monkeypatch):
+def test_spectra_are_paid_for_by_the_method_that_needs_them(comparison_request, truth, monkeypatch):
     clock = Clock(monkeypatch)
     clock.slow(monkeypatch, lambda share: 10.0 if share > 0.0 else 2.0)
-    plan = replace(plan, methods=("standard", "frequency"))
-    standard, frequency = compare(plan, truth).entries
+    comparison_request = replace(comparison_request, methods=("standard", "frequency"))
+    standard, frequency = compare(comparison_request, truth).entries
     assert standard.seconds["cast"] == frequency.seconds["cast"] == 2.0
     assert "spectra" not in standard.seconds
     assert frequency.seconds["spectra"] == 8.0
     assert tables.by_row(frequency.seconds)["photon cast"] == 10.0
 
 
-def test_camera_rays_count_in_every_total(plan, truth, monkeypatch):
+def test_camera_rays_count_in_every_total(comparison_request, truth, monkeypatch):
     look, turns = SceneSubject.view, count()
 
     def slow(*a, **k):
         return replace(look(*a, **k), seconds=(500.0, 300.0, 100.0)[next(turns)])
 
     monkeypatch.setattr(SceneSubject, "view", slow)
-    made = compare(replace(plan, methods=("standard", "diffusion"), rounds=3), truth)
+    made = compare(replace(comparison_request, methods=("standard", "diffusion"), rounds=3), truth)
     rows = {name: cells for name, cells, _ in tables.table(made).rows}
     for entry, total in zip(made.entries, rows["total"], strict=True):
         assert entry.seconds["camera"] == 300.0
@@ -101,7 +101,9 @@ def test_camera_rays_count_in_every_total(plan, truth, monkeypatch):
         assert float(total.removesuffix(" s")) >= 300.0
 
 
-def test_preparing_that_no_stage_claims_is_part_of_gathering(plan, truth, monkeypatch):
+def test_preparing_that_no_stage_claims_is_part_of_gathering(
+    comparison_request, truth, monkeypatch
+):
     clock, prepare = Clock(monkeypatch), comparison.prepare
 
     def slow(method, task):
@@ -111,43 +113,45 @@ def test_preparing_that_no_stage_claims_is_part_of_gathering(plan, truth, monkey
         return field
 
     monkeypatch.setattr(comparison, "prepare", slow)
-    (entry,) = compare(plan, truth).entries
+    (entry,) = compare(comparison_request, truth).entries
     assert entry.seconds["structure"] == 2.0
     assert entry.seconds["gather"] == 3.0
 
 
-def test_times_are_medians_of_rounds(plan, truth, monkeypatch):
+def test_times_are_medians_of_rounds(comparison_request, truth, monkeypatch):
     clock, turns = Clock(monkeypatch), count()
     clock.slow(monkeypatch, lambda share: (9.0, 2.0, 1.0)[next(turns)])
-    (entry,) = compare(replace(plan, rounds=3), truth).entries
+    (entry,) = compare(replace(comparison_request, rounds=3), truth).entries
     assert entry.seconds["cast"] == 2.0
 
 
-def test_methods_take_turns(plan, truth, monkeypatch):
+def test_methods_take_turns(comparison_request, truth, monkeypatch):
     prepared, prepare = [], comparison.prepare
     monkeypatch.setattr(comparison, "prepare", lambda m, t: prepared.append(m) or prepare(m, t))
-    plan = replace(plan, methods=("relaxation", "diffusion"), rounds=2)
-    compare(plan, truth)
+    comparison_request = replace(comparison_request, methods=("relaxation", "diffusion"), rounds=2)
+    compare(comparison_request, truth)
     assert prepared[1:] == 2 * ["relaxation", "diffusion"]
 
 
-def test_variants_are_columns_of_their_own(plan, truth):
+def test_variants_are_columns_of_their_own(comparison_request, truth):
     wide = Settings(gather=pr.GatherSettings(k=50))
-    one, other = compare(replace(plan, variants={"K = 50": ("standard", wide)}), truth).entries
+    one, other = compare(
+        replace(comparison_request, variants={"K = 50": ("standard", wide)}), truth
+    ).entries
     assert (one.name, one.method, other.name, other.method) == (
         *("standard", "standard"),
         *("K = 50", "standard"),
     )
-    alone = compare(replace(plan, settings=wide), truth).entries[0]
+    alone = compare(replace(comparison_request, settings=wide), truth).entries[0]
     assert other.errors == alone.errors != one.errors
 
 
 def test_a_distribution_is_seen_band_by_band(monkeypatch):
     monkeypatch.setattr("photonrelax.evaluation.subject._POINTS_PER_BAND", 300)
-    subject = DistributionSubject("shapes", (20, 30))
+    subject = PhotonPatternSubject("shapes", (20, 30))
     view = subject.view(2, 8, n_threads=None, progress=None)
     assert [len(band.rows) for band in view.bands] == 10 * [3]
-    known = gallery.distribution("shapes")
+    known = gallery.pattern("shapes")
 
     def field(points, normals):
         return known.irradiance(points)
@@ -156,19 +160,21 @@ def test_a_distribution_is_seen_band_by_band(monkeypatch):
 
 
 def test_known_light_is_measured_against_where_it_is_known():
-    subject = named("ring", 32, 32)
-    plan = Plan(subject=subject, methods=("standard",), n_emitted=20_000)
+    subject = gallery_subject("ring", 32, 32)
+    comparison_request = ComparisonRequest(subject=subject, methods=("standard",), n_emitted=20_000)
     truth = pr.render(subject.scene, method="standard", n_emitted=100_000, seed=1)
-    made = compare(plan, truth)
+    made = compare(comparison_request, truth)
     (entry,) = made.entries
-    assert 0.1 < made.truth.known_share < 0.9
-    assert made.truth.known_errors["relative_l1"] < entry.known_errors["relative_l1"] < 0.3
+    assert 0.1 < made.reference.analytic_share < 0.9
+    assert (
+        made.reference.analytic_errors["relative_l1"] < entry.analytic_errors["relative_l1"] < 0.3
+    )
     view = subject.view(2, 8, n_threads=None, progress=None)
-    known = subject.known(view)
+    known = subject.analytic_pixels(view)
     pixels = entry.image.layers["caustic"][known.where], known.caustic[known.where]
-    assert entry.known_errors["energy_bias"] == pixels[0].sum() / pixels[1].sum() - 1.0
+    assert entry.analytic_errors["energy_bias"] == pixels[0].sum() / pixels[1].sum() - 1.0
     rows = {name: cells for name, cells, _ in tables.table(made).rows}
-    assert rows["relative L1, known light"] == [f"{entry.known_errors['relative_l1']:.2%}"]
-    other = compare(replace(plan, subject=SceneSubject(subject.scene)), truth)
-    assert other.entries[0].known_errors == {}
+    assert rows["relative L1, known light"] == [f"{entry.analytic_errors['relative_l1']:.2%}"]
+    other = compare(replace(comparison_request, subject=SceneSubject(subject.scene)), truth)
+    assert other.entries[0].analytic_errors == {}
     assert other.entries[0].errors == entry.errors

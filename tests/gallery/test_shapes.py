@@ -1,4 +1,4 @@
-"""The distribution `shapes`: photons, exact pixels, and what SSO08 claims of diffusion on it."""
+"""The photon pattern `shapes`: photons, exact pixels, and what SSO08 claims of diffusion on it."""
 
 import numpy as np
 import pytest
@@ -11,15 +11,15 @@ from photonrelax.estimation.methods import METHODS
 
 @pytest.fixture(scope="module", params=["random", "halton"])
 def shapes(request):
-    return gallery.distribution("shapes", sampler=request.param, irradiance=2.0)
+    return gallery.pattern("shapes", sampler=request.param, irradiance=2.0)
 
 
 def test_the_gallery_lists_it_apart_from_scenes():
-    assert gallery.distribution_names() == ("shapes",)
+    assert gallery.pattern_names() == ("shapes",)
     assert "shapes" not in gallery.names()
     assert "disc" in gallery.about("shapes")
-    with pytest.raises(ValueError, match="distribution should be one of shapes, but is 'ring'"):
-        gallery.distribution("ring")
+    with pytest.raises(ValueError, match="photon pattern should be one of shapes, but is 'ring'"):
+        gallery.pattern("ring")
     with pytest.raises(ValueError, match="scene should be one of prism"):
         gallery.scene("shapes")
 
@@ -50,7 +50,7 @@ def test_photons_are_equally_dense_everywhere(shapes):
 
 def test_pixel_means_equal_many_samples_of_the_irradiance(shapes):
     exact = shapes.pixel_means(37, 23)
-    sampled = shapes.picture(lambda points, normals: shapes.irradiance(points), 37, 23, 20)
+    sampled = shapes.image(lambda points, normals: shapes.irradiance(points), 37, 23, 20)
     # A border through a pixel of s·s samples is off by up to about 1/s.
     np.testing.assert_allclose(sampled, exact, atol=2.0 / 20)
     assert np.abs(sampled - exact).mean() < 3e-3
@@ -58,7 +58,7 @@ def test_pixel_means_equal_many_samples_of_the_irradiance(shapes):
 
 def test_pixel_means_add_up():
     """A picture of half the size is the mean of four pixels."""
-    shapes = gallery.distribution("shapes", n=10)
+    shapes = gallery.pattern("shapes", n=10)
     fine = shapes.pixel_means(60, 40).reshape(20, 2, 30, 2, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(fine, shapes.pixel_means(30, 20), atol=1e-12)
 
@@ -68,7 +68,7 @@ def test_lines_have_the_widths_asked_for():
     length = np.hypot(0.84, 0.15)
 
     def areas(widths):
-        made = gallery.distribution("shapes", n=1, line_widths=widths)
+        made = gallery.pattern("shapes", n=1, line_widths=widths)
         rows = made.pixel_means(1, 100)[:, 0, 0] / 100
         return rows[45:].sum()
 
@@ -77,25 +77,25 @@ def test_lines_have_the_widths_asked_for():
 
 
 def test_pictures_are_the_right_way_up():
-    shapes = gallery.distribution("shapes", n=1)
+    shapes = gallery.pattern("shapes", n=1)
     xy = shapes.samples(2, 2)[0][:, :2]
     np.testing.assert_allclose(xy, [[0.25, 0.75], [0.75, 0.75], [0.25, 0.25], [0.75, 0.25]])
 
 
 def test_seeds_and_samplers():
     position = [
-        gallery.distribution("shapes", n=50, seed=s).photons.position.tobytes() for s in (0, 0, 1)
+        gallery.pattern("shapes", n=50, seed=s).photons.position.tobytes() for s in (0, 0, 1)
     ]
     assert position[0] == position[1] != position[2]
     with pytest.raises(ValueError, match="sampler should be random or halton, but is 'sobol'"):
-        gallery.distribution("shapes", sampler="sobol")
+        gallery.pattern("shapes", sampler="sobol")
     with pytest.raises(ValueError, match=r"line_widths should lie in \(0, 0.08\]"):
-        gallery.distribution("shapes", line_widths=(0.0, 0.02, 0.04))
+        gallery.pattern("shapes", line_widths=(0.0, 0.02, 0.04))
 
 
 def test_every_method_takes_its_photons():
     """All but the one that needs spectra, which only traced photons have."""
-    shapes = gallery.distribution("shapes", n=2000)
+    shapes = gallery.pattern("shapes", n=2000)
     points, normals = shapes.samples(9, 9)
     for method in set(METHODS) - {"frequency"}:
         field = pr.irradiance_field(shapes.photons, method=method)
@@ -138,7 +138,7 @@ def test_anisotropic_kernels_are_quieter_along_edges_than_isotropic(diffused):
 
 
 def test_regions_are_where_they_should_be():
-    exact = gallery.distribution("shapes", n=1).irradiance
+    exact = gallery.pattern("shapes", n=1).irradiance
     for name, points in figure4.regions().items():
         for turn in np.linspace(0, 2 * np.pi, 8, endpoint=False):
             away = {"deep": 0.059, "edges": 0.0, "line": 0.0}[name]

@@ -30,12 +30,12 @@ def parser(commands: Mapping[str, Callable[..., None]]) -> argparse.ArgumentPars
 
 
 def _add_render(parser: argparse.ArgumentParser) -> None:
-    from ..estimation.methods import METHODS
+    from ..estimation.methods import DEFAULT_METHOD, METHODS, PLAIN_METHOD
 
     _add_scene(parser)
     _add_output(parser, "FILE.exr")
     parser.add_argument(
-        "--method", choices=METHODS, default="parameterised", help="default: %(default)s"
+        "--method", choices=METHODS, default=DEFAULT_METHOD, help="default: %(default)s"
     )
     _add_emission(parser)
     parser.add_argument(
@@ -43,7 +43,7 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FILE.npz",
         help="photons traced before, in this scene, in place of new ones; with relaxed ones: "
-        "--method standard",
+        f"--method {PLAIN_METHOD}",
     )
     _add_sampler(parser)
     _add_settings(parser)
@@ -54,8 +54,10 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_passes(parser: argparse.ArgumentParser) -> None:
+    from ..estimation.methods import PASSES_METHOD
+
     group = parser.add_argument_group(
-        "passes", f"of fresh photons, {PHOTONS_PER_PASS} each; with --method progressive"
+        "passes", f"of fresh photons, {PHOTONS_PER_PASS} each; with --method {PASSES_METHOD}"
     )
     group.add_argument("--passes", type=positive, metavar="N", help="in all, those resumed too")
     group.add_argument(
@@ -79,6 +81,9 @@ def _add_passes(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_trace(parser: argparse.ArgumentParser) -> None:
+    from ..estimation.methods import METHODS
+
+    with_spectra = ", ".join(each.name for each in METHODS.values() if each.needs_spectra)
     _add_scene(parser)
     _add_output(parser, "FILE.npz")
     _add_emission(parser)
@@ -88,7 +93,8 @@ def _add_trace(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar="SHARE",
-        help="of the photons that carry spectra, for --method frequency (%(default)s; say 0.02)",
+        help="of the photons that carry spectra, for --method "
+        f"{with_spectra} (%(default)s; say 0.02)",
     )
     _add_common(parser)
 
@@ -108,7 +114,7 @@ def _add_relax(parser: argparse.ArgumentParser) -> None:
 def _add_compare(parser: argparse.ArgumentParser) -> None:
     from ..estimation.methods import METHODS
 
-    _add_scene(parser, *gallery.distribution_names())
+    _add_scene(parser, *gallery.pattern_names())
     _add_output(parser, "FOLDER")
     parser.add_argument(
         "--methods",

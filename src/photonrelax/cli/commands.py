@@ -28,7 +28,7 @@ from .progress_bar import Bars
 # Everything else is imported where it is used: an interrupt meanwhile is then caught in `main`.
 if TYPE_CHECKING:
     from ..estimation.methods import Settings
-    from ..evaluation import Plan
+    from ..evaluation import ComparisonRequest
 
 INTERRUPTED = 130
 _MAGIC_EXR, _MAGIC_NPZ = b"v/1\x01", b"PK\x03\x04"
@@ -97,6 +97,8 @@ def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
 def _check_photons(options: argparse.Namespace) -> None:
     """End with wrong usage if options about photons contradict each other."""
+    from ..estimation.methods import PASSES_METHOD
+
     emission = (options.photons, options.seed, options.sampler)
     if options.photon_map is not None and emission != (None, None, None):
         options.wrong_usage(
@@ -107,8 +109,8 @@ def _check_photons(options: argparse.Namespace) -> None:
     if passes == (None, None):
         if others != (None, None, False):
             options.wrong_usage("--state, --interval and --stochastic need --passes or --minutes")
-    elif options.method != "progressive":
-        options.wrong_usage("--passes and --minutes need --method progressive")
+    elif options.method != PASSES_METHOD:
+        options.wrong_usage(f"--passes and --minutes need --method {PASSES_METHOD}")
     elif options.photon_map is not None:
         options.wrong_usage("every pass brings its photons: leave out --photon-map")
     elif options.sampler == "random":
@@ -134,7 +136,7 @@ def _in_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
             seconds=None if options.minutes is None else 60.0 * options.minutes,
             photons_per_pass=options.photons or PHOTONS_PER_PASS,
             seed=options.seed or 0,
-            settings=settings.progressive,
+            settings=settings.of(pr.ProgressiveSettings),
             supersampling=options.supersampling,
             stochastic=options.stochastic,
             checkpoints=pr.Checkpoints(options.state, options.interval or 60.0, write),
@@ -160,7 +162,7 @@ def _image(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
             photons=photons,
             n_threads=options.threads,
             progress=bars,
-            **vars(settings),
+            **settings.given,
         )
 
 
@@ -231,18 +233,20 @@ def _compare(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
     _check_reference(options)
     metrics.check_installed()
-    plan = _plan(options)
-    given = None if options.reference is None else reference.given(options.reference, plan)
-    folder.prepare_folder(options.output, plan.methods)
+    request = _comparison_request(options)
+    image = None
+    if options.reference is not None:
+        image = reference.read_reference(options.reference, request)
+    folder.prepare_folder(options.output, request.methods)
     if _computes_reference(options):
-        reference.check_own(options.output / folder.REFERENCE)
+        reference.check_cached(options.output / folder.REFERENCE)
     with Bars(options.quiet, interrupts) as bars:
-        runs = run_methods(plan, progress=bars)
+        runs = run_methods(request, progress=bars)
         # A reference may take long: all that can fail before it has been done.
-        truth = _kept_reference(options, plan, bars) if given is None else given
-        comparison = runs.against(truth)
-    shown = folder.write(comparison, options.output)
-    _report(options, shown.text(), f"wrote {options.output / folder.PAGE}")
+        image = image or _cached_reference(options, request, bars)
+        comparison = runs.measure(image)
+    table = folder.write(comparison, options.output)
+    _report(options, table.text(), f"wrote {options.output / folder.PAGE}")
 
 
 def _check_reference(options: argparse.Namespace) -> None:
@@ -264,13 +268,13 @@ def _computes_reference(options: argparse.Namespace) -> bool:
     return options.reference is None and options.scene in gallery.names()
 
 
-def _plan(options: argparse.Namespace) -> Plan:
-    from ..evaluation import METHODS_OF_SJ13, Plan, named
+def _comparison_request(options: argparse.Namespace) -> ComparisonRequest:
+    from ..evaluation import METHODS_OF_SJ13, ComparisonRequest, gallery_subject
     from .settings import chosen
 
     methods = tuple(options.methods or METHODS_OF_SJ13)
-    return Plan(
-        subject=named(options.scene, options.width, options.height),
+    return ComparisonRequest(
+        subject=gallery_subject(options.scene, options.width, options.height),
         methods=methods,
         n_emitted=_photons(options),
         seed=options.seed or 0,
@@ -282,19 +286,21 @@ def _plan(options: argparse.Namespace) -> Plan:
     )
 
 
-def _kept_reference(options: argparse.Namespace, plan: Plan, bars: Bars) -> pr.Image:
+def _cached_reference(
+    options: argparse.Namespace, request: ComparisonRequest, bars: Bars
+) -> pr.Image:
     from ..evaluation import reference
     from ..evaluation.report import folder
 
-    effort = reference.Effort(
+    settings = reference.ReferenceSettings(
         options.reference_passes or REFERENCE_PASSES,
         options.reference_photons or REFERENCE_PHOTONS,
     )
-    return reference.kept(options.output / folder.REFERENCE, plan, effort, bars)
+    return reference.cached_reference(options.output / folder.REFERENCE, request, settings, bars)
 
 
 def _list(options: argparse.Namespace, interrupts: Interrupts) -> None:
-    names = (*gallery.names(), *gallery.distribution_names())
+    names = (*gallery.names(), *gallery.pattern_names())
     width = max(map(len, names))
     for name in names:
         print(f"{name:{width}}  {gallery.about(name)}")

@@ -8,7 +8,7 @@ from dataclasses import fields
 from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
 
-from ..estimation.methods import KINDS, STAGES, Settings
+from ..estimation.methods import METHODS, SETTINGS_CLASSES, Settings
 
 # What options of their own set, as ``STAGE.FIELD``.
 _SHORT = {"refinement": "gather.refinement", "iterations": "relax.n_iterations"}
@@ -27,17 +27,17 @@ def assignment(text: str) -> Assignment:
     stage, dot, field = name.strip().partition(".")
     if not (equals and dot):
         raise argparse.ArgumentTypeError(f"should be STAGE.FIELD=VALUE, but is {text!r}")
-    if stage not in KINDS:
+    if stage not in SETTINGS_CLASSES:
         raise argparse.ArgumentTypeError(
-            f"the stage should be one of {', '.join(KINDS)}, but is {stage!r}"
+            f"the stage should be one of {', '.join(SETTINGS_CLASSES)}, but is {stage!r}"
         )
-    names = [each.name for each in fields(KINDS[stage])]
+    names = [each.name for each in fields(SETTINGS_CLASSES[stage])]
     if field not in names:
         raise argparse.ArgumentTypeError(
             f"the setting of {stage} should be one of {', '.join(names)}, but is {field!r}"
         )
     try:
-        found = _value(value.strip(), get_type_hints(KINDS[stage])[field])
+        found = _value(value.strip(), get_type_hints(SETTINGS_CLASSES[stage])[field])
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{stage}.{field} should be {error}") from None
     return stage, field, found
@@ -83,7 +83,7 @@ def chosen(
         Whose k is ``--k``.
     """
     methods = tuple(methods)
-    read = {stage for method in methods for stage in STAGES[method]}
+    read = {stage for method in methods for stage in METHODS[method].stages}
     values: dict[str, dict[str, Any]] = {}
     for option, places in _asked(options, read & {*stages_of_k} or {*stages_of_k}):
         for stage, field, value in places:
@@ -96,7 +96,7 @@ def chosen(
             if field in values.setdefault(stage, {}):
                 options.wrong_usage(f"{stage}.{field} is given twice")
             values[stage][field] = value
-    return Settings(**{stage: KINDS[stage](**each) for stage, each in values.items()})
+    return Settings(**{stage: SETTINGS_CLASSES[stage](**each) for stage, each in values.items()})
 
 
 def _asked(

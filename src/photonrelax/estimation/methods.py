@@ -1,11 +1,15 @@
-"""The methods by name: each prepares photons once, for irradiance anywhere."""
+"""The methods: one record each, and the call that prepares one for irradiance anywhere.
+
+A new method is its module and one `Method` among the records here, or one handed to `register`.
+A new stage with settings of its own is one line in `StageSettings`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from time import perf_counter
-from typing import Any
+from typing import Any, TypedDict, TypeVar, Unpack, get_args, get_type_hints
 
 from .._util.progress import Progress
 from ..photons.photon_map import PhotonMap
@@ -21,15 +25,46 @@ from .nearest import GatherSettings, IrradianceField
 from .progressive import ProgressiveSettings
 from .split_passes import ProgressiveField
 
+DEFAULT_METHOD = "parameterised"
+PLAIN_METHOD = "standard"
+"""The method that gathers from photons as they are: relaxed ones, say, from a file."""
+PASSES_METHOD = "progressive"
+"""The method that `photonrelax.render_progressive` renders with fresh photons in every pass."""
+METHODS_OF_SJ13 = ("standard", "relaxation", "diffusion", "parameterised", "progressive")
+"""The methods that SJ13's Table I compares, in its order."""
+
+Kind = TypeVar("Kind")
+
+
+class StageSettings(TypedDict, total=False):
+    """Settings objects by stage, in the order of the pipeline; None stands for the defaults.
+
+    These are the papers', save for diffusion's: see `photonrelax.DiffusionSettings`.
+    """
+
+    structure: StructureSettings | None
+    gradient: GradientSettings | None
+    relax: RelaxSettings | None
+    gather: GatherSettings | None
+    diffusion: DiffusionSettings | None
+    progressive: ProgressiveSettings | None
+    frequency: FrequencySettings | None
+
+
+SETTINGS_CLASSES: dict[str, type] = {
+    stage: get_args(hint)[0] for stage, hint in get_type_hints(StageSettings).items()
+}
+"""The settings class of each stage."""
+
 
 def irradiance_field(
     photons: PhotonMap,
     *,
-    method: str = "parameterised",
+    method: str = DEFAULT_METHOD,
     scene: Scene | None = None,
     n_threads: int | None = None,
     progress: Progress | None = None,
-    **settings: Any,
+    **settings: Unpack[StageSettings],
 ) -> Field:
     """Do a method's preparation once; the result gives irradiance anywhere.
 
@@ -46,9 +81,9 @@ def irradiance_field(
         - ``standard``: the photons as they are (Jensen);
         - ``diffusion``, ``isotropic-diffusion``: with kernels that adapt their shape, or their size
           alone, to the structure around a point (SSO08);
-        - ``progressive``: photons as they are, dealt to passes (Hachisuka et al. 2008);
-        - ``frequency``: these with discs no smaller than spectra ask for (FPPM); some of the
-          photons carry such (see `photonrelax.trace_photons`).
+        - ``progressive``: photons as they are, split into passes (Hachisuka et al. 2008);
+        - ``frequency``: the same, with radii no smaller than local frequency spectra ask for
+          (FPPM); some of the photons carry such (see `photonrelax.trace_photons`).
     scene : Scene, optional
         Keeps moved photons on their objects; see `photonrelax.relaxation.relax`.
     n_threads : int, optional
@@ -56,8 +91,8 @@ def irradiance_field(
     progress : callable, optional
         Called as ``progress(stage, done, total)``.
     **settings
-        Of stages: `Settings`' fields by name, as in ``relax=RelaxSettings((3, 3))``. Those of
-        stages that the method has not are not looked at.
+        Of stages, as in ``relax=RelaxSettings((3, 3))``; see `StageSettings`. Those of stages
+        that the method does not have are ignored.
 
     Returns
     -------
@@ -71,56 +106,62 @@ def irradiance_field(
     TypeError, ValueError
         If the method is not known, or a setting.
     """
-    chosen = settings_of("irradiance_field", settings)
-    return prepare(method, Task(photons, chosen, scene, n_threads, progress))
+    given = settings_of("irradiance_field", dict(settings))
+    return prepare(method, MethodInput(photons, given, scene, n_threads, progress))
 
 
-@dataclass(frozen=True, kw_only=True)
 class Settings:
-    """The settings of every stage of every method; None for the defaults.
+    """Settings of the stages of any method.
 
-    These are the papers', save for diffusion's: see `photonrelax.DiffusionSettings`.
+    Parameters
+    ----------
+    **given
+        By stage, see `StageSettings`.
+
+    Attributes
+    ----------
+    given : dict
+        Those that are not None.
+
+    Raises
+    ------
+    TypeError
+        If there is no such stage, or settings are not of its class.
     """
 
-    structure: StructureSettings | None = None
-    gradient: GradientSettings | None = None
-    relax: RelaxSettings | None = None
-    gather: GatherSettings | None = None
-    diffusion: DiffusionSettings | None = None
-    progressive: ProgressiveSettings | None = None
-    frequency: FrequencySettings | None = None
+    def __init__(self, **given: Unpack[StageSettings]) -> None:
+        self.given: dict[str, Any] = {
+            stage: value for stage, value in given.items() if value is not None
+        }
+        _check_stages("Settings", self.given)
+        for stage, value in self.given.items():
+            if not isinstance(value, SETTINGS_CLASSES[stage]):
+                name = SETTINGS_CLASSES[stage].__name__
+                raise TypeError(f"{stage} should be {name}, but is {value!r}")
 
-    def __post_init__(self) -> None:
-        for name, kind in KINDS.items():
-            value = getattr(self, name)
-            if value is not None and not isinstance(value, kind):
-                raise TypeError(f"{name} should be {kind.__name__}, but is {value!r}")
-
-
-KINDS: dict[str, type] = {
-    "structure": StructureSettings,
-    "gradient": GradientSettings,
-    "relax": RelaxSettings,
-    "gather": GatherSettings,
-    "diffusion": DiffusionSettings,
-    "progressive": ProgressiveSettings,
-    "frequency": FrequencySettings,
-}
+    def of(self, kind: type[Kind]) -> Kind:
+        """Settings of a class: those given, or its defaults."""
+        return next((value for value in self.given.values() if isinstance(value, kind)), kind())
 
 
 def settings_of(function: str, arguments: dict[str, Any]) -> Settings:
-    """Return the settings among a function's arguments; raise TypeError if others are left."""
-    unknown = [name for name in arguments if name not in KINDS]
-    if unknown:
-        raise TypeError(
-            f"{function} has no argument {', '.join(unknown)}; settings are {', '.join(KINDS)}"
-        )
+    """Settings among the keyword arguments of a function; raises TypeError if others are left."""
+    _check_stages(function, arguments)
     return Settings(**arguments)
 
 
+def _check_stages(function: str, arguments: dict[str, Any]) -> None:
+    unknown = [name for name in arguments if name not in SETTINGS_CLASSES]
+    if unknown:
+        raise TypeError(
+            f"{function} has no argument {', '.join(unknown)}; "
+            f"settings are {', '.join(SETTINGS_CLASSES)}"
+        )
+
+
 @dataclass(frozen=True)
-class Task:
-    """What a method is given."""
+class MethodInput:
+    """The arguments of a method's preparation; see `irradiance_field`."""
 
     photons: PhotonMap
     settings: Settings
@@ -129,105 +170,141 @@ class Task:
     progress: Progress | None
 
 
-def _standard(task: Task) -> Field:
-    return IrradianceField(task.photons, task.settings.gather, n_threads=task.n_threads)
+@dataclass(frozen=True)
+class Method:
+    """A method: all that is known of it outside of its module.
+
+    Attributes
+    ----------
+    name : str
+        As users give it.
+    stages : tuple of str
+        The stages whose settings it reads, in order; the last evaluates the estimates.
+    prepare : callable
+        ``prepare(inputs)``, a `MethodInput`, returns the `Field`.
+    needs_spectra : bool
+        Photons carry local frequency spectra; see `photonrelax.trace_photons`.
+    splits_passes : bool
+        The photon map is split into passes, so that the number of photons in an estimate varies.
+    """
+
+    name: str
+    stages: tuple[str, ...]
+    prepare: Callable[[MethodInput], Field]
+    needs_spectra: bool = False
+    splits_passes: bool = False
+
+    def frequency_share(self, settings: Settings) -> float:
+        """Share of the photons that are to carry spectra, in [0, 1]."""
+        return settings.of(FrequencySettings).share if self.needs_spectra else 0.0
 
 
-def _parameterised(task: Task) -> Field:
-    structure = task.settings.structure or StructureSettings()
-    relax = task.settings.relax or RelaxSettings()
-    used = {"structure": asdict(structure), "relax": asdict(relax)}
+def _standard(inputs: MethodInput) -> Field:
+    gather = inputs.settings.of(GatherSettings)
+    return IrradianceField(inputs.photons, gather, n_threads=inputs.n_threads)
+
+
+def _parameterised(inputs: MethodInput) -> Field:
+    settings = inputs.settings.of(StructureSettings)
+    relax = inputs.settings.of(RelaxSettings)
+    used = {"structure": asdict(settings), "relax": asdict(relax)}
     return _relaxed(
-        task, lambda **how: detect_structure(task.photons, structure, **how), relax, used
+        inputs, lambda **how: detect_structure(inputs.photons, settings, **how), relax, used
     )
 
 
-def _relaxation(task: Task) -> Field:
-    gradient = task.settings.gradient or GradientSettings()
-    relax = task.settings.relax or RelaxSettings()
+def _relaxation(inputs: MethodInput) -> Field:
+    settings = inputs.settings.of(GradientSettings)
+    relax = inputs.settings.of(RelaxSettings)
     relax = replace(relax, n_iterations=(0, sum(relax.n_iterations)))
-    used = {"gradient": asdict(gradient), "relax": asdict(relax)}
-    return _relaxed(task, lambda **how: detect_gradient(task.photons, gradient, **how), relax, used)
+    used = {"gradient": asdict(settings), "relax": asdict(relax)}
+    return _relaxed(
+        inputs, lambda **how: detect_gradient(inputs.photons, settings, **how), relax, used
+    )
 
 
 def _relaxed(
-    task: Task, detect: Callable[..., Structure], relax: RelaxSettings, used: dict[str, Any]
+    inputs: MethodInput,
+    detect: Callable[..., Structure],
+    relax: RelaxSettings,
+    used: dict[str, Any],
 ) -> Field:
-    """Gather from photons relaxed as far as the structure detected allows."""
-    how: dict[str, Any] = {"n_threads": task.n_threads, "progress": task.progress}
+    """Field of photons relaxed as far as the structure detected allows."""
+    how: dict[str, Any] = {"n_threads": inputs.n_threads, "progress": inputs.progress}
     started = perf_counter()
-    found = detect(**how)
+    structure = detect(**how)
     detected = perf_counter()
-    relaxed = relax_photons(task.photons, found, relax, scene=task.scene, **how)
+    relaxed = relax_photons(inputs.photons, structure, relax, scene=inputs.scene, **how)
     return IrradianceField(
         relaxed,
-        task.settings.gather,
-        structure=found,
+        inputs.settings.of(GatherSettings),
+        structure=structure,
         seconds={"structure": detected - started, "relax": perf_counter() - detected},
         used=used,
-        n_threads=task.n_threads,
+        n_threads=inputs.n_threads,
     )
 
 
-def _diffusion(task: Task, *, isotropic: bool = False) -> Field:
+def _diffusion(inputs: MethodInput, *, isotropic: bool = False) -> Field:
     return DiffusionField(
-        task.photons,
-        task.settings.diffusion,
+        inputs.photons,
+        inputs.settings.of(DiffusionSettings),
         isotropic=isotropic,
-        n_threads=task.n_threads,
-        progress=task.progress,
+        n_threads=inputs.n_threads,
+        progress=inputs.progress,
     )
 
 
-def _isotropic_diffusion(task: Task) -> Field:
-    return _diffusion(task, isotropic=True)
+def _isotropic_diffusion(inputs: MethodInput) -> Field:
+    return _diffusion(inputs, isotropic=True)
 
 
-def _progressive(task: Task) -> Field:
-    return ProgressiveField(task.photons, task.settings.progressive, n_threads=task.n_threads)
+def _progressive(inputs: MethodInput) -> Field:
+    settings = inputs.settings.of(ProgressiveSettings)
+    return ProgressiveField(inputs.photons, settings, n_threads=inputs.n_threads)
 
 
-def _frequency(task: Task) -> Field:
-    settings = task.settings
+def _frequency(inputs: MethodInput) -> Field:
     return FrequencyField(
-        task.photons, settings.progressive, settings.frequency, n_threads=task.n_threads
+        inputs.photons,
+        inputs.settings.of(ProgressiveSettings),
+        inputs.settings.of(FrequencySettings),
+        n_threads=inputs.n_threads,
     )
 
 
-_METHODS: dict[str, Callable[[Task], Field]] = {
-    "standard": _standard,
-    "relaxation": _relaxation,
-    "parameterised": _parameterised,
-    "diffusion": _diffusion,
-    "isotropic-diffusion": _isotropic_diffusion,
-    "progressive": _progressive,
-    "frequency": _frequency,
-}
-METHODS = tuple(_METHODS)
-STAGES: dict[str, tuple[str, ...]] = {
-    "standard": ("gather",),
-    "relaxation": ("gradient", "relax", "gather"),
-    "parameterised": ("structure", "relax", "gather"),
-    "diffusion": ("diffusion",),
-    "isotropic-diffusion": ("diffusion",),
-    "progressive": ("progressive",),
-    "frequency": ("progressive", "frequency"),
-}
-"""The fields of `Settings` that each method reads."""
+_RECORDS = (
+    Method("standard", ("gather",), _standard),
+    Method("relaxation", ("gradient", "relax", "gather"), _relaxation),
+    Method("parameterised", ("structure", "relax", "gather"), _parameterised),
+    Method("diffusion", ("diffusion",), _diffusion),
+    Method("isotropic-diffusion", ("diffusion",), _isotropic_diffusion),
+    Method("progressive", ("progressive",), _progressive, splits_passes=True),
+    Method(
+        "frequency",
+        ("progressive", "frequency"),
+        _frequency,
+        needs_spectra=True,
+        splits_passes=True,
+    ),
+)
+METHODS = {method.name: method for method in _RECORDS}
+"""All methods by name."""
 
 
-def prepare(method: str, task: Task) -> Field:
-    """Do a method's preparation; raise ValueError if the method is not known."""
-    check_method(method)
-    return _METHODS[method](task)
+def register(method: Method, **settings: type) -> None:
+    """Add a method, and the settings classes of those of its stages that are new, by stage."""
+    SETTINGS_CLASSES.update(settings)
+    METHODS[method.name] = method
 
 
-def check_method(method: str) -> None:
-    """Raise ValueError unless the method is known."""
-    if method not in METHODS:
-        raise ValueError(f"method should be one of {', '.join(METHODS)}, but is {method!r}")
+def method_named(name: str) -> Method:
+    """The method of a name; raises ValueError if there is none."""
+    if name not in METHODS:
+        raise ValueError(f"method should be one of {', '.join(METHODS)}, but is {name!r}")
+    return METHODS[name]
 
 
-def frequency_share(method: str, settings: Settings) -> float:
-    """Return the share of the photons that are to carry spectra for a method."""
-    return (settings.frequency or FrequencySettings()).share if method == "frequency" else 0.0
+def prepare(name: str, inputs: MethodInput) -> Field:
+    """Do the preparation of the method of a name; raises ValueError if there is none."""
+    return method_named(name).prepare(inputs)

@@ -1,17 +1,16 @@
-"""Methods side by side: the same photons, the same points of a picture, the same reference.
+"""Comparison of methods on the same photons and hit points, against the same reference.
 
-`compare` makes a `Comparison` (`run.py`) as planned (`plan.py`), on a scene or on photons alone
-(`subject.py`), measured against a reference (`reference.py`, `truth.py`); `folder.py` writes it:
-pictures (`pictures.py`), a contact sheet (`sheet.py`), a table (`table.py`), and a page (`page.py`,
-`page.html`).
+`compare` evaluates a `ComparisonRequest` (`request.py`) of a scene or a photon pattern
+(`subject.py`) into a `Comparison` (`comparison.py`), with errors against a reference
+(`reference.py`, `analytic_pixels.py`); `report/` writes it to a folder.
 """
 
+from ..estimation.methods import METHODS_OF_SJ13 as METHODS_OF_SJ13
 from .comparison import Comparison as Comparison
 from .comparison import Entry as Entry
 from .comparison import compare as compare
 from .comparison import run_methods as run_methods
-from .request import METHODS_OF_SJ13 as METHODS_OF_SJ13
-from .request import Plan as Plan
-from .subject import DistributionSubject as DistributionSubject
+from .request import ComparisonRequest as ComparisonRequest
+from .subject import PhotonPatternSubject as PhotonPatternSubject
 from .subject import SceneSubject as SceneSubject
-from .subject import named as named
+from .subject import gallery_subject as gallery_subject

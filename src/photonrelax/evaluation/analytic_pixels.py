@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._util.validation import Floats
-from ..gallery.analytic import KnownLight
+from ..gallery.analytic import AnalyticIrradiance
 from ..rendering.view import View
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
-    """A picture of light that is known without photons.
+class AnalyticPixels:
+    """Caustic of the pixels whose irradiance is known analytically.
 
     Attributes
     ----------
@@ -28,12 +28,12 @@ class Known:
     where: NDArray[np.bool_]
 
 
-def analytic_pixels(view: View, light: KnownLight) -> Known:
-    """Return the picture of known light; a pixel is known if all points it sees are."""
-    parts, where = [], []
+def analytic_pixels(view: View, irradiance: AnalyticIrradiance) -> AnalyticPixels:
+    """Caustic of a view; a pixel is known if the irradiance at all its hit points is."""
+    caustic, where = [], []
     for band in view.bands:
-        irradiance, known = light(band.hits.position, band.hits.normal)
-        parts.append(band.radiance(np.where(known, irradiance, 0.0)[:, np.newaxis]))
+        values, known = irradiance(band.hits.position, band.hits.normal)
+        caustic.append(band.radiance(np.where(known, values, 0.0)[:, np.newaxis]))
         counts = band.sums(np.column_stack([known, np.ones(len(known))]))
         where.append((counts[..., 0] == counts[..., 1]) & (counts[..., 1] > 0.0))
-    return Known(np.concatenate(parts), np.concatenate(where))
+    return AnalyticPixels(np.concatenate(caustic), np.concatenate(where))

@@ -1,10 +1,11 @@
-"""What errors are measured against: a picture given, one kept from before, or one computed.
+"""Reference images, read or computed, and the errors of images against them.
 
-One is computed by two runs of progressive photon mapping with photons of their own, whose mean it
-is. Half of what they differ by is its noise. Its bias is what discs do that start small and still
-have a size: each run is made once more, of the same photons, with discs twice as wide, and where
-bias goes with the width, as at edges, it is what the wide ones differ by from the small. (In smooth
-light it goes with the square: then that is three times the bias.)
+A computed reference is the mean of two runs of progressive photon mapping with independent photons.
+Half of the difference of the runs is its noise. Its bias comes from the width of the discs that
+photons are gathered in: each run is repeated with the same photons and discs of twice the initial
+width. Where the bias is proportional to the width, as at edges, it equals the change from the
+narrow to the wide discs. (In smooth light it is proportional to the square of the width, and the
+change is three times the bias.)
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dataclasses import asdict, dataclass
 from glob import escape
 from hashlib import blake2b
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,34 +25,37 @@ from .._util.progress import Progress, prefixed
 from .._util.validation import Floats, check_seed
 from .._version import __version__
 from ..estimation.progressive import ProgressiveSettings
-from ..imaging.image import Image, read_exr
+from ..imaging import metrics
+from ..imaging.image import Image, read_exr, srgb
+from ..imaging.metrics import Errors
 from ..rendering.progressive_render import Checkpoints, pass_seed, render_progressive
 from ..scene.digest import scene_digest
 from ..scene.scene import Scene
-from .comparison import COST
-from .request import Plan
-from .truth import ABOUT, check_reference
+from .analytic_pixels import AnalyticPixels
+from .request import ComparisonRequest
 
-_KEY, _DOUBT = "photonrelax.reference_of", "photonrelax.reference_doubt"
-# Discs twice as wide hold four times as many photons.
+# Keys of the metadata of references.
+ABOUT, COST = "photonrelax.reference", "photonrelax.reference_cost"
+_KEY, _UNCERTAINTY = "photonrelax.reference_of", "photonrelax.reference_doubt"
+# Discs of twice the width hold four times as many photons.
 _WIDE = 4
 _LAYERS = ("radiance", "caustic")
 
 
 @dataclass(frozen=True)
-class Effort:
-    """What a computed reference takes.
+class ReferenceSettings:
+    """Number of photons and passes of a computed reference.
 
     Attributes
     ----------
     passes : int
-        In both runs together; an odd one more is done.
+        In both runs together; rounded up to an even number.
     photons : int
-        In each pass, whatever the number compared.
+        In each pass, independent of the number of photons that are compared.
     k : int
-        Discs start just short of the k-th nearest photon of a first pass.
+        The initial radius of a disc is just short of the k-th nearest photon of the first pass.
     seed : int
-        Of the runs; their photons are others than those compared, whatever their seed.
+        Of the runs; their photons differ from those compared for every seed of these.
     """
 
     passes: int = 50
@@ -64,14 +69,14 @@ class Effort:
         check_seed(self.seed)
 
     @property
-    def passes_each(self) -> int:
+    def passes_per_run(self) -> int:
         """Passes of each of the two runs."""
         return (self.passes + 1) // 2
 
 
 @dataclass(frozen=True)
-class Doubt:
-    """How far a reference may be off: relative L1 and L2 of its noise and of its bias."""
+class Uncertainty:
+    """Relative L1 and L2 of the noise and the bias of a reference."""
 
     noise_l1: float
     noise_l2: float
@@ -79,59 +84,128 @@ class Doubt:
     bias_l2: float
 
     def text(self) -> str:
-        """Return the figures in words."""
+        """The figures as a phrase."""
         return (
             f"its own noise {self.noise_l1:.1%} (L1), {self.noise_l2:.1%} (L2), "
             f"its bias about {self.bias_l1:.1%}, {self.bias_l2:.1%}"
         )
 
 
-def given(path: Path, plan: Plan) -> Image:
-    """Read a reference from an EXR file that any program may have written.
+class Reference:
+    """A reference image, and analytic pixels, to measure images of the same view against.
 
-    Raises
-    ------
-    FileNotFoundError, ValueError
-        If there is none, or it does not show what is compared.
+    Parameters
+    ----------
+    image : Image
+        With ``radiance``; ``caustic`` is taken as the difference to direct light if it is missing.
+    fixed : dict
+        Layers of the same view that do not depend on photons; see `View`.
+    exposure : float
+        Display values are those of radiance times 2^exposure.
+    analytic : AnalyticPixels, optional
+        Caustic that is known analytically.
+
+    Attributes
+    ----------
+    image : Image
+        As given.
+    clipped : float
+        Share of the pixels that exceed the range of a display, where SSIM and FLIP see nothing.
+    analytic_share : float
+        Share of the pixels that are known analytically.
+    analytic_errors : dict
+        `errors_where_analytic` of the reference itself.
     """
-    image = read_exr(path)
-    check_reference(image, plan)
-    about = image.metadata.get(ABOUT)
-    told = {ABOUT: f"{path.name}: {about}" if about else path.name}
-    return Image(image.layers, {**image.metadata, **told})
+
+    def __init__(
+        self,
+        image: Image,
+        fixed: dict[str, Floats],
+        exposure: float,
+        analytic: AnalyticPixels | None = None,
+    ) -> None:
+        self.image = image
+        self._fixed = fixed
+        self._radiance = np.asarray(image.layers["radiance"])
+        self._caustic = np.asarray(image.layers.get("caustic", self._radiance - fixed["direct"]))
+        self._scale = 2.0**exposure
+        self._displayed = srgb(self._scale * self._radiance)
+        self._analytic = analytic
+        self.clipped = float((self._scale * self._radiance > 1.0).any(axis=2).mean())
+        self.analytic_share = 0.0 if analytic is None else float(analytic.where.mean())
+        self.analytic_errors = self.errors_where_analytic(self._caustic)
+
+    @property
+    def description(self) -> str:
+        """How the reference was made."""
+        return self.image.metadata.get(ABOUT, "a given image")
+
+    @property
+    def cost(self) -> dict[str, Any]:
+        """Photons ``emitted`` and ``stored``, and ``seconds`` of a computed reference."""
+        cost: dict[str, Any] = json.loads(self.image.metadata.get(COST, "{}"))
+        return cost
+
+    def measure(self, caustic: Floats) -> tuple[Image, Errors]:
+        """Image of a caustic with its difference from the reference, and its errors."""
+        radiance = caustic + self._fixed["direct"]
+        displayed = srgb(self._scale * radiance)
+        flip = metrics.flip_map(displayed, self._displayed)
+        errors = Errors(
+            relative_l1=metrics.relative_l1(caustic, self._caustic),
+            relative_l2=metrics.relative_l2(caustic, self._caustic),
+            energy_bias=metrics.energy_bias(caustic, self._caustic),
+            ssim=metrics.ssim(displayed, self._displayed),
+            flip=float(flip.mean()),
+        )
+        maps = {"difference": radiance - self._radiance, "flip": flip}
+        return Image({"radiance": radiance, "caustic": caustic, **self._fixed, **maps}), errors
+
+    def errors_where_analytic(self, caustic: Floats) -> dict[str, float]:
+        """Relative L1, L2 and energy bias over the analytic pixels; empty without such."""
+        analytic = self._analytic
+        if analytic is None or not analytic.where.any():
+            return {}
+        found, exact = (layer[analytic.where][np.newaxis] for layer in (caustic, analytic.caustic))
+        return {
+            "relative_l1": metrics.relative_l1(found, exact),
+            "relative_l2": metrics.relative_l2(found, exact),
+            "energy_bias": metrics.energy_bias(found, exact),
+        }
 
 
-def kept(
-    path: Path, plan: Plan, effort: Effort | None = None, progress: Progress | None = None
-) -> Image:
-    """Return the exact picture, where it is known, or the reference that is kept at a path.
-
-    It is computed and kept if there is none, or one that is not of the same scene, view and effort.
-    Until it is whole its runs are kept beside it, and gone on with if they were stopped.
-
-    Raises
-    ------
-    ValueError
-        If what is at the path is not a reference that was computed here.
-    """
-    exact = plan.subject.exact(plan.supersampling)
-    if exact is not None:
-        about = {ABOUT: "exact irradiance at the same points"}
-        return Image({"radiance": exact, "caustic": exact}, about)
-    effort = effort or Effort()
-    key = _key(plan, effort)
-    check_own(path)
-    found = read_exr(path) if path.exists() else None
-    if found is None or found.metadata.get(_KEY) != key:
-        _computed(path, plan, effort, progress).write_exr(path)
-        _remove_runs(path)
-        # As it is kept: a later run measures the same.
-        found = read_exr(path)
-    return found
+# --- checks ---------------------------------------------------------------------------------------
 
 
-def check_own(path: Path) -> None:
-    """Raise ValueError if a file is something else than a reference that was computed here."""
+def check_reference(image: Image, request: ComparisonRequest) -> None:
+    """Raise ValueError if a reference does not show the requested view, or is black."""
+    if "radiance" not in image.layers:
+        raise ValueError(
+            f"the reference should have channels R, G and B, but has {sorted(image.layers)}"
+        )
+    for name in {"radiance", "caustic"} & image.layers.keys():
+        _check_layer(name, np.asarray(image.layers[name]), request.subject.size)
+
+
+def _check_layer(name: str, layer: Floats, size: tuple[int, int]) -> None:
+    width, height = size
+    if layer.shape[:2] != (height, width):
+        found = " x ".join(map(str, layer.shape[1::-1]))
+        raise ValueError(
+            f"the reference should have {width} x {height} pixels as the images have, "
+            f"but has {found}"
+        )
+    if layer.shape[2:] != (3,):
+        raise ValueError(f"the reference should have three channels of {name}, but has one")
+    if not np.isfinite(layer).all():
+        n = int((~np.isfinite(layer)).any(axis=2).sum())
+        raise ValueError(f"the reference should be finite, but {n:,} pixels of {name} are not")
+    if not layer.any():
+        raise ValueError(f"the reference should not be black, but its {name} is")
+
+
+def check_cached(path: Path) -> None:
+    """Raise ValueError if a file exists that is not a reference computed by this module."""
     if not path.exists():
         return
     try:
@@ -145,30 +219,83 @@ def check_own(path: Path) -> None:
         )
 
 
-def doubt(reference: Image) -> Doubt | None:
-    """Return how far a reference may be off, if it was estimated."""
-    told = reference.metadata.get(_DOUBT)
-    return None if told is None else Doubt(**json.loads(told))
+# --- references from files ------------------------------------------------------------------------
 
 
-def estimated_doubt(small: list[Floats], wide: list[Floats]) -> Doubt:
-    """Return how far the mean of two runs may be off.
+def read_reference(path: Path, request: ComparisonRequest) -> Image:
+    """Read a reference from an EXR file of any program.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        If there is none, or it does not show the requested view.
+    """
+    image = read_exr(path)
+    check_reference(image, request)
+    about = image.metadata.get(ABOUT)
+    metadata = {ABOUT: f"{path.name}: {about}" if about else path.name}
+    return Image(image.layers, {**image.metadata, **metadata})
+
+
+def cached_reference(
+    path: Path,
+    request: ComparisonRequest,
+    settings: ReferenceSettings | None = None,
+    progress: Progress | None = None,
+) -> Image:
+    """The exact image of the subject if it has one; otherwise the reference cached at a path.
+
+    The reference is computed if there is none, or one of another scene, view or settings. While it
+    is computed, the runs are saved beside it; an interrupted reference is resumed.
+
+    Raises
+    ------
+    ValueError
+        If the file at the path is not a reference computed by this module.
+    """
+    exact = request.subject.exact(request.supersampling)
+    if exact is not None:
+        about = {ABOUT: "exact irradiance at the same points"}
+        return Image({"radiance": exact, "caustic": exact}, about)
+    settings = settings or ReferenceSettings()
+    key = _key(request, settings)
+    check_cached(path)
+    cached = read_exr(path) if path.exists() else None
+    if cached is None or cached.metadata.get(_KEY) != key:
+        _computed(path, request, settings, progress).write_exr(path)
+        _remove_runs(path)
+        # Read again: the float32 values of the file are what later comparisons get.
+        cached = read_exr(path)
+    return cached
+
+
+# --- uncertainty ----------------------------------------------------------------------------------
+
+
+def uncertainty_of(reference: Image) -> Uncertainty | None:
+    """Uncertainty of a reference, None unless it was estimated."""
+    text = reference.metadata.get(_UNCERTAINTY)
+    return None if text is None else Uncertainty(**json.loads(text))
+
+
+def estimate_uncertainty(narrow: list[Floats], wide: list[Floats]) -> Uncertainty:
+    """Estimate the uncertainty of the mean of two runs.
 
     Parameters
     ----------
-    small : two (height, width, 3)
+    narrow : two (height, width, 3)
         The caustics of the runs.
     wide : two (height, width, 3)
-        The same with discs twice as wide.
+        The same with discs of twice the initial width.
     """
-    truth = 0.5 * (small[0] + small[1])
-    noise = 0.5 * (small[0] - small[1])
-    one, other = (b - a for a, b in zip(small, wide, strict=True))
-    # Noise of one run has no part in the other's: what both say is bias.
+    mean = 0.5 * (narrow[0] + narrow[1])
+    noise = 0.5 * (narrow[0] - narrow[1])
+    one, other = (b - a for a, b in zip(narrow, wide, strict=True))
+    # The noise of the runs is independent: what their changes have in common is bias.
     l1 = 0.5 * (one * np.sign(other) + other * np.sign(one)).sum()
     square = (one * other).sum()
-    total, norm = np.abs(truth).sum(), np.linalg.norm(truth)
-    return Doubt(
+    total, norm = np.abs(mean).sum(), np.linalg.norm(mean)
+    return Uncertainty(
         float(np.abs(noise).sum() / total),
         float(np.linalg.norm(noise) / norm),
         float(max(l1, 0.0) / total),
@@ -176,53 +303,72 @@ def estimated_doubt(small: list[Floats], wide: list[Floats]) -> Doubt:
     )
 
 
-def _computed(path: Path, plan: Plan, effort: Effort, progress: Progress | None) -> Image:
-    """Return a reference by progressive photon mapping, at the hit points that are compared at."""
-    fresh = not any(path.parent.glob(_runs_of(path)))
-    runs = dict(_runs(path, plan, effort, progress))
-    small, wide = ([runs[k, half] for half in range(2)] for k in (effort.k, _WIDE * effort.k))
+# --- computed references --------------------------------------------------------------------------
+
+
+def _computed(
+    path: Path,
+    request: ComparisonRequest,
+    settings: ReferenceSettings,
+    progress: Progress | None,
+) -> Image:
+    """Reference by progressive photon mapping, at the hit points of the compared images."""
+    resumed = any(path.parent.glob(_run_pattern(path)))
+    runs = dict(_runs(path, request, settings, progress))
+    narrow, wide = ([runs[k, half] for half in range(2)] for k in (settings.k, _WIDE * settings.k))
     layers = {
-        name: 0.5 * sum(np.asarray(image.layers[name]) for image in small) for name in _LAYERS
+        name: 0.5 * sum(np.asarray(image.layers[name]) for image in narrow) for name in _LAYERS
     }
-    estimated = estimated_doubt(_caustics(small), _caustics(wide))
-    stages = [image.stats["stages"]["passes"] for image in small]
-    cost = {
-        "emitted": 2 * effort.passes_each * effort.photons,
-        "stored": sum(stage["stored"] for stage in stages),
-        "seconds": sum(stage["seconds"] for stage in stages) if fresh else None,
-    }
-    about = (
-        f"progressive photon mapping, two runs of {effort.passes_each:,} passes of "
-        f"{effort.photons:,} photons ({cost['stored']:,} absorbed), discs of "
-        f"{effort.k} photons at first; {estimated.text()}"
-    )
-    told = {
-        ABOUT: about,
+    uncertainty = estimate_uncertainty(_caustics(narrow), _caustics(wide))
+    cost = _cost(narrow, settings, resumed)
+    metadata = {
+        ABOUT: _description(settings, cost["stored"], uncertainty),
         COST: json.dumps(cost),
-        _DOUBT: json.dumps(asdict(estimated)),
-        _KEY: _key(plan, effort),
+        _UNCERTAINTY: json.dumps(asdict(uncertainty)),
+        _KEY: _key(request, settings),
     }
-    return Image(layers, {**small[0].metadata, **told})
+    return Image(layers, {**narrow[0].metadata, **metadata})
+
+
+def _cost(runs: list[Image], settings: ReferenceSettings, resumed: bool) -> dict[str, Any]:
+    """Photons and seconds of the runs; the seconds of a resumed run are unknown."""
+    stages = [image.stats["stages"]["passes"] for image in runs]
+    return {
+        "emitted": 2 * settings.passes_per_run * settings.photons,
+        "stored": sum(stage["stored"] for stage in stages),
+        "seconds": None if resumed else sum(stage["seconds"] for stage in stages),
+    }
+
+
+def _description(settings: ReferenceSettings, n_stored: int, uncertainty: Uncertainty) -> str:
+    return (
+        f"progressive photon mapping, two runs of {settings.passes_per_run:,} passes of "
+        f"{settings.photons:,} photons ({n_stored:,} absorbed), discs of "
+        f"{settings.k} photons at first; {uncertainty.text()}"
+    )
 
 
 def _runs(
-    path: Path, plan: Plan, effort: Effort, progress: Progress | None
+    path: Path,
+    request: ComparisonRequest,
+    settings: ReferenceSettings,
+    progress: Progress | None,
 ) -> Iterator[tuple[tuple[int, int], Image]]:
-    """Yield the pictures of the runs by k and half; each goes on where it was stopped."""
-    cases = [(k, half) for k in (effort.k, _WIDE * effort.k) for half in range(2)]
-    identity = blake2b(_key(plan, effort).encode(), digest_size=8).hexdigest()
+    """Images of the runs by k and half; an interrupted run is resumed."""
+    cases = [(k, half) for k in (settings.k, _WIDE * settings.k) for half in range(2)]
+    identity = blake2b(_key(request, settings).encode(), digest_size=8).hexdigest()
     for number, (k, half) in enumerate(cases):
         state = path.with_name(f".{path.stem}.{identity}.{number}.npz")
         image = render_progressive(
-            _scene(plan),
-            n_passes=effort.passes_each,
-            photons_per_pass=effort.photons,
-            seed=pass_seed(effort.seed, half),
+            _scene(request),
+            n_passes=settings.passes_per_run,
+            photons_per_pass=settings.photons,
+            seed=pass_seed(settings.seed, half),
             settings=ProgressiveSettings(k=k),
-            supersampling=plan.supersampling,
-            max_depth=plan.max_depth,
+            supersampling=request.supersampling,
+            max_depth=request.max_depth,
             checkpoints=Checkpoints(state),
-            n_threads=plan.n_threads,
+            n_threads=request.n_threads,
             progress=prefixed(progress, f"reference, run {number + 1} of {len(cases)}"),
         )
         yield (k, half), image
@@ -232,29 +378,29 @@ def _caustics(images: list[Image]) -> list[Floats]:
     return [np.asarray(image.layers["caustic"]) for image in images]
 
 
-def _runs_of(path: Path) -> str:
+def _run_pattern(path: Path) -> str:
     return f".{escape(path.stem)}.{'[0-9a-f]' * 16}.[0-3].npz"
 
 
 def _remove_runs(path: Path) -> None:
-    for state in path.parent.glob(_runs_of(path)):
+    for state in path.parent.glob(_run_pattern(path)):
         state.unlink()
 
 
-def _key(plan: Plan, effort: Effort) -> str:
-    """Return all that the reference depends on."""
+def _key(request: ComparisonRequest, settings: ReferenceSettings) -> str:
+    """All that a reference depends on, as JSON."""
     depends_on = {
-        "scene": scene_digest(_scene(plan)),
-        "supersampling": plan.supersampling,
-        "max_depth": plan.max_depth,
-        **asdict(effort),
-        "passes": effort.passes_each,
+        "scene": scene_digest(_scene(request)),
+        "supersampling": request.supersampling,
+        "max_depth": request.max_depth,
+        **asdict(settings),
+        "passes": settings.passes_per_run,
         "version": __version__,
     }
     return json.dumps(depends_on)
 
 
-def _scene(plan: Plan) -> Scene:
-    scene = plan.subject.scene
-    assert scene is not None, "what is not exact has a scene"
+def _scene(request: ComparisonRequest) -> Scene:
+    scene = request.subject.scene
+    assert scene is not None, "a subject without an exact image has a scene"
     return scene

@@ -1,4 +1,4 @@
-"""What is to be compared, checked before the work."""
+"""Parameters of a comparison, validated before the work."""
 
 from __future__ import annotations
 
@@ -6,48 +6,44 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from .._util import validation
-from .._util.validation import check_seed
-from ..estimation.methods import METHODS, Settings, check_method
+from .._util.validation import check_choice, check_seed
+from ..estimation.methods import METHODS, METHODS_OF_SJ13, Method, Settings, method_named
 from ..imaging.metrics import SSIM_WINDOW
+from ..transport.emission import SAMPLERS
 from ..transport.hit_points import MAX_DEPTH
 from .subject import Subject
 
-METHODS_OF_SJ13 = ("standard", "relaxation", "diffusion", "parameterised", "progressive")
-"""What SJ13's Table I compares, in its order."""
-
-SAMPLERS = ("halton", "random")
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Plan:
-    """What is to be compared, and how.
+class ComparisonRequest:
+    """Parameters of a comparison of methods.
 
     Attributes
     ----------
     subject : Subject
-        What photons are of, and seen on: `SceneSubject` or `DistributionSubject`.
+        `SceneSubject` or `PhotonPatternSubject`.
     methods : tuple of str
-        By default those of `METHODS_OF_SJ13`.
+        Methods to compare; by default `METHODS_OF_SJ13`.
     variants : dict
-        More columns: method and settings by a name.
+        Further columns: method and settings by name.
     n_emitted, seed, sampler : int, int, str
         Of the photons, which all methods share; see `photonrelax.trace_photons`.
     settings : Settings
-        Of the stages of all methods.
+        Settings of the stages of all methods.
     supersampling, max_depth : int
-        s·s samples a pixel; smooth surfaces a camera ray may meet.
+        s·s samples a pixel; maximum number of specular surfaces on a camera path.
     exposure : float
-        Pictures are shown, and SSIM and FLIP measured, times 2^exposure.
+        Images are displayed, and SSIM and FLIP measured, times 2^exposure.
     rounds : int
-        How often everything is timed, methods in turns; times are medians.
+        Number of interleaved runs of all methods; times are medians.
     n_threads : int, optional
         Threads; all available by default. Only times depend on it.
 
     Raises
     ------
     TypeError, ValueError
-        If a method is not known or cannot be shown on the subject, a number is out of its range,
-        or pictures are too small to be measured.
+        If a method is unknown or not applicable to the subject, a number is out of its range, or
+        images are too small for SSIM.
     """
 
     subject: Subject
@@ -67,27 +63,23 @@ class Plan:
         methods = tuple(dict.fromkeys(self.methods)) or METHODS_OF_SJ13
         object.__setattr__(self, "methods", methods)
         for method, _ in self.columns().values():
-            check_method(method)
-            self._check_spectra(method)
+            self._check_spectra(method_named(method))
         for name in ("n_emitted", "supersampling", "rounds"):
             validation.count(getattr(self, name), name)
         validation.count(self.max_depth, "max_depth", low=0, high=MAX_DEPTH)
         check_seed(self.seed)
-        if self.sampler not in SAMPLERS:
-            raise ValueError(
-                f"sampler should be one of {', '.join(SAMPLERS)}, but is {self.sampler!r}"
-            )
+        check_choice(self.sampler, "sampler", SAMPLERS)
         self._check_size()
 
     def columns(self) -> dict[str, tuple[str, Settings]]:
-        """Return method and settings of each column by its name."""
+        """Method and settings of each column by its name."""
         return {name: (name, self.settings) for name in self.methods} | dict(self.variants)
 
-    def _check_spectra(self, method: str) -> None:
-        if method == "frequency" and self.subject.scene is None:
-            others = ", ".join(name for name in METHODS if name != method)
+    def _check_spectra(self, method: Method) -> None:
+        if method.needs_spectra and self.subject.scene is None:
+            others = ", ".join(each.name for each in METHODS.values() if not each.needs_spectra)
             raise ValueError(
-                f"methods on {self.subject.name} should be of {others}, but include {method}: "
+                f"methods on {self.subject.name} should be of {others}, but include {method.name}: "
                 "photons that were not traced carry no spectra"
             )
 
@@ -95,6 +87,6 @@ class Plan:
         width, height = self.subject.size
         if min(width, height) < SSIM_WINDOW:
             raise ValueError(
-                f"pictures should have at least {SSIM_WINDOW} x {SSIM_WINDOW} pixels to be "
+                f"images should have at least {SSIM_WINDOW} x {SSIM_WINDOW} pixels to be "
                 f"measured by SSIM, but have {width} x {height}"
             )

@@ -1,4 +1,4 @@
-"""What is compared on: a scene, or photons of the gallery that no scene was traced for."""
+"""Subjects of a comparison: a scene, or a photon pattern of the gallery."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ import numpy as np
 from .. import gallery
 from .._util.progress import Progress
 from .._util.validation import Floats, count
-from ..gallery.analytic import KnownLight, known_light
+from ..gallery.analytic import AnalyticIrradiance, analytic_irradiance
 from ..photons.photon_map import PhotonMap
 from ..rendering.view import Band, View, joined, look, resized
 from ..scene.scene import Scene
 from ..transport.hit_points import FirstSurfaces, HitPoints
 from ..transport.trace import trace_photons
-from .analytic_pixels import Known, analytic_pixels
+from .analytic_pixels import AnalyticPixels, analytic_pixels
 
-# Points of a plane that are looked at together, which bounds the memory estimates take.
+# Points of a plane evaluated together, which bounds the memory of estimates.
 _POINTS_PER_BAND = 400_000
 
 
 class Subject(Protocol):
-    """Where photons come from and where they are seen.
+    """Source of photons, and points that they are evaluated at.
 
     Attributes
     ----------
     name : str
-        What tables call it.
+        Name in tables.
     scene : Scene or None
-        That photons were traced in.
+        Scene that photons are traced in.
     size : (int, int)
-        Width and height of its pictures.
+        Width and height of images.
     """
 
     @property
@@ -52,7 +52,7 @@ class Subject(Protocol):
         n_threads: int | None,
         progress: Progress | None,
     ) -> PhotonMap:
-        """Return the photons that all methods share."""
+        """Photons that all methods share."""
 
     def view(
         self,
@@ -62,16 +62,16 @@ class Subject(Protocol):
         n_threads: int | None,
         progress: Progress | None,
     ) -> View:
-        """Return the points that all methods are seen at."""
+        """Hit points that all methods are evaluated at."""
 
     def exact(self, supersampling: int) -> Floats | None:
-        """Return the picture of the true irradiance at the points of `view`, if it is known.
+        """Exact radiance (height, width, 3), None where it is unknown.
 
-        (height, width, 3): means over the s·s samples of each pixel, as of any estimate.
+        Means over the s·s samples of each pixel of `view`, as those of an estimate.
         """
 
-    def known(self, view: View) -> Known | None:
-        """Return the caustic of a view where it is known without photons, if a part of it is."""
+    def analytic_pixels(self, view: View) -> AnalyticPixels | None:
+        """Caustic of the pixels that are known analytically, None where none is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,12 +81,12 @@ class SceneSubject:
     Parameters
     ----------
     scene : Scene
-    light : KnownLight, optional
-        What is known of its caustics without photons; see `photonrelax.gallery.analytic`.
+    irradiance : AnalyticIrradiance, optional
+        Analytic irradiance of its caustics; see `photonrelax.gallery.analytic`.
     """
 
     scene: Scene
-    light: KnownLight | None = None
+    irradiance: AnalyticIrradiance | None = None
 
     def __post_init__(self) -> None:
         if self.scene.camera is None:
@@ -133,7 +133,7 @@ class SceneSubject:
         n_threads: int | None,
         progress: Progress | None,
     ) -> View:
-        """Follow camera rays."""
+        """Trace camera rays."""
         return look(
             self.scene,
             supersampling=supersampling,
@@ -143,23 +143,23 @@ class SceneSubject:
         )
 
     def exact(self, supersampling: int) -> None:
-        """Return nothing: no whole picture of a scene is known."""
+        """None: no scene has an exact image."""
 
-    def known(self, view: View) -> Known | None:
-        """Return the picture of the light that is known."""
-        return None if self.light is None else analytic_pixels(view, self.light)
+    def analytic_pixels(self, view: View) -> AnalyticPixels | None:
+        """Caustic of the pixels that are known analytically, None where none is."""
+        return None if self.irradiance is None else analytic_pixels(view, self.irradiance)
 
 
 @dataclass(frozen=True)
-class DistributionSubject:
-    """Photons of the gallery on a white plane, seen straight from above: radiance is E/π.
+class PhotonPatternSubject:
+    """Photon pattern of the gallery on a white plane, seen straight from above: radiance is E/π.
 
     Parameters
     ----------
     name : str
-        One of `photonrelax.gallery.distribution_names`.
+        One of `photonrelax.gallery.pattern_names`.
     size : (int, int)
-        Width and height of pictures.
+        Width and height of images.
     """
 
     name: str
@@ -172,7 +172,7 @@ class DistributionSubject:
 
     @property
     def scene(self) -> None:
-        """There is none."""
+        """None: photon patterns have no scene."""
 
     def photons(
         self,
@@ -184,9 +184,8 @@ class DistributionSubject:
         n_threads: int | None,
         progress: Progress | None,
     ) -> PhotonMap:
-        """Make the distribution's photons; they have no paths, and no spectra."""
-        made = gallery.distribution(self.name, n=n_emitted, seed=seed, sampler=sampler)
-        return made.photons
+        """Photons of the pattern; they have no paths, and no spectra."""
+        return gallery.pattern(self.name, n=n_emitted, seed=seed, sampler=sampler).photons
 
     def view(
         self,
@@ -196,10 +195,10 @@ class DistributionSubject:
         n_threads: int | None,
         progress: Progress | None,
     ) -> View:
-        """Return s·s points a pixel of the white plane, which nothing else lights."""
+        """Points of s·s samples a pixel of the white plane, without direct light."""
         (width, height), samples = self.size, supersampling**2
-        distribution = gallery.distribution(self.name, n=0)
-        points, _ = distribution.samples(width, height, supersampling)
+        pattern = gallery.pattern(self.name, n=0)
+        points, _ = pattern.samples(width, height, supersampling)
         per_row = width * samples
         step = max(_POINTS_PER_BAND // per_row, 1)
         seen = []
@@ -210,23 +209,23 @@ class DistributionSubject:
         return View(seen, joined([band.fixed_layers() for band in seen]), 0.0)
 
     def exact(self, supersampling: int) -> Floats:
-        """Return the mean radiance of the points of `view` in each pixel, (height, width, 3).
+        """Mean exact radiance of the points of `view` in each pixel, (height, width, 3).
 
-        Means over the area of pixels differ from these where edges cut them, by more than the
-        error of a good estimate.
+        Means over the area of a pixel with an edge differ from these by more than the error of a
+        good estimate.
         """
-        known = gallery.distribution(self.name, n=0)
-        picture = known.picture(
-            lambda points, _: known.irradiance(points), *self.size, supersampling
+        pattern = gallery.pattern(self.name, n=0)
+        irradiance = pattern.image(
+            lambda points, _: pattern.irradiance(points), *self.size, supersampling
         )
-        return picture / np.pi
+        return irradiance / np.pi
 
-    def known(self, view: View) -> None:
-        """Return nothing: the whole picture is `exact` already."""
+    def analytic_pixels(self, view: View) -> None:
+        """None: the whole image is `exact`."""
 
 
 def _band_of_plane(points: Floats, rows: range, width: int, samples: int) -> Band:
-    """Return some rows of a picture of the white plane."""
+    """Rows of an image of the white plane."""
     white, up = np.ones_like(points), np.zeros_like(points)
     up[:, 2] = 1.0
     pixels = np.arange(rows.start * width, rows.stop * width)
@@ -243,9 +242,9 @@ def _band_of_plane(points: Floats, rows: range, width: int, samples: int) -> Ban
     return Band(rows, width, hits, first, np.zeros_like(points))
 
 
-def named(name: str, width: int | None = None, height: int | None = None) -> Subject:
-    """Return what the gallery knows by a name, its pictures of a size of their own if not given."""
-    if name in gallery.distribution_names():
+def gallery_subject(name: str, width: int | None = None, height: int | None = None) -> Subject:
+    """Subject of the gallery, with images of its own size unless another is given."""
+    if name in gallery.pattern_names():
         side = width or height or 600
-        return DistributionSubject(name, (width or side, height or side))
-    return SceneSubject(resized(gallery.scene(name), width, height), known_light(name))
+        return PhotonPatternSubject(name, (width or side, height or side))
+    return SceneSubject(resized(gallery.scene(name), width, height), analytic_irradiance(name))

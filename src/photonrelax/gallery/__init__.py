@@ -1,4 +1,4 @@
-"""Built-in scenes, and photons without a scene: one file each, a short function of its sizes."""
+"""Built-in scenes and photon patterns, a module each named after it."""
 
 from __future__ import annotations
 
@@ -7,39 +7,39 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ..scene.scene import Scene
-    from .photon_pattern import Distribution
+    from .photon_pattern import PhotonPattern
 
-_ABOUT = {
+_SCENES = {
     "prism": "glass prism before a strong point light: overlapping shards and filaments",
     "reflector": "bent strip of metal: a caustic beside light that is smooth",
     "ring": "metal ring in slanting sunlight: the cardioid",
     "ripples": "sunlight through a wavy slab of glass: the net of light below water",
     "sphere": "glass sphere over a plane in collimated light: bright spot and folds",
 }
-_ABOUT_DISTRIBUTIONS = {
+_PHOTON_PATTERNS = {
     "shapes": "photons alone: a disc, a square and three lines of equal density on black",
 }
 
 
 def names() -> tuple[str, ...]:
-    """Return the names of the built-in scenes."""
-    return tuple(_ABOUT)
+    """Names of the built-in scenes."""
+    return tuple(_SCENES)
 
 
-def distribution_names() -> tuple[str, ...]:
-    """Return the names of the built-in distributions: photons without a scene."""
-    return tuple(_ABOUT_DISTRIBUTIONS)
+def pattern_names() -> tuple[str, ...]:
+    """Names of the built-in photon patterns, which have no scene."""
+    return tuple(_PHOTON_PATTERNS)
 
 
 def about(name: str) -> str:
-    """Return one line that says what a scene or a distribution shows."""
-    every = _ABOUT | _ABOUT_DISTRIBUTIONS
-    _check(name, every, "name")
-    return every[name]
+    """One-line description of a scene or photon pattern."""
+    descriptions = _SCENES | _PHOTON_PATTERNS
+    _check(name, descriptions, "name")
+    return descriptions[name]
 
 
 def scene(name: str, **sizes: Any) -> Scene:
-    """Build a scene by its name.
+    """Build a scene.
 
     Parameters
     ----------
@@ -53,34 +53,38 @@ def scene(name: str, **sizes: Any) -> Scene:
     ValueError
         If there is no such scene.
     """
-    _check(name, _ABOUT, "scene")
+    _check(name, _SCENES, "scene")
     built: Scene = _build(name, sizes)
     return built
 
 
-def distribution(name: str, **sizes: Any) -> Distribution:
-    """Make the photons of a distribution by its name, with their exact irradiance.
+def pattern(name: str, **sizes: Any) -> PhotonPattern:
+    """Make the photons of a pattern, with their exact irradiance.
 
     Parameters
     ----------
     name : str
-        One of `distribution_names()`; also the name of the module and the function that make it.
+        One of `pattern_names()`; also the name of the module and the function that make it.
     **sizes
         Arguments of that function, in place of its defaults.
 
     Returns
     -------
-    Distribution
-        Photons, irradiance at points and as pixel means, and how to take a picture of them.
+    PhotonPattern
+        Photons, and their exact irradiance at points and as pixel means.
 
     Raises
     ------
     ValueError
-        If there is no such distribution.
+        If there is no such photon pattern.
     """
-    _check(name, _ABOUT_DISTRIBUTIONS, "distribution")
-    made: Distribution = _build(name, sizes)
+    _check(name, _PHOTON_PATTERNS, "photon pattern")
+    made: PhotonPattern = _build(name, sizes)
     return made
+
+
+# Names of earlier versions.
+distribution_names, distribution = pattern_names, pattern
 
 
 def _build(name: str, sizes: dict[str, Any]) -> Any:
@@ -88,6 +92,6 @@ def _build(name: str, sizes: dict[str, Any]) -> Any:
     return getattr(module, name)(**sizes)
 
 
-def _check(name: str, known: dict[str, str], what: str) -> None:
+def _check(name: str, known: dict[str, str], argument: str) -> None:
     if name not in known:
-        raise ValueError(f"{what} should be one of {', '.join(known)}, but is {name!r}")
+        raise ValueError(f"{argument} should be one of {', '.join(known)}, but is {name!r}")

@@ -15,7 +15,7 @@ from ..spatial.kdtree import KDTree
 from ..transport.optics import fresnel
 
 Bools = NDArray[np.bool_]
-KnownLight = Callable[[Floats, Floats], tuple[Floats, Bools]]
+AnalyticIrradiance = Callable[[Floats, Floats], tuple[Floats, Bools]]
 """Maps points and normals, (m, 3) each, to irradiance from caustics, (m,) W/m², the same in every
 channel, and to whether it is known there, (m,)."""
 
@@ -31,7 +31,7 @@ def _on_floor(points: Floats, normals: Floats) -> Bools:
 
 
 @dataclass(frozen=True)
-class RingLight:
+class RingIrradiance:
     """Sunlight off the inner wall of `photonrelax.gallery.ring`, once, where it meets the floor.
 
     Light from azimuth a leaves the wall along -(cos 2a, sin 2a), falls tan e a metre, and has
@@ -52,7 +52,7 @@ class RingLight:
     margin: float = 0.01
 
     def __call__(self, points: Floats, normals: Floats) -> tuple[Floats, Bools]:
-        """Return irradiance (m,) and whether it is known (m,); see `KnownLight`."""
+        """Return irradiance (m,) and whether it is known (m,); see `AnalyticIrradiance`."""
         known = _on_floor(points, normals)
         known &= np.linalg.norm(points[:, :2], axis=1) < self._met_once() - self.margin
         rows = np.flatnonzero(known)
@@ -114,7 +114,7 @@ class RingLight:
 
 
 @dataclass(frozen=True)
-class SphereLight:
+class SphereIrradiance:
     """Light through `photonrelax.gallery.sphere`, and off it, where it meets the floor.
 
     Light that enters at the distance b from the axis with angle of incidence i, refracted to t,
@@ -132,7 +132,7 @@ class SphereLight:
     margin: float = 0.02
 
     def __call__(self, points: Floats, normals: Floats) -> tuple[Floats, Bools]:
-        """Return irradiance (m,) and whether it is known (m,); see `KnownLight`."""
+        """Return irradiance (m,) and whether it is known (m,); see `AnalyticIrradiance`."""
         distance = np.linalg.norm(points[:, :2], axis=1)
         at, values, folds = self._table
         known = _on_floor(points, normals) & (distance > 3.0 * self.margin) & (distance < at[-1])
@@ -177,10 +177,10 @@ class SphereLight:
         return reach, share
 
 
-_LIGHTS: dict[str, Any] = {"ring": RingLight, "sphere": SphereLight}
+_BY_SCENE: dict[str, Any] = {"ring": RingIrradiance, "sphere": SphereIrradiance}
 
 
-def known_light(name: str) -> KnownLight | None:
-    """Return the light of a built-in scene of its default sizes, if it is known without photons."""
-    light: KnownLight | None = _LIGHTS[name]() if name in _LIGHTS else None
-    return light
+def analytic_irradiance(name: str) -> AnalyticIrradiance | None:
+    """Analytic irradiance of a built-in scene of its default sizes, None if there is none."""
+    irradiance: AnalyticIrradiance | None = _BY_SCENE[name]() if name in _BY_SCENE else None
+    return irradiance

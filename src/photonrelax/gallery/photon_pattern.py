@@ -1,4 +1,4 @@
-"""Photons that no scene was traced for, and whose irradiance is known."""
+"""Photons on a plane, made without a scene, whose exact irradiance is known."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ Estimate = Callable[[Floats, Floats], Floats]
 
 
 @dataclass(frozen=True, eq=False)
-class Distribution:
+class PhotonPattern:
     """Photons on the unit square 0 ≤ x, y ≤ 1 of the plane z = 0, seen straight from above.
 
     Attributes
     ----------
     name : str
-        By which the gallery knows it.
+        Name in the gallery.
     photons : PhotonMap
-        With emitter coordinates and densities, so that every method has what it needs.
+        With emitter coordinates and densities, which some methods need.
     irradiance : callable
-        The truth: maps points (m, 3) on the plane to W/m², (m, 3).
+        Exact irradiance: maps points (m, 3) on the plane to W/m², (m, 3).
     pixel_means : callable
-        The truth as a picture: maps width and height to the mean irradiance over the area of each
-        pixel, exactly, (height, width, 3); row 0, at the top, is next to y = 1.
+        Exact image: maps width and height to the mean irradiance over the area of each pixel,
+        (height, width, 3); row 0, at the top, is next to y = 1.
     """
 
     name: str
@@ -36,9 +36,9 @@ class Distribution:
     pixel_means: Callable[[int, int], Floats]
 
     def samples(self, width: int, height: int, supersampling: int = 1) -> tuple[Floats, Floats]:
-        """Return s·s points in each pixel of a picture, and the normals there, (m, 3) each.
+        """Points of the s·s samples of each pixel, and the normals there, (m, 3) each.
 
-        Pixel by pixel, row by row from the top: means over each s·s are pixels.
+        Pixel by pixel, row by row from the top: a pixel is the mean of s·s consecutive samples.
         """
         width, height = count(width, "width"), count(height, "height")
         s = count(supersampling, "supersampling")
@@ -50,15 +50,15 @@ class Distribution:
         points = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
         return points, np.tile([0.0, 0.0, 1.0], (len(points), 1))
 
-    def picture(self, field: Estimate, width: int, height: int, supersampling: int = 1) -> Floats:
-        """Return what a field shows, W/m²: means over the samples of each pixel.
+    def image(self, field: Estimate, width: int, height: int, supersampling: int = 1) -> Floats:
+        """Image of a field, W/m²: means over the samples of each pixel.
 
         Parameters
         ----------
         field : callable
-            What `photonrelax.irradiance_field` returns, or anything called like it.
+            Result of `photonrelax.irradiance_field`, or any callable of the same signature.
         width, height, supersampling : int
-            Of the picture; s·s samples a pixel.
+            Size of the image, and s·s samples a pixel.
 
         Returns
         -------

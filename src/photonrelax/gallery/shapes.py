@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from .._util.validation import Floats, check_seed, count, float_array, positive
 from ..photons.photon_map import PhotonMap
 from ..transport.sampling import halton, seed_shift, square_to_disk
-from .photon_pattern import Distribution
+from .photon_pattern import PhotonPattern
 
 DISC = ((0.27, 0.76), 0.17)
 SQUARE = ((0.73, 0.76), 0.15)
@@ -35,7 +35,7 @@ def shapes(
     seed: int = 0,
     irradiance: float = 1.0,
     line_widths: Sequence[float] = LINE_WIDTHS,
-) -> Distribution:
+) -> PhotonPattern:
     """Return photons as of collimated light through a stencil onto the unit square.
 
     Parameters
@@ -86,7 +86,7 @@ def shapes(
         covered = -np.diff(np.diff(below, axis=0), axis=1) * width * height
         return _grey(lit * covered)
 
-    return Distribution("shapes", photons, irradiance_at, pixel_means)
+    return PhotonPattern("shapes", photons, irradiance_at, pixel_means)
 
 
 def line_points(number: int, uv: Floats, width: float, margin: float = 0.1) -> Floats:

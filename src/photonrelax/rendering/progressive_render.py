@@ -24,6 +24,7 @@ from .._util.parallel import thread_count
 from .._util.progress import Progress
 from .._util.validation import check_seed
 from .._version import __version__
+from ..estimation.methods import PASSES_METHOD
 from ..estimation.progressive import ProgressiveSettings
 from ..imaging.image import Image
 from ..photons.photon_map import NothingStoredError, PhotonMap
@@ -324,7 +325,7 @@ class _Run:
             photons_stored=self._done.n_stored,
             seed=self._recipe.seed,
             scene=self._scene.name,
-            method="progressive",
+            method=PASSES_METHOD,
             settings={**self._recipe.named(), "n_passes": self.n_passes},
         )
         radiance = {"radiance": layers["caustic"] + layers["direct"]}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from time import perf_counter
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -12,7 +12,15 @@ from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
 from ..estimation.field import Field
-from ..estimation.methods import Settings, Task, check_method, frequency_share, prepare, settings_of
+from ..estimation.methods import (
+    DEFAULT_METHOD,
+    MethodInput,
+    Settings,
+    StageSettings,
+    method_named,
+    prepare,
+    settings_of,
+)
 from ..imaging.image import Image
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
@@ -27,7 +35,7 @@ from .view import bands, joined
 def render(
     scene: Scene,
     *,
-    method: str = "parameterised",
+    method: str = DEFAULT_METHOD,
     n_emitted: int = 1_000_000,
     seed: int = 0,
     sampler: str = "halton",
@@ -36,7 +44,7 @@ def render(
     photons: PhotonMap | None = None,
     n_threads: int | None = None,
     progress: Progress | None = None,
-    **settings: Any,
+    **settings: Unpack[StageSettings],
 ) -> Image:
     """Render what a scene's camera sees: caustics from photons, direct light by shadow rays.
 
@@ -73,10 +81,9 @@ def render(
     """
     pipeline = _Pipeline(scene, n_threads, progress)
     view = _checked_view(supersampling, max_depth)
-    check_method(method)
-    chosen = settings_of("render", settings)
+    chosen = settings_of("render", dict(settings))
+    share = method_named(method).frequency_share(chosen)
     if photons is None:
-        share = frequency_share(method, chosen)
         photons = pipeline.trace(n_emitted, seed=seed, sampler=sampler, frequency_share=share)
     else:
         _check_scene(photons, scene)
@@ -152,8 +159,8 @@ class _Pipeline:
 
     def prepare(self, photons: PhotonMap, method: str, settings: Settings) -> Field:
         scene = None if photons.object_id is None else self._scene
-        task = Task(photons, settings, scene, self._n_threads, self._progress)
-        field = prepare(method, task)
+        inputs = MethodInput(photons, settings, scene, self._n_threads, self._progress)
+        field = prepare(method, inputs)
         for stage, seconds in field.seconds.items():
             self._finished(stage, seconds, photons=len(photons))
         return field

@@ -8,7 +8,8 @@ import pytest
 
 import photonrelax as pr
 from photonrelax import gallery
-from photonrelax.evaluation import Plan, SceneSubject, compare
+from photonrelax.evaluation import ComparisonRequest, SceneSubject, compare
+from photonrelax.evaluation.reference import ABOUT, Reference
 from photonrelax.evaluation.report import folder
 
 SIZE = 48
@@ -28,13 +29,13 @@ pytestmark = pytest.mark.skipif(
 def comparison():
     scene = gallery.scene("ring", pixels=SIZE, sections=128)
     truth = pr.render(scene, method="standard", n_emitted=50_000, seed=1, supersampling=1)
-    plan = Plan(
+    comparison_request = ComparisonRequest(
         subject=SceneSubject(scene),
         methods=("standard", "parameterised"),
         n_emitted=5000,
         supersampling=1,
     )
-    return compare(plan, truth)
+    return compare(comparison_request, truth)
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +169,9 @@ def test_two_pictures_are_seen_at_first_whatever_was_compared(browser, compariso
 
 def test_words_that_look_like_the_end_of_the_data_do_no_harm(browser, comparison, tmp_path):
     words = "</script><script>document.title = 'broken'</script>"
-    folder.write(replace(comparison, about_reference=words), tmp_path)
+    layers = comparison.reference.image.layers
+    reference = Reference(pr.Image(layers, {ABOUT: words}), comparison.entries[0].image.layers, 0.0)
+    folder.write(replace(comparison, reference=reference), tmp_path)
     browser.get((tmp_path / "index.html").as_uri())
     assert "broken" not in browser.title
     notes = [note.text for note in browser.find_elements("css selector", "#notes p")]

@@ -118,7 +118,7 @@ def _panels(comparison: Comparison, pictures: dict[str, Bytes]) -> list[list[Pan
     of_photons = [
         (pictures[name], caption, "") for name, caption in _CAPTIONS.items() if name in pictures
     ]
-    reference = (pictures["reference"], "Reference", comparison.about_reference)
+    reference = (pictures["reference"], "Reference", comparison.reference.description)
     return [of_methods, [*of_photons, reference]]
 
 

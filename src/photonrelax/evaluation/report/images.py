@@ -33,23 +33,23 @@ def method_pictures(comparison: Comparison) -> dict[str, dict[str, Bytes]]:
 
     Each is (height, width, 3).
     """
-    exposure = comparison.plan.exposure
-    truth = displayed(comparison.reference.layers["radiance"], exposure)
+    exposure = comparison.request.exposure
+    reference = displayed(comparison.reference.image.layers["radiance"], exposure)
     pictures = {}
     for entry in comparison.entries:
         shown = displayed(entry.image.layers["radiance"], exposure)
         pictures[entry.name] = {
             "picture": _bytes(shown),
             "flip": _bytes(_ramp(np.asarray(entry.image.layers["flip"]), _HEAT)),
-            "difference": _bytes(_signed(_largest(shown - truth))),
+            "difference": _bytes(_signed(_largest(shown - reference))),
         }
-    return {**pictures, "reference": {"picture": _bytes(truth)}}
+    return {**pictures, "reference": {"picture": _bytes(reference)}}
 
 
 def photon_pictures(comparison: Comparison) -> dict[str, dict[str, Any]]:
     """Return pictures of what photons carry (SJ13 Fig. 6e–g), each with ``picture``, ``about``."""
     layers = comparison.photon_layers
-    shade = _shade(layers["caustic"], comparison.plan.exposure)
+    shade = _shade(layers["caustic"], comparison.request.exposure)
     made: dict[str, dict[str, Any]] = {}
     if "photons.emitter" in layers:
         about = "Where photons left their emitter, as colours"

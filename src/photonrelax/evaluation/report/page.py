@@ -7,6 +7,7 @@ import json
 from importlib.resources import files
 from typing import Any
 
+from ...estimation.methods import DEFAULT_METHOD
 from .images import DIFFERENCE_GAIN
 
 _PLACE = "/* DATA */"
@@ -35,6 +36,7 @@ def page(
         "about": about,
         "table": table,
         "gain": DIFFERENCE_GAIN,
+        "default": DEFAULT_METHOD,
         "pictures": {
             method: {kind: _uri(picture) for kind, picture in kinds.items()}
             for method, kinds in pictures.items()

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ..._util.parallel import thread_count
-from ..comparison import Comparison, Entry, machine, reference_cost
+from ...estimation.methods import METHODS
+from ..comparison import Comparison, Entry, machine
 
 # Stages by the rows of the table; every other stage of a method's own finds features.
 _ROWS_OF = {
@@ -79,22 +80,25 @@ def table(comparison: Comparison) -> Table:
 
 def heads(entries: tuple[Entry, ...]) -> list[str]:
     """Return what entries are called; marked are those whose photons were dealt to passes."""
-    return [f"{e.name}, dealt" if e.method in _DEALT else e.name for e in entries]
+    return [f"{e.name}, dealt" if METHODS[e.method].splits_passes else e.name for e in entries]
 
 
 def _with_reference(shown: Table, comparison: Comparison) -> Table:
-    cost = reference_cost(comparison.reference)
+    reference = comparison.reference
+    cost = reference.cost
     if not cost:
         return shown
-    told = {
+    cells_of = {
         "photons emitted": f"{cost['emitted']:,}",
         "photons absorbed": f"{cost['stored']:,}",
         "total": _seconds(cost["seconds"] or 0.0),
     }
     for name, attribute, form, _ in _KNOWN:
-        if comparison.truth.known_errors:
-            told[name] = form.format(comparison.truth.known_errors[attribute])
-    rows = [(name, [*cells, told.get(name, _NOTHING)], best) for name, cells, best in shown.rows]
+        if reference.analytic_errors:
+            cells_of[name] = form.format(reference.analytic_errors[attribute])
+    rows = [
+        (name, [*cells, cells_of.get(name, _NOTHING)], best) for name, cells, best in shown.rows
+    ]
     return replace(shown, head=[*shown.head, "reference"], rows=rows)
 
 
@@ -146,7 +150,7 @@ _KNOWN = [
 def _known(entries: tuple[Entry, ...]) -> list[tuple[str, list[str], int | None]]:
     rows = []
     for name, attribute, form, badness in _KNOWN:
-        values = [entry.known_errors[attribute] for entry in entries if entry.known_errors]
+        values = [entry.analytic_errors[attribute] for entry in entries if entry.analytic_errors]
         if values:
             rows.append((name, [form.format(value) for value in values], _best(values, badness)))
     return rows
@@ -157,41 +161,36 @@ def _best(values: list[float], badness: Callable[[float], float]) -> int | None:
 
 
 def _photons_per_estimate(entry: Entry) -> str:
-    counts = [stage["k"] for name, stage in entry.settings.items() if name in _GATHERING]
-    counts = [stage_k for stage_k in counts if stage_k]
-    return str(counts[-1]) if counts else "varies"
-
-
-_GATHERING = ("gather", "diffusion")
-# Methods that the photons of one map are dealt to passes for.
-_DEALT = ("progressive", "frequency")
+    method = METHODS[entry.method]
+    k = None if method.splits_passes else entry.settings[method.stages[-1]].get("k")
+    return str(k) if k else "varies"
 
 
 def _title(comparison: Comparison) -> str:
-    plan = comparison.plan
-    width, height = plan.subject.size
+    request = comparison.request
+    width, height = request.subject.size
     return (
-        f"{plan.subject.name}: {plan.n_emitted:,} photons emitted ({plan.sampler}, seed "
-        f"{plan.seed}), {width} x {height} pixels of {plan.supersampling**2} samples"
+        f"{request.subject.name}: {request.n_emitted:,} photons emitted ({request.sampler}, seed "
+        f"{request.seed}), {width} x {height} pixels of {request.supersampling**2} samples"
     )
 
 
 def _notes(comparison: Comparison) -> list[str]:
-    truth = comparison.truth
+    reference = comparison.reference
     notes = [
-        f"reference: {comparison.about_reference}",
+        f"reference: {reference.description}",
         "L1, L2 and energy bias are of the caustic alone, SSIM and FLIP of the picture as shown; "
         "photons and camera rays were traced for all methods and count in every total.",
-        f"SSIM and FLIP see nothing of what a display cuts off: {truth.clipped:.1%} of the "
+        f"SSIM and FLIP see nothing of what a display cuts off: {reference.clipped:.1%} of the "
         "reference's pixels.",
     ]
-    threads = thread_count(comparison.plan.n_threads)
+    threads = thread_count(comparison.request.n_threads)
     notes.append(f"times are of {threads} threads; {machine()}.")
-    if any(entry.method in _DEALT for entry in comparison.entries):
+    if any(METHODS[entry.method].splits_passes for entry in comparison.entries):
         notes.append("dealt: the photons of the same map, not fresh ones in every pass.")
-    if truth.known_errors:
+    if reference.analytic_errors:
         notes.append(
-            f"known light: {truth.known_share:.0%} of the pixels, whose irradiance follows from "
-            "geometry, without photons."
+            f"known light: {reference.analytic_share:.0%} of the pixels, whose irradiance follows "
+            "from geometry, without photons."
         )
     return notes
