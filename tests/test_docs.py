@@ -10,7 +10,7 @@ from bench import __main__ as bench
 
 import photonrelax as pr
 from photonrelax.cli import arguments
-from photonrelax.estimation.methods import METHODS, SETTINGS_CLASSES
+from photonrelax.estimation.methods import METHODS
 from photonrelax.rendering.layers import LAYERS
 
 ROOT = Path(__file__).parents[1]
@@ -21,6 +21,12 @@ NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 ROOTS = (ROOT, ROOT / "src" / "photonrelax")
 # Written by commands.
 GENERATED = ("build/",)
+# Settings classes by stage.
+SETTINGS = {
+    name.removesuffix("Settings").lower(): getattr(pr, name)
+    for name in pr.__all__
+    if name.endswith("Settings")
+}
 
 
 def blocks(page, language):
@@ -124,7 +130,7 @@ def test_functions_are_in_the_files_beside_them(functions, files):
 
 
 def test_every_setting_is_on_a_page_with_its_default():
-    row = re.compile(rf"^\| `({'|'.join(SETTINGS_CLASSES)})\.(\w+)` \| (.*?) \|", re.MULTILINE)
+    row = re.compile(rf"^\| `({'|'.join(SETTINGS)})\.(\w+)` \| (.*?) \|", re.MULTILINE)
     found = {
         (stage, name): default
         for page in PAGES
@@ -132,7 +138,7 @@ def test_every_setting_is_on_a_page_with_its_default():
     }
     expected = {
         (stage, field.name): str(field.default)
-        for stage, kind in SETTINGS_CLASSES.items()
+        for stage, kind in SETTINGS.items()
         for field in fields(kind)
     }
     assert found == expected
