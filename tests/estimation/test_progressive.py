@@ -6,7 +6,7 @@ from photonrelax._ext.estimation.progressive import kth_distance
 
 import photonrelax as pr
 from photonrelax.estimation.progressive import initial_radius
-from photonrelax.estimation.split_passes import dealt
+from photonrelax.estimation.split_passes import assign_passes
 from photonrelax.spatial.kdtree import KDTree
 from tests.helpers.photon_maps import flat_map, plane, uniform_map
 
@@ -201,19 +201,19 @@ def test_the_field_of_uniform_light_is_uniform(kind, interior):
 
 def test_passes_are_dealt_alike_whatever_the_order_of_the_map():
     photons = uniform_map(5003, "halton")
-    number = dealt(photons, 16)
+    number = assign_passes(photons, 16)
     assert np.ptp(np.bincount(number)) <= 1
     order = np.random.default_rng(0).permutation(5003)
     turn = np.array([[0.6, 0.8, 0.0], [0.0, 0.0, 1.0], [0.8, -0.6, 0.0]])
     moved = photons.replace(position=3.7 * photons.position @ turn + [5.0, -2.0, 1.0])
-    np.testing.assert_array_equal(dealt(photons.subset(order), 16), number[order])
-    np.testing.assert_array_equal(dealt(moved, 16), number)
+    np.testing.assert_array_equal(assign_passes(photons.subset(order), 16), number[order])
+    np.testing.assert_array_equal(assign_passes(moved, 16), number)
 
 
 def test_passes_of_a_halton_map_are_spread_over_the_light():
     """Every 16th photon of the sequence would lie in a sixteenth of the square."""
     photons = uniform_map(4096, "halton")
-    number = dealt(photons, 16)
+    number = assign_passes(photons, 16)
     cells = (photons.position[:, :2] * 8).astype(int) @ [8, 1]
     counts = np.histogram2d(number, cells, bins=(16, 64))[0]
     # Dealt at random, numbers would deviate by 2; here 60 of 64 cells would be empty.

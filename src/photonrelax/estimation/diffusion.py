@@ -30,7 +30,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,11 +43,8 @@ from .._util.validation import Floats
 from ..photons.neighbourhoods import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
-from .field import Field
-from .kernels import Rows, Scale, automatic_gather_radius, sites_in_chunks
-
-if TYPE_CHECKING:
-    from ..relaxation.structure import Structure
+from .field import Densities, PhotonField, checked_points, fill_in_chunks
+from .kernels import Rows, Scale, automatic_gather_radius, evaluation_points
 
 NORMALISATIONS = ("maximum", "local")
 # The noise scale over the integration scale, unless it is given: SSO08 §6.4 wants it lower.
@@ -130,7 +126,7 @@ class DiffusionSettings:
         object.__setattr__(self, name, value)
 
 
-class DiffusionField(Field):
+class DiffusionField(PhotonField):
     """Irradiance by kernels that follow structure: a `photonrelax.estimation.field.Field`.
 
     Parameters
@@ -158,8 +154,6 @@ class DiffusionField(Field):
     ValueError
         If the bandwidth is left open and all photons are at one point.
     """
-
-    structure: Structure | None = None
 
     def __init__(
         self,
@@ -207,27 +201,6 @@ class DiffusionField(Field):
         with np.errstate(over="ignore"):
             return slopes * self._flux_unit / self._unit / self._unit / self._unit
 
-    def densities(self, values: ArrayLike) -> DiffusionDensities:
-        """Return what estimates, per area, anything else that photons carry.
-
-        Parameters
-        ----------
-        values : (n, c) array_like
-            One row a photon. Kernels stay those of the flux.
-
-        Returns
-        -------
-        DiffusionDensities
-            Called as ``densities(points, normals)``, like the field itself; gives (m, c).
-
-        Raises
-        ------
-        TypeError, ValueError
-            If `values` does not have a row for each photon.
-        """
-        array = validation.float_array(values, "values", (len(self.photons), None))
-        return DiffusionDensities(self, array)
-
     def half_axes(self, points: ArrayLike, normals: ArrayLike) -> Floats:
         """Return the half-axes of the ellipses in which kernels weigh photons.
 
@@ -246,14 +219,32 @@ class DiffusionField(Field):
         TypeError, ValueError
             If a shape is wrong, a value is not finite or a normal is zero.
         """
-        points, normals = _sites(points, normals, self._n_threads)
-        out = np.zeros((len(points), 2, 3))
-        threads, shaping = self._n_threads, self._shaping()
+        points, normals = checked_points(points, normals)
+        axes = np.empty((len(points), 2, 3))
         report = Reporter(None, "axes", len(points))
-        for number, sites, rows in self._chunks(points, normals, self._integration_scale(), report):
-            kernel = self._carrying(number)
-            _diffusion.half_axes(kernel, sites, shaping, rows, out, n_threads=threads)
+        fill_in_chunks(axes, self._half_axes, points, normals, report, self._n_threads)
+        return axes
+
+    def _half_axes(self, points: Floats, normals: Floats) -> Floats:
+        axes, shape = np.zeros((len(points), 2, 3)), self._kernel_shape()
+        for part, sites, rows in self._points(points, normals, self._integration_scale()):
+            photons = self._tangent_photons(part)
+            _diffusion.half_axes(photons, sites, shape, rows, axes, n_threads=self._n_threads)
+        return axes
+
+    def _evaluate(self, values: Densities, points: Floats, normals: Floats) -> Floats:
+        out = np.zeros((len(points), values.n_channels))
+        shape = self._kernel_shape()
+        for part, sites, rows in self._points(points, normals, self._integration_scale()):
+            _diffusion.densities(
+                *(self._tangent_photons(part), values.laid_out(part), sites, shape, rows),
+                out=out,
+                n_threads=self._n_threads,
+            )
         return out
+
+    def _lay_out(self, values: Floats, part: int) -> _diffusion.Values:
+        return _diffusion.Values(values, self._trees.tree(part)[1], self._n_threads)
 
     def _with_bandwidth(self, settings: DiffusionSettings) -> DiffusionSettings:
         """Return settings with the largest bandwidth taken from the map, if left open."""
@@ -270,32 +261,41 @@ class DiffusionField(Field):
         return replace(settings, bandwidth=radius)
 
     def _slopes(self, flux: Floats, progress: Progress | None) -> Floats:
-        """Return the gradients at all photons, in the units of flux and length.
+        """Gradients at all photons, in the units of flux and length.
 
         They keep squares of gradients within the range of floats.
         """
-        photons = self.photons
+        photons, slopes = self.photons, np.empty((len(self.photons), 3))
+        with_flux: dict[int, _tangent.Photons] = {}
+
+        def evaluate(points: Floats, normals: Floats) -> Floats:
+            out = np.zeros((len(points), 3))
+            for part, sites, rows in self._points(points, normals, self._noise_scale()):
+                if part not in with_flux:
+                    with_flux[part] = self._laid_out_photons(part, flux)
+                _diffusion.gradients(with_flux[part], sites, rows, out, self._n_threads)
+            return out
+
         report = Reporter(progress, "gradient", len(photons))
-        carrying: dict[int, _tangent.Photons] = {}
-        out = np.zeros((len(photons), 3))
-        for number, sites, rows in self._chunks(
-            photons.position, photons.normal, self._noise_scale(), report
-        ):
-            if number not in carrying:
-                carrying[number] = self._of_tree(number, flux)
-            _diffusion.gradients(carrying[number], sites, rows, out, self._n_threads)
-        return out
+        fill_in_chunks(slopes, evaluate, photons.position, photons.normal, report, self._n_threads)
+        return slopes
 
     def _largest_slope(self, progress: Progress | None) -> float | None:
-        """Return the largest eigenvalue of the structure tensors at all photons, in units."""
-        photons = self.photons
+        """Largest eigenvalue of the structure tensors at all photons, in these units."""
+        photons, eigenvalues = self.photons, np.empty(len(self.photons))
+
+        def evaluate(points: Floats, normals: Floats) -> Floats:
+            out = np.zeros(len(points))
+            for part, sites, rows in self._points(points, normals, self._integration_scale()):
+                photons = self._tangent_photons(part)
+                _diffusion.eigenvalues(photons, sites, rows, out, self._n_threads)
+            return out
+
         report = Reporter(progress, "normalise", len(photons))
-        found = np.zeros(len(photons))
-        for number, sites, rows in self._chunks(
-            photons.position, photons.normal, self._integration_scale(), report
-        ):
-            _diffusion.eigenvalues(self._carrying(number), sites, rows, found, self._n_threads)
-        return float(found.max(initial=0.0)) or None
+        fill_in_chunks(
+            eigenvalues, evaluate, photons.position, photons.normal, report, self._n_threads
+        )
+        return float(eigenvalues.max(initial=0.0)) or None
 
     def _integration_scale(self) -> Scale:
         # Only an empty map leaves it open, and there it does not matter.
@@ -307,34 +307,32 @@ class DiffusionField(Field):
         largest, k = self._integration_scale()
         return _NOISE_RATIO * largest, None if k is None else max(round(_NOISE_RATIO**2 * k), 2)
 
-    def _chunks(
-        self, points: Floats, normals: Floats, scale: Scale, report: Reporter
+    def _points(
+        self, points: Floats, normals: Floats, scale: Scale
     ) -> Iterator[tuple[int, _tangent.Sites, Rows]]:
-        """Divide points as `sites_in_chunks` does; an empty map has no tree to serve any."""
+        """Divide points as `evaluation_points` does; an empty map has no tree to serve any."""
         if len(self.photons):
-            yield from sites_in_chunks(
-                self._trees, points, normals, scale=scale, report=report, n_threads=self._n_threads
+            normals = validation.unit_vectors(normals, "normals", normals.shape, self._n_threads)
+            yield from evaluation_points(
+                self._trees, points, normals, scale=scale, n_threads=self._n_threads
             )
 
-    def _carrying(self, number: int) -> _tangent.Photons:
-        """Return the photons of a tree with their gradients."""
-        if number not in self._photons:
-            self._photons[number] = self._of_tree(number, self._carried)
-        return self._photons[number]
+    def _tangent_photons(self, part: int) -> _tangent.Photons:
+        """Photons of a tree with their flux and gradients."""
+        if part not in self._photons:
+            self._photons[part] = self._laid_out_photons(part, self._carried)
+        return self._photons[part]
 
-    def _of_tree(self, number: int, carried: Floats) -> _tangent.Photons:
-        tree, rows = self._trees.tree(number)
+    def _laid_out_photons(self, part: int, carried: Floats) -> _tangent.Photons:
+        tree, rows = self._trees.tree(part)
         return _tangent.Photons(
-            tree.kernel,
-            rows,
-            self._towards,
-            carried,
+            *(tree.kernel, rows, self._towards, carried),
             normal_range=normal_range(tree),
             unit=self._unit,
             n_threads=self._n_threads,
         )
 
-    def _shaping(self) -> _diffusion.Shaping:
+    def _kernel_shape(self) -> _diffusion.Shaping:
         settings = self.settings
         return _diffusion.Shaping(
             edge_threshold=settings.edge_threshold,
@@ -343,48 +341,6 @@ class DiffusionField(Field):
             largest=self._largest or 0.0,
             isotropic=self.isotropic,
         )
-
-
-class DiffusionDensities:
-    """Estimates per area of values that the photons of a field carry; see `densities` there."""
-
-    def __init__(self, field: DiffusionField, values: Floats) -> None:
-        self._field = field
-        self._values = values
-        self._placed: dict[int, _diffusion.Values] = {}
-
-    def __call__(
-        self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
-    ) -> Floats:
-        """Return the estimates (m, c) at points (m, 3) on surfaces with the given normals."""
-        points, normals = _sites(points, normals, self._field._n_threads)
-        out = np.zeros((len(points), self._values.shape[1]))
-        field, shaping = self._field, self._field._shaping()
-        report = Reporter(progress, "estimate", len(points))
-        for number, sites, rows in field._chunks(
-            points, normals, field._integration_scale(), report
-        ):
-            _diffusion.densities(
-                field._carrying(number),
-                self._of_tree(number),
-                sites,
-                shaping,
-                rows,
-                out=out,
-                n_threads=field._n_threads,
-            )
-        return out
-
-    def _of_tree(self, number: int) -> _diffusion.Values:
-        if number not in self._placed:
-            rows = self._field._trees.tree(number)[1]
-            self._placed[number] = _diffusion.Values(self._values, rows, self._field._n_threads)
-        return self._placed[number]
-
-
-def _sites(points: ArrayLike, normals: ArrayLike, n_threads: int) -> tuple[Floats, Floats]:
-    points = validation.float_array(points, "points", (None, 3))
-    return points, validation.unit_vectors(normals, "normals", points.shape, n_threads)
 
 
 def _towards(photons: PhotonMap) -> Floats | None:

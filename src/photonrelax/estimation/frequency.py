@@ -26,7 +26,6 @@ carry spectra.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -103,53 +102,42 @@ class FrequencyField(ProgressiveField):
         *,
         n_threads: int | None = None,
     ) -> None:
-        self._carriers = _carriers(photons)
+        carriers = _spectrum_photons(photons)
         super().__init__(photons, settings, n_threads=n_threads)
         self.frequency = frequency or FrequencySettings()
         self.used["frequency"] = asdict(self.frequency)
+        assert carriers.spectrum is not None, "photons with spectra"
+        self._trees = PhotonTrees(carriers, self._n_threads)
+        # Variance of all light that diffuse surfaces reflect.
+        self._variance = np.ascontiguousarray(operators.diffused(carriers.spectrum)[:, :1])
+        self._maxima: dict[int, Bounds] = {}
 
     def least_radius(self, points: Floats, normals: Floats, radius: Floats) -> Floats:
-        """Return the radii (m,), m, that spectra within discs allow; zero where there are none."""
-        bounds = np.full((len(points), 1), -np.inf)
+        """Radii (m,), m, that spectra in and around the discs allow; zero where there are none."""
+        variance = np.full((len(points), 1), -np.inf)
         reach = self.frequency.reach * radius
-        for number, queries, rows in self._trees.parts(points, normals):
-            self._bounds(number).raise_to(
-                queries, rows, reach, out=bounds, n_threads=self._n_threads
+        for part, queries, rows in self._trees.parts(points, normals, np.arange(len(points))):
+            self._maximum(part).raise_to(
+                queries, rows, reach, out=variance, n_threads=self._n_threads
             )
-        known = bounds[:, 0] >= 0.0
-        allowed = operators.kernel_radius(np.maximum(bounds[:, 0], 0.0), self.frequency.bias)
-        # A finite stand-in for infinity: no disc grows.
+        known = variance[:, 0] >= 0.0
+        allowed = operators.kernel_radius(np.maximum(variance[:, 0], 0.0), self.frequency.bias)
+        # Finite where the variance is zero: no radius grows.
         return np.where(known, np.minimum(allowed, radius), 0.0)
 
-    @cached_property
-    def _trees(self) -> PhotonTrees:
-        return PhotonTrees(self._carriers, self._n_threads)
-
-    @cached_property
-    def _bounded(self) -> dict[int, Bounds]:
-        return {}
-
-    def _bounds(self, number: int) -> Bounds:
-        if number not in self._bounded:
-            tree, rows = self._trees.tree(number)
-            self._bounded[number] = Bounds(
-                tree.kernel,
-                # All that diffuse surfaces reflect.
-                np.ascontiguousarray(operators.diffused(self._spectra)[:, :1]),
-                rows,
+    def _maximum(self, part: int) -> Bounds:
+        if part not in self._maxima:
+            tree, rows = self._trees.tree(part)
+            self._maxima[part] = Bounds(
+                *(tree.kernel, self._variance, rows),
                 normal_range=normal_range(tree),
                 n_threads=self._n_threads,
             )
-        return self._bounded[number]
-
-    @property
-    def _spectra(self) -> Floats:
-        assert self._carriers.spectrum is not None, "carriers carry spectra"
-        return self._carriers.spectrum
+        return self._maxima[part]
 
 
-def _carriers(photons: PhotonMap) -> PhotonMap:
-    """Return the photons that carry spectra; raise ValueError if the map knows of none."""
+def _spectrum_photons(photons: PhotonMap) -> PhotonMap:
+    """Photons that carry spectra; raises ValueError if the map was traced without."""
     spectra = photons.spectrum
     if spectra is None:
         if len(photons):

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from .._ext.estimation import nearest as _estimate
 from .._ext.estimation import tangent_plane as _tangent
 from .._util.parallel import thread_count
-from .._util.progress import Reporter
 from .._util.validation import Floats
 from ..photons.neighbourhoods import normal_range
 from ..photons.photon_trees import PhotonTrees
@@ -21,30 +20,26 @@ Rows = NDArray[np.intp]
 Scale = tuple[float, int | None]
 
 
-def sites_in_chunks(
-    trees: PhotonTrees,
-    points: Floats,
-    normals: Floats,
-    *,
-    scale: Scale,
-    report: Reporter,
-    n_threads: int,
+def evaluation_points(
+    trees: PhotonTrees, points: Floats, normals: Floats, *, scale: Scale, n_threads: int
 ) -> Iterator[tuple[int, _tangent.Sites, Rows]]:
-    """Divide points by the tree that serves them and into chunks; find their bandwidths.
+    """Divide points by the tree that serves them, with the kernel bandwidth of each.
 
-    Yields the number of the tree, the sites, and the rows of those whose turn it is. No tree
-    serves points that face no photon.
+    Points are close to one another in sequence, and their normals are unit vectors.
+
+    Yields
+    ------
+    int, Sites, (r,) intp array
+        Number of the tree, evaluation points, and the rows of those it serves. No tree serves
+        points that face no photon.
     """
     largest, k = scale
     bandwidth = np.full(len(points), largest)
-    for number, queries, rows in trees.chunks(points, normals, report):
+    for number, queries, rows in trees.parts(points, normals, np.arange(len(points))):
         if k is not None:
             tree = trees.tree(number)[0]
             _tangent.bandwidths(
-                tree.kernel,
-                queries,
-                rows,
-                bandwidth,
+                *(tree.kernel, queries, rows, bandwidth),
                 k=k,
                 normal_range=normal_range(tree),
                 n_threads=n_threads,
@@ -57,14 +52,14 @@ KERNELS = {
     "cone": _estimate.CONE,
     "epanechnikov": _estimate.EPANECHNIKOV,
 }
-_WELL_SPACED_BIAS = {"constant": (0.43, -1.0), "cone": (0.45, -1.5), "epanechnikov": (0.57, -1.5)}
+WELL_SPACED_BIAS = {"constant": (0.43, -1.0), "cone": (0.45, -1.5), "epanechnikov": (0.57, -1.5)}
 # What the automatic gather radius looks at: no more photons than this, these two quantiles.
 _SAMPLE = 10_000
 _SHARE_OF_PHOTONS = 0.95
 _SHARE_OF_AREA = 0.05
 
 
-def well_spaced_bias(k: int, kernel: str) -> float:
+def well_spaced_mean(k: int, kernel: str) -> float:
     """Return the mean k-nearest estimate of a uniform field from evenly spaced photons over truth.
 
     For independent photons it is one, whatever the kernel. Evenly spaced photons number k − 1/2,
@@ -72,7 +67,7 @@ def well_spaced_bias(k: int, kernel: str) -> float:
     between those fitted to uniform fields of Halton and of relaxed photons, which they bring to
     within 0.3 % of the truth for k of 15 and more.
     """
-    factor, exponent = _WELL_SPACED_BIAS[kernel]
+    factor, exponent = WELL_SPACED_BIAS[kernel]
     return 1.0 - factor * k**exponent
 
 

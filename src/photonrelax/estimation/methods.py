@@ -19,7 +19,7 @@ from ..relaxation.relax import relax as relax_photons
 from ..relaxation.structure import Structure, StructureSettings, detect_structure
 from ..scene.scene import Scene
 from .diffusion import DiffusionField, DiffusionSettings
-from .field import Field
+from .field import PhotonField
 from .frequency import FrequencyField, FrequencySettings
 from .nearest import GatherSettings, IrradianceField
 from .progressive import ProgressiveSettings
@@ -65,7 +65,7 @@ def irradiance_field(
     n_threads: int | None = None,
     progress: Progress | None = None,
     **settings: Unpack[StageSettings],
-) -> Field:
+) -> PhotonField:
     """Do a method's preparation once; the result gives irradiance anywhere.
 
     Parameters
@@ -96,7 +96,7 @@ def irradiance_field(
 
     Returns
     -------
-    Field
+    PhotonField
         Called as ``field(points, normals)``, with (m, 3) arrays each, the points in m; returns
         irradiance (m, 3), W/m². What photons carry beside their flux, (n, c), has its densities
         (m, c) per m² by ``field.densities(values)(points, normals)``.
@@ -181,7 +181,7 @@ class Method:
     stages : tuple of str
         The stages whose settings it reads, in order; the last evaluates the estimates.
     prepare : callable
-        ``prepare(inputs)``, a `MethodInput`, returns the `Field`.
+        ``prepare(inputs)``, a `MethodInput`, returns the `PhotonField`.
     needs_spectra : bool
         Photons carry local frequency spectra; see `photonrelax.trace_photons`.
     splits_passes : bool
@@ -190,7 +190,7 @@ class Method:
 
     name: str
     stages: tuple[str, ...]
-    prepare: Callable[[MethodInput], Field]
+    prepare: Callable[[MethodInput], PhotonField]
     needs_spectra: bool = False
     splits_passes: bool = False
 
@@ -199,12 +199,12 @@ class Method:
         return settings.of(FrequencySettings).share if self.needs_spectra else 0.0
 
 
-def _standard(inputs: MethodInput) -> Field:
+def _standard(inputs: MethodInput) -> PhotonField:
     gather = inputs.settings.of(GatherSettings)
     return IrradianceField(inputs.photons, gather, n_threads=inputs.n_threads)
 
 
-def _parameterised(inputs: MethodInput) -> Field:
+def _parameterised(inputs: MethodInput) -> PhotonField:
     settings = inputs.settings.of(StructureSettings)
     relax = inputs.settings.of(RelaxSettings)
     used = {"structure": asdict(settings), "relax": asdict(relax)}
@@ -213,7 +213,7 @@ def _parameterised(inputs: MethodInput) -> Field:
     )
 
 
-def _relaxation(inputs: MethodInput) -> Field:
+def _relaxation(inputs: MethodInput) -> PhotonField:
     settings = inputs.settings.of(GradientSettings)
     relax = inputs.settings.of(RelaxSettings)
     relax = replace(relax, n_iterations=(0, sum(relax.n_iterations)))
@@ -228,7 +228,7 @@ def _relaxed(
     detect: Callable[..., Structure],
     relax: RelaxSettings,
     used: dict[str, Any],
-) -> Field:
+) -> PhotonField:
     """Field of photons relaxed as far as the structure detected allows."""
     how: dict[str, Any] = {"n_threads": inputs.n_threads, "progress": inputs.progress}
     started = perf_counter()
@@ -245,7 +245,7 @@ def _relaxed(
     )
 
 
-def _diffusion(inputs: MethodInput, *, isotropic: bool = False) -> Field:
+def _diffusion(inputs: MethodInput, *, isotropic: bool = False) -> PhotonField:
     return DiffusionField(
         inputs.photons,
         inputs.settings.of(DiffusionSettings),
@@ -255,16 +255,16 @@ def _diffusion(inputs: MethodInput, *, isotropic: bool = False) -> Field:
     )
 
 
-def _isotropic_diffusion(inputs: MethodInput) -> Field:
+def _isotropic_diffusion(inputs: MethodInput) -> PhotonField:
     return _diffusion(inputs, isotropic=True)
 
 
-def _progressive(inputs: MethodInput) -> Field:
+def _progressive(inputs: MethodInput) -> PhotonField:
     settings = inputs.settings.of(ProgressiveSettings)
     return ProgressiveField(inputs.photons, settings, n_threads=inputs.n_threads)
 
 
-def _frequency(inputs: MethodInput) -> Field:
+def _frequency(inputs: MethodInput) -> PhotonField:
     return FrequencyField(
         inputs.photons,
         inputs.settings.of(ProgressiveSettings),
@@ -305,6 +305,6 @@ def method_named(name: str) -> Method:
     return METHODS[name]
 
 
-def prepare(name: str, inputs: MethodInput) -> Field:
+def prepare(name: str, inputs: MethodInput) -> PhotonField:
     """Do the preparation of the method of a name; raises ValueError if there is none."""
     return method_named(name).prepare(inputs)

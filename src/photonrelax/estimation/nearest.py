@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._ext.estimation import nearest as _estimate
-from .._ext.estimation import refinement as _adaptive
+from .._ext.estimation import nearest as _nearest
+from .._ext.estimation import refinement as _refinement
 from .._util import validation
+from .._util.frozen import set_field
 from .._util.parallel import thread_count
-from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
 from ..photons.neighbourhoods import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
 from ..relaxation.structure import Structure
 from ..spatial.kdtree import KDTree
-from .field import Field
-from .kernels import _WELL_SPACED_BIAS, KERNELS, automatic_gather_radius, well_spaced_bias
+from .field import Densities, PhotonField
+from .kernels import KERNELS, WELL_SPACED_BIAS, automatic_gather_radius, well_spaced_mean
 from .refinement import REFINEMENTS
 
 
@@ -58,15 +58,11 @@ class GatherSettings:
     k_min: int = 15
 
     def __post_init__(self) -> None:
-        for name, names in (("kernel", tuple(KERNELS)), ("refinement", tuple(REFINEMENTS))):
-            if getattr(self, name) not in names:
-                raise ValueError(
-                    f"GatherSettings.{name} should be one of {', '.join(names)}, "
-                    f"but is {getattr(self, name)!r}"
-                )
+        validation.check_choice(self.kernel, "GatherSettings.kernel", KERNELS)
+        validation.check_choice(self.refinement, "GatherSettings.refinement", REFINEMENTS)
         for name in ("k", "k_min"):
             number = validation.count(getattr(self, name), f"GatherSettings.{name}", low=2)
-            object.__setattr__(self, name, number)
+            set_field(self, name, number)
         if self.refinement != "none" and self.k <= self.k_min:
             raise ValueError(
                 f"GatherSettings.k should be more than k_min, {self.k_min}, with a refinement, "
@@ -76,7 +72,7 @@ class GatherSettings:
             radius = validation.radius(
                 self.gather_radius, "GatherSettings.gather_radius", allow_inf=True
             )
-            object.__setattr__(self, "gather_radius", radius)
+            set_field(self, "gather_radius", radius)
 
     @property
     def k_reached(self) -> int:
@@ -84,25 +80,25 @@ class GatherSettings:
         return self.k if self.refinement == "none" else 2 * self.k_min
 
 
-class IrradianceField(Field):
-    """The k nearest photons gathered anywhere (Jensen's estimate): a `Field`.
+class IrradianceField(PhotonField):
+    """Irradiance from the k nearest photons (Jensen's estimate).
 
     Parameters
     ----------
     photons : PhotonMap
-        As gathered from: unrelaxed or relaxed.
+        Unrelaxed or relaxed photons.
     settings : GatherSettings, optional
     structure : Structure, optional
-        What was found for these photons on the way, for those who want to look at it.
+        Structure that these photons were relaxed by.
     seconds, used : dict, optional
-        How long each stage of the preparation took, and with which settings.
+        Duration and settings of each stage of their preparation.
     n_threads : int, optional
         Threads; all available by default. Results do not depend on it.
 
     Attributes
     ----------
     photons, settings, structure, seconds, used
-        As given; `settings.gather_radius` holds the radius in use, None for an empty map.
+        As given; `settings.gather_radius` is the radius in use, None for an empty map.
 
     Raises
     ------
@@ -135,91 +131,48 @@ class IrradianceField(Field):
         self.settings = settings
         self.used = {"gather": asdict(settings), **(used or {})}
 
-    def densities(self, values: ArrayLike) -> Densities:
-        """Return what estimates, per area, anything else that photons carry.
-
-        Parameters
-        ----------
-        values : (n, c) array_like
-            One row a photon.
-
-        Returns
-        -------
-        Densities
-            Called as ``densities(points, normals)``, like the field itself; gives (m, c).
-
-        Raises
-        ------
-        TypeError, ValueError
-            If `values` does not have a row for each photon.
-        """
-        array = validation.float_array(values, "values", (len(self.photons), None))
-        return Densities(self, array)
-
-
-class Densities:
-    """Estimates per area of values that the photons of a field carry; see `densities` there."""
-
-    def __init__(self, field: IrradianceField, values: Floats) -> None:
-        self._field = field
-        self._values = values
-        self._gathers: dict[int, _estimate.Gather | _adaptive.Gather] = {}
-
-    def __call__(
-        self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
-    ) -> Floats:
-        """Return the estimates (m, c) at points (m, 3) on surfaces with the given normals."""
-        points = validation.float_array(points, "points", (None, 3))
-        normals = validation.float_array(normals, "normals", (len(points), 3), finite=False)
-        out = np.zeros((len(points), self._values.shape[1]))
-        field, report = self._field, Reporter(progress, "estimate", len(points))
-        for number, queries, rows in field._trees.chunks(points, normals, report):
-            self._gather(number).densities(queries, rows, out, field._n_threads)
+    def _evaluate(self, values: Densities, points: Floats, normals: Floats) -> Floats:
+        out = np.zeros((len(points), values.n_channels))
+        for part, queries, rows in self._trees.parts(points, normals, np.arange(len(points))):
+            values.laid_out(part).densities(queries, rows, out, self._n_threads)
         return out
 
-    def _gather(self, number: int) -> _estimate.Gather | _adaptive.Gather:
-        """Return what gathers from a tree of the field."""
-        if number not in self._gathers:
-            plain = self._field.settings.refinement == "none"
-            made = self._plain if plain else self._refined
-            self._gathers[number] = made(*self._field._trees.tree(number))
-        return self._gathers[number]
+    def _lay_out(self, values: Floats, part: int) -> _nearest.Gather | _refinement.Gather:
+        tree, rows = self._trees.tree(part)
+        radius = self.settings.gather_radius
+        limits = {
+            "radius": np.inf if radius is None else radius,
+            "normal_range": normal_range(tree),
+            "n_threads": self._n_threads,
+        }
+        if self.settings.refinement == "none":
+            return self._gather(tree, values, rows, limits)
+        return self._refined_gather(tree, values, rows, limits)
 
-    def _plain(self, tree: KDTree, rows: NDArray[np.intp]) -> _estimate.Gather:
-        settings, well_spaced = self._field.settings, self._field.photons.well_spaced
-        bias = well_spaced_bias(settings.k, settings.kernel) if well_spaced else 1.0
-        return _estimate.Gather(
-            tree.kernel,
-            self._values,
-            rows,
-            settings.k,
-            KERNELS[settings.kernel],
-            nearest_scale=1.0 / bias,
-            **self._limits(tree),
+    def _gather(
+        self, tree: KDTree, values: Floats, rows: NDArray[np.intp], limits: dict[str, Any]
+    ) -> _nearest.Gather:
+        settings = self.settings
+        mean = well_spaced_mean(settings.k, settings.kernel) if self.photons.well_spaced else 1.0
+        return _nearest.Gather(
+            *(tree.kernel, values, rows, settings.k, KERNELS[settings.kernel]),
+            nearest_scale=1.0 / mean,
+            **limits,
         )
 
-    def _refined(self, tree: KDTree, rows: NDArray[np.intp]) -> _adaptive.Gather:
-        photons, settings = self._field.photons, self._field.settings
-        return _adaptive.Gather(
-            tree.kernel,
-            self._values,
-            validation.in_units(photons.flux.mean(axis=1))[0],
-            rows,
+    def _refined_gather(
+        self, tree: KDTree, values: Floats, rows: NDArray[np.intp], limits: dict[str, Any]
+    ) -> _refinement.Gather:
+        settings = self.settings
+        return _refinement.Gather(
+            *(tree.kernel, values, validation.in_units(self.photons.flux.mean(axis=1))[0], rows),
             k_min=settings.k_min,
             k=settings.k,
             rule=REFINEMENTS[settings.refinement],
             kernel=KERNELS[settings.kernel],
-            bias=_WELL_SPACED_BIAS[settings.kernel] if photons.well_spaced else (0.0, 0.0),
-            **self._limits(tree),
+            bias=WELL_SPACED_BIAS[settings.kernel] if self.photons.well_spaced else (0.0, 0.0),
+            **limits,
         )
-
-    def _limits(self, tree: KDTree) -> dict[str, Any]:
-        radius = self._field.settings.gather_radius
-        return {
-            "radius": np.inf if radius is None else radius,
-            "normal_range": normal_range(tree),
-            "n_threads": self._field._n_threads,
-        }
 
 
 def estimate_irradiance(

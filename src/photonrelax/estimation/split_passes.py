@@ -1,50 +1,51 @@
-"""Progressive photon mapping of one photon map, whose photons are dealt to passes."""
+"""Progressive photon mapping of one photon map, which is split into passes.
+
+Hachisuka, Ogaki & Jensen 2008 gather fresh photons in every pass; see
+`photonrelax.estimation.progressive` for the equations. Here the photons of a map are split into
+passes, and the points that irradiance is asked for at are the hit points.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from .._util import validation
 from .._util.parallel import thread_count
-from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
 from ..photons.photon_map import PhotonMap
-from ..photons.photon_trees import PhotonTrees, morton_order
-from ..relaxation.structure import Structure
-from .field import Field
+from ..photons.photon_trees import PhotonTrees
+from .field import Densities, PhotonField
 from .progressive import HitPointStatistics, InitialRadius, PhotonPass, ProgressiveSettings
 
 
-def dealt(photons: PhotonMap, n_passes: int) -> NDArray[np.intp]:
-    """Return the pass (n,) that each photon of a map is dealt to.
+def assign_passes(photons: PhotonMap, n_passes: int) -> NDArray[np.intp]:
+    """Pass (n,) that each photon of a map belongs to, from 0.
 
-    Photons go to one pass after the other in the order of their distance from the middle of all,
-    which, but for ties, depends neither on the order of the map nor on place, rotation and scale.
-    Dealing every so many-th photon of the map itself would be the worst of choices: of a Halton
-    sequence these lie in one strip of the emitter.
+    Photons are assigned to the passes in turn, in the order of their distance from their centroid.
+    But for ties, that depends neither on the order of the map nor on position, rotation and scale.
+    Every so many-th photon of the map itself would be the worst of choices: those of a Halton
+    sequence lie in one strip of the emitter.
     """
-    middle = photons.position.mean(axis=0) if len(photons) else 0.0
-    distance = np.linalg.norm(photons.position - middle, axis=1)
+    centroid = photons.position.mean(axis=0) if len(photons) else 0.0
+    distance = np.linalg.norm(photons.position - centroid, axis=1)
     number = np.empty(len(photons), dtype=np.intp)
     number[np.argsort(distance, kind="stable")] = np.arange(len(photons)) % n_passes
     return number
 
 
-class ProgressiveField(Field):
-    """Progressive photon mapping of one photon map at any points: a `Field`.
+class ProgressiveField(PhotonField):
+    """Progressive photon mapping of one photon map at any points.
 
-    The photons are dealt to passes (see `dealt`), no more of them than have k photons each. The
-    points asked for are the hit points, so that passes are gone through at every call.
+    The photons are split into passes (see `assign_passes`), at most as many as leave k photons to
+    each. All passes are gathered whenever the field is called, as the points are its hit points.
 
     Parameters
     ----------
     photons : PhotonMap
-        As gathered from.
     settings : ProgressiveSettings, optional
     n_threads : int, optional
         Threads; all available by default. Results do not depend on it.
@@ -52,7 +53,7 @@ class ProgressiveField(Field):
     Attributes
     ----------
     photons, settings, structure, seconds, used
-        See `Field`; `settings.n_passes` is the number in use.
+        See `PhotonField`; `settings.n_passes` is the number in use.
 
     Raises
     ------
@@ -72,17 +73,16 @@ class ProgressiveField(Field):
         settings = replace(settings, n_passes=min(settings.n_passes, most))
         self.photons = photons
         self.settings = settings
-        self.structure: Structure | None = None
-        self.seconds: dict[str, float] = {}
-        self.used: dict[str, dict[str, Any]] = {"progressive": asdict(settings)}
+        self.seconds = {}
+        self.used = {"progressive": asdict(settings)}
         self._n_threads = thread_count(n_threads)
-        self._passes = list(self._dealt())
+        self._passes = list(self._split())
         rows, trees = self._passes[0]
-        first = photons.subset(rows)
-        self._initial_radius = InitialRadius(first, settings, self._n_threads, trees)
+        self._initial_radius = InitialRadius(photons.subset(rows), settings, self._n_threads, trees)
 
-    def _dealt(self) -> Iterator[tuple[NDArray[np.intp], PhotonTrees]]:
-        number = dealt(self.photons, self.settings.n_passes)
+    def _split(self) -> Iterator[tuple[NDArray[np.intp], PhotonTrees]]:
+        """Rows and trees of the photons of each pass."""
+        number = assign_passes(self.photons, self.settings.n_passes)
         for one in range(self.settings.n_passes):
             rows = np.flatnonzero(number == one)
             trees = PhotonTrees(self.photons.subset(rows), self._n_threads)
@@ -90,55 +90,26 @@ class ProgressiveField(Field):
             yield rows, trees
 
     def least_radius(self, points: Floats, normals: Floats, radius: Floats) -> Floats | None:
-        """Return the radii (m,) discs need not go below; None for discs that shrink for ever."""
+        """Radii (m,), m, that those of the hit points do not shrink below; None for no limit."""
         return None
 
-    def densities(self, values: ArrayLike) -> ProgressiveDensities:
-        """Return what estimates, per area, anything else that photons carry, (n, c).
+    def _lay_out(self, values: Floats, part: int) -> PhotonPass:
+        """Photons of a pass with their values."""
+        rows, trees = self._passes[part]
+        return PhotonPass(trees, values[rows], self._n_threads)
 
-        Raises
-        ------
-        TypeError, ValueError
-            If `values` does not have a row for each photon.
-        """
-        array = validation.float_array(values, "values", (len(self.photons), None))
-        return ProgressiveDensities(self, array)
-
-
-class ProgressiveDensities:
-    """Estimates per area of values that the photons of a field carry; see `densities` there."""
-
-    def __init__(self, field: ProgressiveField, values: Floats) -> None:
-        self._field = field
-        self._n_channels = values.shape[1]
-        self._passes = [
-            PhotonPass(trees, values[rows], field._n_threads) for rows, trees in field._passes
-        ]
-
-    def __call__(
-        self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
-    ) -> Floats:
-        """Return the estimates (m, c) at points (m, 3) on surfaces with the given normals."""
-        points = validation.float_array(points, "points", (None, 3))
-        normals = validation.float_array(normals, "normals", (len(points), 3), finite=False)
-        out = np.empty((len(points), self._n_channels))
-        for first, end in Reporter(progress, "estimate", len(points)).chunks(len(points)):
-            out[first:end] = self._some(points[first:end], normals[first:end])
-        return out
-
-    def _some(self, points: Floats, normals: Floats) -> Floats:
-        """Estimate at no more than so many points that what is kept of them is small."""
-        field = self._field
-        normals = validation.unit_vectors(normals, "normals", points.shape, field._n_threads)
-        discs = HitPointStatistics(
-            field._initial_radius(points, normals),
-            self._n_channels,
-            alpha=field.settings.alpha,
-            n_threads=field._n_threads,
+    def _evaluate(self, values: Densities, points: Floats, normals: Floats) -> Floats:
+        normals = validation.unit_vectors(normals, "normals", points.shape, self._n_threads)
+        hits = HitPointStatistics(
+            self._initial_radius(points, normals),
+            values.n_channels,
+            alpha=self.settings.alpha,
+            n_threads=self._n_threads,
         )
-        order = morton_order(points, field._n_threads)
-        for one in self._passes:
-            found = one.within((points, normals), discs.radius, order)
-            # What photons carry is divided by the number emitted in all passes already.
-            discs.update(*found, 1.0, field.least_radius(points, normals, discs.radius))
-        return discs.n_passes * discs.densities()
+        order = np.arange(len(points))
+        for number in range(len(self._passes)):
+            counts, sums = values.laid_out(number).within((points, normals), hits.radius, order)
+            least = self.least_radius(points, normals, hits.radius)
+            # Fluxes are divided by the number of photons emitted in all passes already.
+            hits.update(counts, sums, 1.0, least)
+        return hits.n_passes * hits.densities()

@@ -13,11 +13,10 @@ class PhotonLayers:
     """What the photons of a field make of a picture: light, and means of what they carry."""
 
     def __init__(self, field: Field) -> None:
-        photons = field.photons
-        mean = photons.flux.mean(axis=1, keepdims=True)
-        self._attributes = photon_attributes(field)
+        mean = field.flux.mean(axis=1, keepdims=True)
+        self._attributes = field.layers
         weighted = [mean * values for values in self._attributes.values()]
-        self._densities = field.densities(np.hstack([photons.flux, mean, *weighted]))
+        self._densities = field.densities(np.hstack([field.flux, mean, *weighted]))
 
     def __call__(self, band: Band) -> dict[str, Floats]:
         """Return ``caustic`` and the means over photons in each pixel, weighted with flux."""
@@ -41,34 +40,6 @@ def photon_layers(view: View, field: Field) -> dict[str, Floats]:
     """Return what the photons of a field carry, as layers, and their caustic."""
     layers = PhotonLayers(field)
     return joined([layers(band) for band in view.bands])
-
-
-def photon_attributes(field: Field) -> dict[str, Floats]:
-    """Return what photons carry beside flux, by layer, each (n, 1) or (n, 3)."""
-    photons, attributes = field.photons, {}
-    if field.structure is not None:
-        attributes["photons.constraint"] = field.structure.constraint[:, np.newaxis]
-    if photons.emitter_coords is not None:
-        attributes["photons.emitter"] = emitter_colours(photons.emitter_coords)
-    if photons.n_bounces is not None:
-        attributes["photons.bounces"] = photons.n_bounces[:, np.newaxis].astype(np.float64)
-    return attributes
-
-
-def emitter_colours(emitter_coords: Floats) -> Floats:
-    """Return emitter coordinates as colours (n, 3) in [0, 1], for pictures as SJ13 Fig. 6e.
-
-    Each coordinate is stretched over the range it has in the map; on emitter planes blue falls
-    as red and green rise.
-    """
-    low = emitter_coords.min(axis=0, initial=np.inf)
-    extent = emitter_coords.max(axis=0, initial=-np.inf) - low
-    colours = np.divide(
-        emitter_coords - low, extent, out=np.zeros_like(emitter_coords), where=extent > 0.0
-    )
-    if colours.shape[1] == 2:
-        colours = np.column_stack([colours, 1.0 - colours.mean(axis=1)])
-    return colours
 
 
 LAYERS = {
