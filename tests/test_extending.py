@@ -1,0 +1,104 @@
+"""New things are added in one place: a class or function, and one record."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import pytest
+
+import photonrelax as pr
+from photonrelax import gallery
+from photonrelax.cli import commands
+from photonrelax.estimation import methods
+from photonrelax.estimation.field import PhotonField
+from photonrelax.scene.emission_region import cap_region, start_distance
+from photonrelax.scene.emitters import DirectLight, Emitter
+from tests.helpers.photon_maps import uniform_map
+
+
+@dataclass(frozen=True)
+class MeanSettings:
+    """Settings of the toy method."""
+
+    factor: float = 1.0
+
+
+class MeanField(PhotonField):
+    """The same everywhere: the total over the square metre that photons are on."""
+
+    def __init__(self, photons, settings):
+        self.photons, self.settings = photons, settings
+        self.seconds, self.used, self._n_threads = {}, {"mean": asdict(settings)}, 1
+
+    def _lay_out(self, values, part):
+        return values.sum(axis=0)
+
+    def _evaluate(self, values, points, normals):
+        return np.tile(self.settings.factor * values.laid_out(0), (len(points), 1))
+
+
+def mean_field(inputs):
+    return MeanField(inputs.photons, inputs.settings.of(MeanSettings))
+
+
+@pytest.fixture
+def mean_method(monkeypatch):
+    monkeypatch.setitem(methods.METHODS, "mean", None)
+    monkeypatch.setitem(methods.SETTINGS_CLASSES, "mean", None)
+    methods.register(methods.Method("mean", ("mean",), mean_field), mean=MeanSettings)
+
+
+@pytest.fixture
+def scene():
+    return gallery.scene("ring", pixels=16, sections=64)
+
+
+@pytest.mark.usefixtures("mean_method")
+def test_a_method_is_its_module_and_one_record(scene, tmp_path):
+    field = pr.irradiance_field(uniform_map(1000, "random"), method="mean", mean=MeanSettings(2.0))
+    np.testing.assert_allclose(field([[0.5, 0.5, 0.0]], [[0.0, 0.0, 1.0]]), 2.0)
+
+    image = pr.render(scene, method="mean", n_emitted=2000)
+    seen = image.layers["caustic"][np.isfinite(image.layers["Z"])]
+    assert seen.max() > 0.0
+
+    size = ("--photons", "2000", "--width", "16", "--quiet")
+    output = tmp_path / "ring.exr"
+    options = ("--method", "mean", "--set", "mean.factor=2", "-o", str(output))
+    assert commands.main(["render", "ring", *options, *size]) == 0
+    folder = tmp_path / "compared"
+    options = ("--methods", "mean", "standard", "--reference-passes", "1", "-o", str(folder))
+    assert commands.main(["compare", "ring", *options, *size, "--reference-photons", "2000"]) == 0
+    assert (folder / "mean.exr").exists()
+
+
+@dataclass(frozen=True)
+class HalfEmitter(Emitter):
+    """A point of half of the power that it is given."""
+
+    position: tuple
+    power: float = 2.0
+
+    def emission_region(self, target, scene, emitter_offset):
+        position = np.asarray(self.position)
+        start = start_distance(position, scene, emitter_offset)
+        return cap_region(position, np.full(3, self.power / 2.0), target, start)
+
+    def direct(self, position, emitter_offset):
+        offset = np.asarray(self.position) - position
+        distance = np.linalg.norm(offset, axis=1)
+        irradiance = self.power / 2.0 / (4.0 * np.pi * distance**2)
+        return DirectLight(
+            offset / distance[:, None], distance, np.repeat(irradiance[:, None], 3, axis=1)
+        )
+
+
+def test_an_emitter_is_one_class(scene):
+    """Photons, direct light and pictures are those of a point emitter of half the power."""
+    lit = [
+        pr.Scene(scene.objects, [emitter], scene.camera)
+        for emitter in (HalfEmitter((0.3, 0.2, 3.0)), pr.PointEmitter((0.3, 0.2, 3.0)))
+    ]
+    ours, expected = (pr.render(each, n_emitted=2000, method="standard") for each in lit)
+    assert expected.layers["direct"].max() > 0.0
+    for name, layer in expected.layers.items():
+        np.testing.assert_allclose(ours.layers[name], layer, rtol=1e-12, err_msg=name)
