@@ -27,6 +27,7 @@ from photonrelax.evaluation.report import table as tables
 from photonrelax.evaluation.report.contact_sheet import contact_sheet
 from photonrelax.imaging import metrics
 from photonrelax.imaging.image import read_exr, srgb
+from photonrelax.rendering.view import View
 
 SIZE = 32
 N = 10_000
@@ -85,15 +86,15 @@ def test_every_method_makes_the_picture_that_render_makes(comparison):
 
 def test_photons_and_camera_rays_are_traced_once(comparison_request, truth, monkeypatch):
     calls = []
-    for name in ("trace_photons", "look"):
-        work = getattr(subject, name)
+    for owner, name in ((subject, "trace_photons"), (View, "bands")):
+        work = getattr(owner, name)
         monkeypatch.setattr(
-            subject,
+            owner,
             name,
             lambda *a, _name=name, _work=work, **k: calls.append(_name) or _work(*a, **k),
         )
     compare(comparison_request, truth)
-    assert calls == ["trace_photons", "look"]
+    assert calls == ["trace_photons", "bands"]
 
 
 def test_errors_are_those_of_the_layers(comparison, truth):

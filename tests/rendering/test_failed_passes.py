@@ -16,7 +16,7 @@ PLACES = {
     "trace_photons": progressive_render,
     "PhotonPass": pass_statistics,
     "update": progressive.HitPointStatistics,
-    "Kept": pass_statistics,
+    "PassState": pass_statistics,
 }
 
 

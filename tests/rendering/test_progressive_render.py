@@ -15,8 +15,9 @@ import trimesh
 import photonrelax as pr
 from photonrelax import gallery
 from photonrelax.estimation.progressive import initial_radius
-from photonrelax.rendering.pass_statistics import Kept, MovingPoints, Recipe, View
+from photonrelax.rendering.pass_statistics import PassSettings, PassState, StochasticHitPoints
 from photonrelax.rendering.progressive_render import pass_seed
+from photonrelax.rendering.view import View
 from photonrelax.scene.digest import scene_digest
 from tests.helpers.short_runs import FEW, layers_bytes
 
@@ -81,10 +82,11 @@ def test_moving_points_smooth_what_fixed_ones_see_as_steps():
 
 def test_discs_of_moving_points_start_with_the_least_radius_in_their_pixel(ring):
     lasting = pr.ProgressiveSettings(alpha=1.0)
-    recipe = Recipe(lasting, 4000, seed=3, supersampling=2, stochastic=True, max_depth=8)
-    view, photons = View(ring, recipe, 1), pr.trace_photons(ring, 4000)
-    discs = MovingPoints(view).after(Kept(), photons, 0).discs
-    hits = next(view.bands(view.offset(0))).hits
+    settings = PassSettings(lasting, 4000, seed=3, supersampling=2, stochastic=True, max_depth=8)
+    view, photons = View(ring, n_threads=1), pr.trace_photons(ring, 4000)
+    points = StochasticHitPoints(view, settings)
+    discs = points.after(PassState(), photons, 0).statistics
+    hits = next(view.bands(points.offset(0))).hits
     radius = initial_radius(photons, hits.position, hits.normal, lasting)
     pixels = np.unique(hits.pixel)
     expected = [radius[hits.pixel == pixel].min() for pixel in pixels]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from .._util.validation import Floats
 from ..gallery.analytic import AnalyticIrradiance
-from ..rendering.view import View
+from ..rendering.view import StoredView
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class AnalyticPixels:
     where: NDArray[np.bool_]
 
 
-def analytic_pixels(view: View, irradiance: AnalyticIrradiance) -> AnalyticPixels:
+def analytic_pixels(view: StoredView, irradiance: AnalyticIrradiance) -> AnalyticPixels:
     """Caustic of a view; a pixel is known if the irradiance at all its hit points is."""
     caustic, where = [], []
     for band in view.bands:

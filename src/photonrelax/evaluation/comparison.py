@@ -29,9 +29,9 @@ from ..imaging import metrics
 from ..imaging.image import Image
 from ..imaging.metrics import Errors
 from ..photons.photon_map import PhotonMap
-from ..rendering.layers import photon_layers
-from ..rendering.metadata import photon_header
-from ..rendering.view import View
+from ..rendering.layers import fixed_layers, photon_layers
+from ..rendering.metadata import photon_metadata
+from ..rendering.view import StoredView
 from .analytic_pixels import AnalyticPixels
 from .reference import Reference, check_reference
 from .request import ComparisonRequest
@@ -100,7 +100,7 @@ class Comparison:
     reference : Reference
         Reference of the errors.
     photon_layers : dict
-        ``caustic`` and means of photon attributes (`photonrelax.rendering.layers.PhotonLayers`).
+        ``caustic`` and means of photon attributes (`photonrelax.rendering.layers.PhotonEstimates`).
     """
 
     request: ComparisonRequest
@@ -305,9 +305,10 @@ class _Workbench:
             for name, run in runs.items()
         )
         analytic = request.subject.analytic_pixels(self._view)
-        return Runs(request, timed, self._view.fixed, analytic, self._photon_layers)
+        fixed = fixed_layers(self._view.bands)
+        return Runs(request, timed, fixed, analytic, self._photon_layers)
 
-    def _trace_view(self) -> View:
+    def _trace_view(self) -> StoredView:
         request = self._request
         return request.subject.view(
             request.supersampling,
@@ -346,7 +347,7 @@ class _Workbench:
         method, _ = request.columns()[name]
         self._keep_photon_layers(field, method)
         view = {"supersampling": request.supersampling, "max_depth": request.max_depth}
-        metadata = photon_header(
+        metadata = photon_metadata(
             photons, scene=request.subject.name, method=method, settings=field.used | view
         )
         image = Image({"caustic": caustic}, metadata)
@@ -366,7 +367,7 @@ class _Workbench:
         kept = self._photon_layers
         more = field.structure is not None and "photons.constraint" not in kept
         if not kept or more or method == DEFAULT_METHOD:
-            self._photon_layers = photon_layers(self._view, field)
+            self._photon_layers = photon_layers(self._view.bands, field)
 
 
 def _medians(seconds: list[dict[str, float]]) -> dict[str, float]:

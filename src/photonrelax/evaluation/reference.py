@@ -28,6 +28,7 @@ from ..estimation.progressive import ProgressiveSettings
 from ..imaging import metrics
 from ..imaging.image import Image, read_exr, srgb
 from ..imaging.metrics import Errors
+from ..rendering.layers import total_radiance, with_radiance
 from ..rendering.progressive_render import Checkpoints, pass_seed, render_progressive
 from ..scene.digest import scene_digest
 from ..scene.scene import Scene
@@ -99,7 +100,7 @@ class Reference:
     image : Image
         With ``radiance``; ``caustic`` is taken as the difference to direct light if it is missing.
     fixed : dict
-        Layers of the same view that do not depend on photons; see `View`.
+        Layers of the same view that do not depend on photons.
     exposure : float
         Display values are those of radiance times 2^exposure.
     analytic : AnalyticPixels, optional
@@ -127,7 +128,9 @@ class Reference:
         self.image = image
         self._fixed = fixed
         self._radiance = np.asarray(image.layers["radiance"])
-        self._caustic = np.asarray(image.layers.get("caustic", self._radiance - fixed["direct"]))
+        self._caustic = np.asarray(
+            image.layers.get("caustic", self._radiance - total_radiance(fixed))
+        )
         self._scale = 2.0**exposure
         self._displayed = srgb(self._scale * self._radiance)
         self._analytic = analytic
@@ -148,7 +151,8 @@ class Reference:
 
     def measure(self, caustic: Floats) -> tuple[Image, Errors]:
         """Image of a caustic with its difference from the reference, and its errors."""
-        radiance = caustic + self._fixed["direct"]
+        layers = with_radiance({"caustic": caustic, **self._fixed})
+        radiance = layers["radiance"]
         displayed = srgb(self._scale * radiance)
         flip = metrics.flip_map(displayed, self._displayed)
         errors = Errors(
@@ -159,7 +163,7 @@ class Reference:
             flip=float(flip.mean()),
         )
         maps = {"difference": radiance - self._radiance, "flip": flip}
-        return Image({"radiance": radiance, "caustic": caustic, **self._fixed, **maps}), errors
+        return Image({**layers, **maps}), errors
 
     def errors_where_analytic(self, caustic: Floats) -> dict[str, float]:
         """Relative L1, L2 and energy bias over the analytic pixels; empty without such."""

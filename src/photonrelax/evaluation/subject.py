@@ -12,7 +12,7 @@ from .._util.progress import Progress
 from .._util.validation import Floats, count
 from ..gallery.analytic import AnalyticIrradiance, analytic_irradiance
 from ..photons.photon_map import PhotonMap
-from ..rendering.view import Band, View, joined, look, resized
+from ..rendering.view import Band, StoredView, View, resized
 from ..scene.scene import Scene
 from ..transport.hit_points import FirstSurfaces, HitPoints
 from ..transport.trace import trace_photons
@@ -61,7 +61,7 @@ class Subject(Protocol):
         *,
         n_threads: int | None,
         progress: Progress | None,
-    ) -> View:
+    ) -> StoredView:
         """Hit points that all methods are evaluated at."""
 
     def exact(self, supersampling: int) -> Floats | None:
@@ -70,7 +70,7 @@ class Subject(Protocol):
         Means over the s·s samples of each pixel of `view`, as those of an estimate.
         """
 
-    def analytic_pixels(self, view: View) -> AnalyticPixels | None:
+    def analytic_pixels(self, view: StoredView) -> AnalyticPixels | None:
         """Caustic of the pixels that are known analytically, None where none is."""
 
 
@@ -132,20 +132,17 @@ class SceneSubject:
         *,
         n_threads: int | None,
         progress: Progress | None,
-    ) -> View:
+    ) -> StoredView:
         """Trace camera rays."""
-        return look(
-            self.scene,
-            supersampling=supersampling,
-            max_depth=max_depth,
-            n_threads=n_threads,
-            progress=progress,
+        view = View(
+            self.scene, supersampling=supersampling, max_depth=max_depth, n_threads=n_threads
         )
+        return view.stored(progress)
 
     def exact(self, supersampling: int) -> None:
         """None: no scene has an exact image."""
 
-    def analytic_pixels(self, view: View) -> AnalyticPixels | None:
+    def analytic_pixels(self, view: StoredView) -> AnalyticPixels | None:
         """Caustic of the pixels that are known analytically, None where none is."""
         return None if self.irradiance is None else analytic_pixels(view, self.irradiance)
 
@@ -194,19 +191,19 @@ class PhotonPatternSubject:
         *,
         n_threads: int | None,
         progress: Progress | None,
-    ) -> View:
+    ) -> StoredView:
         """Points of s·s samples a pixel of the white plane, without direct light."""
         (width, height), samples = self.size, supersampling**2
         pattern = gallery.pattern(self.name, n=0)
         points, _ = pattern.samples(width, height, supersampling)
         per_row = width * samples
         step = max(_POINTS_PER_BAND // per_row, 1)
-        seen = []
+        bands = []
         for top in range(0, height, step):
             rows = range(top, min(top + step, height))
             some = points[rows.start * per_row : rows.stop * per_row]
-            seen.append(_band_of_plane(some, rows, width, samples))
-        return View(seen, joined([band.fixed_layers() for band in seen]), 0.0)
+            bands.append(_band_of_plane(some, rows, width, samples))
+        return StoredView(bands, seconds=0.0)
 
     def exact(self, supersampling: int) -> Floats:
         """Mean exact radiance of the points of `view` in each pixel, (height, width, 3).
@@ -220,7 +217,7 @@ class PhotonPatternSubject:
         )
         return irradiance / np.pi
 
-    def analytic_pixels(self, view: View) -> None:
+    def analytic_pixels(self, view: StoredView) -> None:
         """None: the whole image is `exact`."""
 
 

@@ -1,4 +1,4 @@
-"""A long run kept in a file: whole or as it was, and taken up by the same run alone."""
+"""Checkpoint file, written atomically; resumed only by the run that wrote it."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from .._util.npz import read_npz
 
 
 class Checkpoint:
-    """The file of a run.
+    """Checkpoint file of a run.
 
     Parameters
     ----------
     path : path
-        Of the file; what runs that were killed left half written beside it is removed.
+        Of the file; partial files beside it, left by killed processes, are removed.
     identity : mapping
-        What must be the same for a run to be resumed, as JSON knows it.
+        Parameters that a run must share to be resumed from the file; values that JSON allows.
     """
 
     def __init__(self, path: str | os.PathLike[str], identity: Mapping[str, Any]) -> None:
@@ -32,19 +32,19 @@ class Checkpoint:
         remove_leftovers(self.path)
 
     def save(self, arrays: Mapping[str, Any]) -> None:
-        """Write the file anew, whole and onto the disk before it takes the place of the old one."""
+        """Replace the file, which is complete on disk before it takes the place of the old one."""
         with whole_file(self.path) as partial, partial.open("wb") as file:
             np.savez(file, identity=json.dumps(self._identity), **arrays)
             file.flush()
             os.fsync(file.fileno())
 
     def load(self) -> dict[str, NDArray] | None:
-        """Return what was saved, None if there is no file.
+        """The saved arrays, None if there is no file.
 
         Raises
         ------
         ValueError
-            If the file is none of `save`, or of another run.
+            If the file is no checkpoint, or that of another run.
         """
         if not self.path.exists():
             return None

@@ -1,8 +1,7 @@
-"""Hit points of a picture made in passes: kept, or moved about in their pixels by every pass."""
+"""Statistics of photons at hit points over the passes of a progressive render."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any, Protocol
@@ -19,15 +18,14 @@ from ..estimation.progressive import (
 )
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees, morton_order
-from ..scene.scene import Scene
-from ..transport.raycast import RayCaster
 from ..transport.sampling import halton, seed_shift
-from .view import Band, bands, joined
+from .layers import band_layers, merge_passes, merged_layers
+from .view import Band, View, concatenate_bands
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """What the passes of a run depend on, beside the scene."""
+class PassSettings:
+    """Parameters that the passes of a run depend on, beside the scene."""
 
     settings: ProgressiveSettings
     photons_per_pass: int
@@ -36,131 +34,83 @@ class Recipe:
     stochastic: bool
     max_depth: int
 
-    def named(self) -> dict[str, Any]:
-        """Return all values by their names, for JSON."""
+    def to_dict(self) -> dict[str, Any]:
+        """All values by their names, for JSON."""
         values = asdict(self)
         settings = values.pop("settings")
-        del settings["n_passes"]  # says how a map is dealt out
+        del settings["n_passes"]  # of photon maps that are split into passes
         return {**settings, **values}
 
-
-class View:
-    """What the camera of a scene sees of it."""
-
-    def __init__(self, scene: Scene, recipe: Recipe, n_threads: int) -> None:
-        if scene.camera is None:
-            raise ValueError("scene should have a camera to be rendered")
-        self.recipe = recipe
-        self.n_threads = n_threads
-        self.shape = (scene.camera.height, scene.camera.width)
-        self._scene = scene
-        self._camera = scene.camera
-        self.caster = RayCaster(scene.objects)
-        self._shift = seed_shift(recipe.seed)
-
-    def bands(self, offset: tuple[float, float] = (0.5, 0.5)) -> Iterator[Band]:
-        """Yield all that is seen, rows by rows."""
-        return bands(
-            self._scene,
-            self._camera,
-            supersampling=self.recipe.supersampling,
-            max_depth=self.recipe.max_depth,
-            n_threads=self.n_threads,
-            offset=offset,
-            caster=self.caster,
-        )
-
-    def offset(self, number: int) -> tuple[float, float]:
-        """Return where samples are in a pass: shifted Halton points, so that passes fill pixels."""
-        right, down = halton(number, 1, shift=self._shift)[0].tolist()
-        return right, down
-
-    def looked_at(self, photons: PhotonMap) -> Look:
-        """Return a pass of photons, ready to be gathered."""
-        return Look(self, photons)
-
-    def discs(self, radius: Floats, n_before: int) -> HitPointStatistics:
-        """Return discs that found nothing in so many passes."""
-        discs = HitPointStatistics(
-            radius, 3, alpha=self.recipe.settings.alpha, n_threads=self.n_threads
-        )
-        discs.n_passes = n_before
-        discs.weight = float(n_before * self.recipe.photons_per_pass)
-        return discs
-
-
-class Look:
-    """A pass of photons as hit points look at it."""
-
-    def __init__(self, view: View, photons: PhotonMap) -> None:
-        trees = PhotonTrees(photons, view.n_threads)
-        settings = view.recipe.settings
-        self.found = PhotonPass(trees, photons.flux, view.n_threads).within
-        self.weight = float(view.recipe.photons_per_pass)
-        self.is_empty = len(photons) == 0
-        self._first = partial(InitialRadius, photons, settings, view.n_threads, trees)
-
-    def initial_radius(self) -> InitialRadius:
-        return self._first()
+    def statistics(self, radius: Floats, n_before: int, n_threads: int) -> HitPointStatistics:
+        """Statistics with initial radii, after a number of passes without photons."""
+        statistics = HitPointStatistics(radius, 3, alpha=self.settings.alpha, n_threads=n_threads)
+        statistics.n_passes = n_before
+        statistics.weight = float(n_before * self.photons_per_pass)
+        return statistics
 
 
 @dataclass(frozen=True)
-class Kept:
-    """What a run keeps of its passes; never changed, but followed by that after the next pass.
+class PassState:
+    """State of a run after some passes; immutable, each pass makes another.
 
     Attributes
     ----------
-    discs : HitPointStatistics or None
-        None until a photon was stored: there is no telling how far to look for it.
-    seen : dict
-        Sums over passes of the layers that need no photons, where these change.
+    statistics : HitPointStatistics or None
+        None until a photon was stored, from which the initial radii follow.
+    combined : dict
+        Layers that do not depend on photons, combined over passes, if they vary between these.
     """
 
-    discs: HitPointStatistics | None = None
-    seen: dict[str, Floats] = field(default_factory=dict)
+    statistics: HitPointStatistics | None = None
+    combined: dict[str, Floats] = field(default_factory=dict)
 
     def arrays(self) -> dict[str, Any]:
-        """Return all that later passes build upon."""
-        seen = {f"seen_{name}": layer for name, layer in self.seen.items()}
-        if self.discs is None:
-            return seen
-        discs = {name: getattr(self.discs, name) for name in ("radius", "n", "tau", "weight")}
-        return {**discs, "disc_passes": self.discs.n_passes, **seen}
+        """The state as arrays for a checkpoint."""
+        combined = {f"seen_{name}": layer for name, layer in self.combined.items()}
+        s = self.statistics
+        if s is None:
+            return combined
+        values = {name: getattr(s, name) for name in ("radius", "n", "tau", "weight")}
+        return {**values, "disc_passes": s.n_passes, **combined}
 
     @classmethod
-    def of(cls, arrays: dict[str, NDArray], view: View) -> Kept:
-        """Return what `arrays` returned such of."""
-        ahead = "seen_"
-        seen = {n.removeprefix(ahead): a for n, a in arrays.items() if n.startswith(ahead)}
+    def from_arrays(
+        cls, arrays: dict[str, NDArray], settings: PassSettings, n_threads: int
+    ) -> PassState:
+        """The state that `arrays` was called of."""
+        prefix = "seen_"
+        combined = {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
         if "radius" not in arrays:
-            return cls(None, seen)
-        discs = view.discs(arrays["radius"], int(arrays["disc_passes"]))
-        discs.n, discs.tau = arrays["n"], arrays["tau"]
-        discs.weight = float(arrays["weight"])
-        return cls(discs, seen)
+            return cls(None, combined)
+        n_passes = int(arrays["disc_passes"])
+        statistics = settings.statistics(arrays["radius"], n_passes, n_threads)
+        statistics.n, statistics.tau = arrays["n"], arrays["tau"]
+        statistics.weight = float(arrays["weight"])
+        return cls(statistics, combined)
 
 
-class Points(Protocol):
-    """Where photons are gathered."""
+class PassHitPoints(Protocol):
+    """Hit points that passes of photons are gathered at."""
 
-    def after(self, kept: Kept, photons: PhotonMap, number: int) -> Kept:
-        """Return what is kept after a pass by its number, from zero, and those before it."""
+    def after(self, state: PassState, photons: PhotonMap, number: int) -> PassState:
+        """State after the pass of a number, from zero, given that before it."""
 
-    def layers(self, kept: Kept, n_passes: int) -> dict[str, Floats]:
-        """Return the layers of the picture after so many passes, but for the radiance."""
+    def layers(self, state: PassState, n_passes: int) -> dict[str, Floats]:
+        """Layers of the image after a number of passes, except ``radiance``."""
 
 
-class FixedPoints:
-    """Hit points that stay: each has a disc of its own."""
+class FixedHitPoints:
+    """Hit points that are the same in every pass (PPM), each with statistics of its own."""
 
-    def __init__(self, view: View) -> None:
+    def __init__(self, view: View, settings: PassSettings) -> None:
         self._view = view
-        seen, hits, scale = [], [], []
+        self._settings = settings
+        fixed, hits, scale = [], [], []
         for band in view.bands():
-            seen.append(band.fixed_layers())
+            fixed.append(band_layers(band))
             hits.append((band.hits.position, band.hits.normal, band.hits.pixel))
             scale.append(band.hits.weight * band.hits.albedo / np.pi)
-        self._seen = joined(seen)
+        self._fixed = concatenate_bands(fixed)
         position, normal, self._pixel = (
             np.concatenate(column) for column in zip(*hits, strict=True)
         )
@@ -168,79 +118,89 @@ class FixedPoints:
         self._order = morton_order(position, view.n_threads)
         self._scale = np.concatenate(scale)
 
-    def after(self, kept: Kept, photons: PhotonMap, number: int) -> Kept:
-        look, discs = self._view.looked_at(photons), kept.discs
-        if discs is None:
-            if look.is_empty:
-                return kept
-            discs = self._view.discs(look.initial_radius()(*self._points), number)
-        discs = discs.copy()
-        discs.update(*look.found(self._points, discs.radius, self._order), look.weight)
-        return Kept(discs)
+    def after(self, state: PassState, photons: PhotonMap, number: int) -> PassState:
+        gathered = _Gatherer(photons, self._settings, self._view.n_threads)
+        statistics = state.statistics
+        if statistics is None:
+            if gathered.is_empty:
+                return state
+            radius = gathered.initial_radius()(*self._points)
+            statistics = self._settings.statistics(radius, number, self._view.n_threads)
+        statistics = statistics.copy()
+        found = gathered.within(self._points, statistics.radius, self._order)
+        statistics.update(*found, gathered.weight)
+        return PassState(statistics)
 
-    def layers(self, kept: Kept, n_passes: int) -> dict[str, Floats]:
+    def layers(self, state: PassState, n_passes: int) -> dict[str, Floats]:
         caustic = np.zeros((*self._view.shape, 3))
-        if kept.discs is not None:
-            for channel, column in enumerate((self._scale * kept.discs.densities()).T):
+        if state.statistics is not None:
+            for channel, column in enumerate((self._scale * state.statistics.densities()).T):
                 sums = np.bincount(self._pixel, column, minlength=caustic[..., 0].size)
                 caustic[..., channel] = sums.reshape(self._view.shape)
-        return {"caustic": caustic, **self._seen}
+        return {"caustic": caustic, **self._fixed}
 
 
-class MovingPoints:
-    """Hit points that move with every pass: those of a pixel share its disc.
+class StochasticHitPoints:
+    """Hit points that are jittered in their pixels by every pass and share its statistics (SPPM).
 
-    What is kept of a pixel's photons is their flux times what turns irradiance at the hit point
-    into the pixel's radiance; what is kept of other layers are sums over passes.
+    The statistics of a pixel are of the radiance that photons cause: flux times weight · albedo / π
+    of the hit point.
     """
 
-    def __init__(self, view: View) -> None:
+    def __init__(self, view: View, settings: PassSettings) -> None:
         self._view = view
+        self._settings = settings
+        self._shift = seed_shift(settings.seed)
 
-    def after(self, kept: Kept, photons: PhotonMap, number: int) -> Kept:
-        look, discs = self._view.looked_at(photons), kept.discs
-        if discs is None and not look.is_empty:
-            discs = self._view.discs(self._initial_radius(look, number), number)
+    def after(self, state: PassState, photons: PhotonMap, number: int) -> PassState:
+        gathered = _Gatherer(photons, self._settings, self._view.n_threads)
+        offset, statistics = self.offset(number), state.statistics
+        if statistics is None and not gathered.is_empty:
+            radius = self._least_radius(gathered.initial_radius(), offset)
+            statistics = self._settings.statistics(radius, number, self._view.n_threads)
         layers, found = [], []
-        for band in self._view.bands(self._view.offset(number)):
-            layers.append(band.fixed_layers())
-            if discs is not None:
-                found.append(_found(look, band, discs.radius))
-        if discs is not None:
+        for band in self._view.bands(offset):
+            layers.append(band_layers(band))
+            if statistics is not None:
+                found.append(gathered.within_pixels(band, statistics.radius))
+        if statistics is not None:
             counts, sums = (np.concatenate(column) for column in zip(*found, strict=True))
-            discs = discs.copy()
-            discs.update(counts, sums, look.weight)
-        return Kept(discs, _merged(kept.seen, joined(layers)))
+            statistics = statistics.copy()
+            statistics.update(counts, sums, gathered.weight)
+        return PassState(statistics, merge_passes(state.combined, concatenate_bands(layers)))
 
-    def _initial_radius(self, look: Look, number: int) -> Floats:
-        """Return the least radius of the hit points of each pixel."""
-        first = look.initial_radius()
-        radius = np.full(self._view.shape, first.largest).ravel()
-        for band in self._view.bands(self._view.offset(number)):
-            np.minimum.at(radius, band.hits.pixel, first(band.hits.position, band.hits.normal))
+    def offset(self, number: int) -> tuple[float, float]:
+        """Sample offset of a pass: the Halton points of all passes fill the pixel evenly."""
+        right, down = halton(number, 1, shift=self._shift)[0].tolist()
+        return right, down
+
+    def _least_radius(self, initial: InitialRadius, offset: tuple[float, float]) -> Floats:
+        """Least initial radius of the hit points of each pixel."""
+        radius = np.full(self._view.shape, initial.largest).ravel()
+        for band in self._view.bands(offset):
+            np.minimum.at(radius, band.hits.pixel, initial(band.hits.position, band.hits.normal))
         return radius
 
-    def layers(self, kept: Kept, n_passes: int) -> dict[str, Floats]:
+    def layers(self, state: PassState, n_passes: int) -> dict[str, Floats]:
         caustic = np.zeros((*self._view.shape, 3))
-        if kept.discs is not None:
-            caustic = kept.discs.densities().reshape(caustic.shape)
-        seen = {n: layer if n == "Z" else layer / n_passes for n, layer in kept.seen.items()}
-        return {"caustic": caustic, **seen}
+        if state.statistics is not None:
+            caustic = state.statistics.densities().reshape(caustic.shape)
+        return {"caustic": caustic, **merged_layers(state.combined, n_passes)}
 
 
-def _found(look: Look, band: Band, radius: Floats) -> tuple[NDArray, Floats]:
-    """Return numbers and sums of the photons that each pixel of a band sees."""
-    hits = band.hits
-    counts, sums = look.found((hits.position, hits.normal), radius[hits.pixel])
-    numbers = band.sums(counts[:, np.newaxis].astype(np.float64))
-    return numbers.ravel().astype(np.int64), band.radiance(sums).reshape(-1, 3)
+class _Gatherer:
+    """Photons of a pass, ready to be gathered at hit points."""
 
+    def __init__(self, photons: PhotonMap, settings: PassSettings, n_threads: int) -> None:
+        trees = PhotonTrees(photons, n_threads)
+        self.within = PhotonPass(trees, photons.flux, n_threads).within
+        self.weight = float(settings.photons_per_pass)
+        self.is_empty = len(photons) == 0
+        self.initial_radius = partial(InitialRadius, photons, settings.settings, n_threads, trees)
 
-def _merged(before: dict[str, Floats], layers: dict[str, Floats]) -> dict[str, Floats]:
-    """Return sums over passes, of the depth the least."""
-    if not before:
-        return layers
-    return {
-        name: (np.minimum if name == "Z" else np.add)(before[name], layer)
-        for name, layer in layers.items()
-    }
+    def within_pixels(self, band: Band, radius: Floats) -> tuple[NDArray[np.int64], Floats]:
+        """Numbers and sums of the photons within the radii of the pixels of a band."""
+        hits = band.hits
+        counts, sums = self.within((hits.position, hits.normal), radius[hits.pixel])
+        numbers = band.sums(counts[:, np.newaxis].astype(np.float64))
+        return numbers.ravel().astype(np.int64), band.radiance(sums).reshape(-1, 3)

@@ -1,9 +1,8 @@
-"""Pictures by progressive photon mapping: pass after pass of fresh photons, stopped at any time.
+"""Progressive photon mapping: pass after pass of new photons, interrupted and resumed at any time.
 
-Hachisuka, Ogaki & Jensen 2008 with hit points kept, or with a new place in the pixel for each
-pass, whose hit points then share what is kept of the pixel (Hachisuka & Jensen 2009). A pass is
-known by its number: its photons and its place in the pixel follow from it and the seed, so a run
-that is stopped and resumed is the run that was never stopped.
+PPM (Hachisuka, Ogaki & Jensen 2008) with fixed hit points, or SPPM (Hachisuka & Jensen 2009), which
+jitters them in their pixel in every pass. The photons and the jitter of a pass follow from the seed
+and the number of the pass, so that a resumed run has the bits of an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from numpy.typing import NDArray
 
 from .._util import validation
 from .._util.files import check_writable, file_lock
-from .._util.parallel import thread_count
 from .._util.progress import Progress
 from .._util.validation import check_seed
 from .._version import __version__
@@ -30,26 +28,33 @@ from ..imaging.image import Image
 from ..photons.photon_map import NothingStoredError, PhotonMap
 from ..scene.digest import scene_digests
 from ..scene.scene import Scene
-from ..transport.hit_points import MAX_DEPTH
 from ..transport.trace import trace_photons
 from .checkpoint import Checkpoint
-from .metadata import header
-from .pass_statistics import FixedPoints, Kept, MovingPoints, Points, Recipe, View
+from .layers import with_radiance
+from .metadata import metadata
+from .pass_statistics import (
+    FixedHitPoints,
+    PassHitPoints,
+    PassSettings,
+    PassState,
+    StochasticHitPoints,
+)
+from .view import View
 
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """What a run leaves behind while it goes on.
+    """Files and images of a run, written at intervals.
 
     Attributes
     ----------
     state : path, optional
-        File the run is kept in, and resumed from if it exists. It is replaced by a whole one or
-        stays as it was, whatever ends the run.
+        File that the run is saved to, and resumed from if it exists. It is replaced as a whole,
+        whatever ends the run.
     interval : float
-        Seconds from one time to the next; after the last pass, and on Ctrl-C, it is done as well.
+        Seconds from one checkpoint to the next; the last pass and Ctrl-C make one as well.
     on_image : callable, optional
-        Called as ``on_image(image)`` with the picture so far.
+        Called as ``on_image(image)`` with the image so far.
     """
 
     state: str | os.PathLike[str] | None = None
@@ -76,25 +81,25 @@ def render_progressive(
     n_threads: int | None = None,
     progress: Progress | None = None,
 ) -> Image:
-    """Render what a scene's camera sees by passes of fresh photons, nearer to the truth with each.
+    """Render the view of a scene's camera by passes of new photons, whose errors tend to zero.
 
     Parameters
     ----------
     scene : Scene
         With a camera.
     n_passes, seconds : int, float, optional
-        When to stop: after so many passes in all, those resumed from included, or after the pass
-        in which so many seconds of this call are over. At least one is needed.
+        Number of passes, those resumed from included; time of this call, after which the pass at
+        hand is the last. At least one of them is needed.
     photons_per_pass, seed : int
         Photons emitted in each pass; each has a seed of its own, see `pass_seed`.
     settings : ProgressiveSettings, optional
-        How discs start and shrink.
+        Initial radius and radius reduction.
     supersampling, stochastic, max_depth : int, bool, int
-        s·s samples a pixel; whether they move to another place in it in every pass: memory then
-        goes with the pixels, edges become smooth as passes go on, and one sample a pixel will do;
-        smooth surfaces a camera ray may meet.
+        s·s samples a pixel. Jitter them in their pixel in every pass: memory is then proportional
+        to the number of pixels, edges become smooth, and one sample a pixel suffices. Maximum
+        number of specular surfaces on a camera path.
     checkpoints : Checkpoints, optional
-        File to keep the run in and to resume from; what is done with the picture so far.
+        File to save the run to and to resume from; use of the image so far.
     n_threads, progress : int, callable, optional
         Threads, by default all; called as ``progress("passes" or "seconds", done, total)``.
 
@@ -106,45 +111,45 @@ def render_progressive(
     Raises
     ------
     TypeError, ValueError, BlockingIOError
-        If an argument is invalid, nothing is ever stored, or the file is of another run or in use.
+        If an argument is invalid, no pass stores a photon, or the file is of another run or in use.
     KeyboardInterrupt
-        On Ctrl-C, after the run was saved, as it is before any other error leaves.
+        On Ctrl-C, after the run was saved; it is saved before any other error is raised, too.
     """
-    end = _End.given(n_passes, seconds)
-    recipe = Recipe(
-        settings=_settings(settings),
+    stop = _StopCondition.from_arguments(n_passes, seconds)
+    view = View(scene, supersampling=supersampling, max_depth=max_depth, n_threads=n_threads)
+    pass_settings = PassSettings(
+        settings=_checked_settings(settings),
         photons_per_pass=validation.count(photons_per_pass, "photons_per_pass"),
         seed=check_seed(seed),
-        supersampling=validation.count(supersampling, "supersampling"),
         stochastic=bool(stochastic),
-        max_depth=validation.count(max_depth, "max_depth", low=0, high=MAX_DEPTH),
+        **view.settings,
     )
-    run = _Run(scene, recipe, thread_count(n_threads))
-    return _follow(run, end, checkpoints or Checkpoints(), progress)
+    run = _Run(view, pass_settings)
+    return _run_to_end(run, stop, checkpoints or Checkpoints(), progress)
 
 
-def _settings(settings: ProgressiveSettings | None) -> ProgressiveSettings:
+def _checked_settings(settings: ProgressiveSettings | None) -> ProgressiveSettings:
     if settings is not None and not isinstance(settings, ProgressiveSettings):
         raise TypeError(f"settings should be ProgressiveSettings, but is {settings!r}")
     return settings or ProgressiveSettings()
 
 
 def pass_seed(seed: int, number: int) -> int:
-    """Return the seed of a pass: the first 64 bits of NumPy's ``SeedSequence((seed, number))``."""
+    """Seed of a pass: the first 64 bits of NumPy's ``SeedSequence((seed, number))``."""
     state = np.random.SeedSequence((check_seed(seed), validation.count(number, "number", low=0)))
     return int(state.generate_state(1, np.uint64)[0])
 
 
 @dataclass(frozen=True)
-class _End:
-    """When a run is over."""
+class _StopCondition:
+    """Number of passes and seconds after which a run ends."""
 
     n_passes: float
     seconds: float
 
     @classmethod
-    def given(cls, n_passes: int | None, seconds: float | None) -> _End:
-        """Return the end that arguments of `render_progressive` say; it needs one."""
+    def from_arguments(cls, n_passes: int | None, seconds: float | None) -> _StopCondition:
+        """The condition of arguments of `render_progressive`, one of which is needed."""
         if n_passes is None and seconds is None:
             raise ValueError("n_passes or seconds should be given: passes have no end of their own")
         return cls(
@@ -152,7 +157,7 @@ class _End:
             np.inf if seconds is None else validation.positive(seconds, "seconds"),
         )
 
-    def tell(self, progress: Progress | None, n_passes: int, seconds: float) -> None:
+    def report(self, progress: Progress | None, n_passes: int, seconds: float) -> None:
         if progress is None:
             return
         if self.n_passes < np.inf:
@@ -162,19 +167,21 @@ class _End:
             progress("seconds", min(int(seconds), total), total)
 
 
-def _follow(run: _Run, end: _End, checkpoints: Checkpoints, progress: Progress | None) -> Image:
-    """Do passes until the end, and leave behind what is asked for; return the picture."""
-    with _kept_alone(checkpoints.state):
-        keeper = _Keeper(run, checkpoints)
-        keeper.resume(end)
-        _go_on(run, end, keeper, checkpoints.interval, progress)
+def _run_to_end(
+    run: _Run, stop: _StopCondition, checkpoints: Checkpoints, progress: Progress | None
+) -> Image:
+    """Image of a run that is resumed, and run to its end with checkpoints."""
+    with _locked(checkpoints.state):
+        checkpointer = _Checkpointer(run, checkpoints)
+        checkpointer.resume(stop)
+        _loop(run, stop, checkpointer, progress)
     run.check()
     return run.image()
 
 
 @contextmanager
-def _kept_alone(state: str | os.PathLike[str] | None) -> Iterator[None]:
-    """Let no other process work on the file of a run."""
+def _locked(state: str | os.PathLike[str] | None) -> Iterator[None]:
+    """Keep other processes from the file of a run."""
     if state is None:
         yield
         return
@@ -183,61 +190,68 @@ def _kept_alone(state: str | os.PathLike[str] | None) -> Iterator[None]:
         yield
 
 
-def _go_on(
-    run: _Run, end: _End, keeper: _Keeper, interval: float, progress: Progress | None
+def _loop(
+    run: _Run, stop: _StopCondition, checkpointer: _Checkpointer, progress: Progress | None
 ) -> None:
-    started = saved = perf_counter()
+    """Do passes until the run ends, and save it at intervals and whatever ends it."""
+    started = perf_counter()
     try:
-        # However short the time, one pass is done in it.
-        while run.n_passes < end.n_passes and run.seconds < end.seconds:
+        # At least one pass is done, however short the time.
+        while run.n_passes < stop.n_passes and run.seconds < stop.seconds:
             run.advance()
             run.seconds = perf_counter() - started
-            end.tell(progress, run.n_passes, run.seconds)
-            if perf_counter() - saved >= interval:
-                keeper.save()
-                saved = perf_counter()
-        keeper.save()
+            stop.report(progress, run.n_passes, run.seconds)
+            checkpointer.save_at_intervals()
+        checkpointer.save()
     except KeyboardInterrupt:
-        keeper.save()
+        checkpointer.save()
         raise
     except BaseException:
-        keeper.save_state()
+        checkpointer.save_state()
         raise
 
 
-class _Keeper:
-    """Saves a run and resumes it."""
+class _Checkpointer:
+    """Saves a run, and resumes it."""
 
     def __init__(self, run: _Run, checkpoints: Checkpoints) -> None:
         self._run = run
         self._on_image = checkpoints.on_image
+        self._interval = checkpoints.interval
+        self._saved_at = perf_counter()
         self._file: Checkpoint | None = None
         self._n_saved = 0
         if checkpoints.state is not None:
             self._file = Checkpoint(checkpoints.state, run.identity())
 
-    def resume(self, end: _End) -> None:
-        """Take up the run from its file, if there is one."""
-        kept = None if self._file is None else self._file.load()
-        if kept is None or self._file is None:
+    def resume(self, stop: _StopCondition) -> None:
+        """Restore the run from its file, if there is one."""
+        arrays = None if self._file is None else self._file.load()
+        if arrays is None or self._file is None:
             return
-        n_passes = int(kept["n_passes"])
-        if n_passes > end.n_passes:
+        n_passes = int(arrays["n_passes"])
+        if n_passes > stop.n_passes:
             raise ValueError(
                 f"n_passes should be at least the {n_passes} that {self._file.path} holds "
-                f"already, but is {end.n_passes}"
+                f"already, but is {stop.n_passes}"
             )
-        self._run.restore(kept)
+        self._run.restore(arrays)
         self._n_saved = n_passes
 
+    def save_at_intervals(self) -> None:
+        """Save the run and hand on the image if the interval is over."""
+        if perf_counter() - self._saved_at >= self._interval:
+            self.save()
+            self._saved_at = perf_counter()
+
     def save(self) -> None:
-        """Save the run and show the picture."""
+        """Save the run and hand on the image."""
         self.save_state()
         if self._on_image is not None and self._run.n_passes > 0:
             self._on_image(self._run.image())
 
     def save_state(self) -> None:
-        """Save the run, unless no pass is new."""
+        """Save the run if it has new passes."""
         run = self._run
         if self._file is not None and run.n_passes > self._n_saved:
             self._file.save(run.arrays())
@@ -245,56 +259,55 @@ class _Keeper:
 
 
 @dataclass(frozen=True)
-class _Done:
-    """Passes done and what is kept of them; replaced as one, so that no run is ever torn."""
+class _Completed:
+    """Completed passes and their state; replaced by one assignment, so that it is consistent."""
 
     n_passes: int = 0
     n_stored: int = 0
-    kept: Kept = field(default_factory=Kept)
+    state: PassState = field(default_factory=PassState)
 
 
 class _Run:
-    """A picture in the making, pass by pass."""
+    """A progressive render, pass by pass."""
 
-    def __init__(self, scene: Scene, recipe: Recipe, n_threads: int) -> None:
+    def __init__(self, view: View, settings: PassSettings) -> None:
         self.seconds = 0.0
-        self._done = _Done()
-        self._scene = scene
-        self._recipe = recipe
-        self._n_threads = n_threads
-        kind = MovingPoints if recipe.stochastic else FixedPoints
-        self._view = View(scene, recipe, n_threads)
-        self._points: Points = kind(self._view)
+        self._completed = _Completed()
+        self._view = view
+        self._settings = settings
+        kind = StochasticHitPoints if settings.stochastic else FixedHitPoints
+        self._hit_points: PassHitPoints = kind(view, settings)
         self._nothing: NothingStoredError | None = None
 
     @property
     def n_passes(self) -> int:
-        return self._done.n_passes
+        return self._completed.n_passes
 
     def identity(self) -> dict[str, Any]:
-        """Return what must be the same for a run to be resumed."""
+        """Parameters that a run must share to be resumed."""
+        scene = self._view.scene
         return {
             "version": __version__,
-            "scene": self._scene.name,
-            **scene_digests(self._scene),
-            **self._recipe.named(),
+            "scene": scene.name,
+            **scene_digests(scene),
+            **self._settings.to_dict(),
         }
 
     def advance(self) -> None:
         """Do the next pass."""
-        done = self._done
+        done = self._completed
         photons = self._photons(done.n_passes)
-        kept = self._points.after(done.kept, photons, done.n_passes)
-        self._done = _Done(done.n_passes + 1, done.n_stored + len(photons), kept)
+        state = self._hit_points.after(done.state, photons, done.n_passes)
+        self._completed = _Completed(done.n_passes + 1, done.n_stored + len(photons), state)
 
     def _photons(self, number: int) -> PhotonMap:
-        """Return the photons of a pass, of which there may be none."""
+        """Photons of a pass; an empty map if none is stored."""
         try:
             return trace_photons(
-                self._scene,
-                self._recipe.photons_per_pass,
-                seed=pass_seed(self._recipe.seed, number),
-                n_threads=self._n_threads,
+                self._view.scene,
+                self._settings.photons_per_pass,
+                seed=pass_seed(self._settings.seed, number),
+                n_threads=self._view.n_threads,
                 caster=self._view.caster,
             )
         except NothingStoredError as nothing:
@@ -303,35 +316,32 @@ class _Run:
 
     def check(self) -> None:
         """Raise ValueError if no pass has stored anything."""
-        if self._done.n_stored == 0:
+        if self._completed.n_stored == 0:
             last = "" if self._nothing is None else f"; of the last: {self._nothing}"
             raise ValueError(f"no photon was stored in {self.n_passes} passes{last}")
 
     def arrays(self) -> dict[str, Any]:
-        """Return all that later passes build upon."""
-        counts = {"n_passes": self._done.n_passes, "n_stored": self._done.n_stored}
-        return {**counts, **self._done.kept.arrays()}
+        """The completed passes as arrays for a checkpoint."""
+        done = self._completed
+        return {"n_passes": done.n_passes, "n_stored": done.n_stored, **done.state.arrays()}
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
-        """Take up what `arrays` returned."""
-        kept = Kept.of(arrays, self._view)
-        self._done = _Done(int(arrays["n_passes"]), int(arrays["n_stored"]), kept)
+        """Continue after the passes that `arrays` was called of."""
+        state = PassState.from_arrays(arrays, self._settings, self._view.n_threads)
+        self._completed = _Completed(int(arrays["n_passes"]), int(arrays["n_stored"]), state)
 
     def image(self) -> Image:
-        """Return the picture so far; it tells nothing of how often the run was resumed."""
-        layers = self._points.layers(self._done.kept, self.n_passes)
-        metadata = header(
-            photons_emitted=self.n_passes * self._recipe.photons_per_pass,
-            photons_stored=self._done.n_stored,
-            seed=self._recipe.seed,
-            scene=self._scene.name,
+        """Image so far, the same however often the run was resumed."""
+        done, settings = self._completed, self._settings
+        layers = self._hit_points.layers(done.state, done.n_passes)
+        about = metadata(
+            photons_emitted=done.n_passes * settings.photons_per_pass,
+            photons_stored=done.n_stored,
+            seed=settings.seed,
+            scene=self._view.scene.name,
             method=PASSES_METHOD,
-            settings={**self._recipe.named(), "n_passes": self.n_passes},
+            settings={**settings.to_dict(), "n_passes": done.n_passes},
         )
-        radiance = {"radiance": layers["caustic"] + layers["direct"]}
-        stage = {"seconds": self.seconds, "passes": self.n_passes, "stored": self._done.n_stored}
-        return Image(
-            radiance | layers,
-            metadata,
-            {"stages": {"passes": stage}, "seconds": self.seconds},
-        )
+        stage = {"seconds": self.seconds, "passes": done.n_passes, "stored": done.n_stored}
+        stats = {"stages": {"passes": stage}, "seconds": self.seconds}
+        return Image(with_radiance(layers), about, stats)

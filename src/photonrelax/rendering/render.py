@@ -1,4 +1,4 @@
-"""The pipeline: stages in order, with the time and the counts of each."""
+"""Rendering: tracing, a method's preparation and its evaluation, with times and counts."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from .._util import validation
-from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
 from ..estimation.field import Field
@@ -25,11 +23,10 @@ from ..imaging.image import Image
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
 from ..transport.emission import PATHS, plan_emission
-from ..transport.hit_points import MAX_DEPTH
 from ..transport.trace import trace_photons
-from .layers import PhotonLayers, _layers
-from .metadata import _ledger, photon_header
-from .view import bands, joined
+from .layers import PhotonEstimates, band_layers, with_radiance
+from .metadata import ledger_values, photon_metadata
+from .view import View, concatenate_bands
 
 
 def render(
@@ -46,32 +43,33 @@ def render(
     progress: Progress | None = None,
     **settings: Unpack[StageSettings],
 ) -> Image:
-    """Render what a scene's camera sees: caustics from photons, direct light by shadow rays.
+    """Render the view of a scene's camera: caustics from photons, direct light by shadow rays.
 
     Parameters
     ----------
     scene : Scene
         With a camera.
     method : str
-        How irradiance is estimated from photons; see `photonrelax.irradiance_field`.
+        Estimate of irradiance from photons; see `photonrelax.irradiance_field`.
     n_emitted, seed, sampler : int, int, str
         Of the photons to emit; see `photonrelax.trace_photons`.
     supersampling, max_depth : int
-        s·s samples a pixel; smooth surfaces a camera ray may meet.
+        s·s samples a pixel; maximum number of specular surfaces on a camera path.
     photons : PhotonMap, optional
-        Traced before in this scene; then nothing is emitted. They are not looked for on its
-        surfaces, but those whose ledger says that other flux was emitted are refused; without a
-        ledger, as after ``photons.replace(ledger=None)``, nothing is checked.
+        Photons traced before in this scene, in place of new ones. That they lie on its surfaces is
+        not checked; if their ledger has other emitted flux than the scene, they are refused.
+        Without a ledger, as after ``photons.replace(ledger=None)``, nothing is checked.
     n_threads, progress : int, callable, optional
         Threads, by default all; called as ``progress(stage, done, total)``.
     **settings
-        As in `photonrelax.irradiance_field`; defaults are the papers', save for diffusion's.
+        As in `photonrelax.irradiance_field`; defaults are the papers', except those of diffusion.
 
     Returns
     -------
     Image
-        `LAYERS`, as far as the method and the map have them; `stats` holds seconds and counts of
-        each stage, `metadata` settings, seed, counts, ledger and version as text.
+        Layers as in `photonrelax.rendering.layers.LAYERS`; those of photon attributes that the
+        photons or the method do not have are missing. `stats` holds seconds and counts of each
+        stage, `metadata` settings, seed, counts, ledger and version as text.
 
     Raises
     ------
@@ -79,33 +77,27 @@ def render(
         If the scene has no camera, an argument is invalid, no photon is stored, or those given
         are of another scene.
     """
-    pipeline = _Pipeline(scene, n_threads, progress)
-    view = _checked_view(supersampling, max_depth)
+    view = View(scene, supersampling=supersampling, max_depth=max_depth, n_threads=n_threads)
+    stages = _Stages(view, progress)
     chosen = settings_of("render", dict(settings))
     share = method_named(method).frequency_share(chosen)
     if photons is None:
-        photons = pipeline.trace(n_emitted, seed=seed, sampler=sampler, frequency_share=share)
+        photons = stages.trace(n_emitted, seed=seed, sampler=sampler, frequency_share=share)
     else:
         _check_scene(photons, scene)
-    field = pipeline.prepare(photons, method, chosen)
-    layers = pipeline.picture(field, **view)
-    metadata = photon_header(photons, scene=scene.name, method=method, settings=field.used | view)
-    return Image(layers, metadata, pipeline.stats(photons))
+    field = stages.prepare(photons, method, chosen)
+    layers = stages.render(field)
+    used = field.used | view.settings
+    metadata = photon_metadata(photons, scene=scene.name, method=method, settings=used)
+    return Image(layers, metadata, stages.stats(photons))
 
 
-# Emitters are aimed at spheres around objects, to which finer meshes come a little nearer.
+# Relative. Emission regions are spheres around objects, which finer meshes fill a little more.
 _SAME_FLUX = 0.01
 
 
-def _checked_view(supersampling: int, max_depth: int) -> dict[str, int]:
-    return {
-        "supersampling": validation.count(supersampling, "supersampling"),
-        "max_depth": validation.count(max_depth, "max_depth", low=0, high=MAX_DEPTH),
-    }
-
-
 def _check_scene(photons: PhotonMap, scene: Scene) -> None:
-    """Raise ValueError if the scene's emitters do not send out what the photons' ledger says."""
+    """Raise ValueError if the emitters of a scene do not emit the flux of the photons' ledger."""
     if photons.ledger is None or photons.paths not in PATHS:
         return
     other = _difference(photons.ledger.emitted, scene, photons.paths)
@@ -117,7 +109,7 @@ def _check_scene(photons: PhotonMap, scene: Scene) -> None:
 
 
 def _difference(emitted: Floats, scene: Scene, paths: str) -> str:
-    """Return in words how a scene differs from that which emitted such flux, "" if not."""
+    """Description of the difference between a scene and that which emitted a flux, "" if none."""
     if len(emitted) != len(scene.emitters):
         return f"which has {len(scene.emitters)} emitters, but are of one with {len(emitted)}"
     try:
@@ -133,59 +125,53 @@ def _difference(emitted: Floats, scene: Scene, paths: str) -> str:
     return ""
 
 
-class _Pipeline:
-    """The stages, with the seconds and counts of those that ran."""
+class _Stages:
+    """The stages of a render, with the seconds and counts of those that ran."""
 
-    def __init__(self, scene: Scene, n_threads: int | None, progress: Progress | None) -> None:
-        if scene.camera is None:
-            raise ValueError("scene should have a camera to be rendered")
-        self._scene = scene
-        self._camera = scene.camera
-        self._n_threads = thread_count(n_threads)
+    def __init__(self, view: View, progress: Progress | None) -> None:
+        self._view = view
         self._progress = progress
         self._stages: dict[str, dict[str, float]] = {}
 
     def trace(self, n_emitted: int, **how: Any) -> PhotonMap:
+        view = self._view
         started = perf_counter()
         photons = trace_photons(
-            self._scene,
+            view.scene,
             n_emitted,
             **how,
-            n_threads=self._n_threads,
+            n_threads=view.n_threads,
             progress=self._progress,
+            caster=view.caster,
         )
-        self._finished("trace", perf_counter() - started, emitted=n_emitted, stored=len(photons))
+        self._record("trace", perf_counter() - started, emitted=n_emitted, stored=len(photons))
         return photons
 
     def prepare(self, photons: PhotonMap, method: str, settings: Settings) -> Field:
-        scene = None if photons.object_id is None else self._scene
-        inputs = MethodInput(photons, settings, scene, self._n_threads, self._progress)
+        view = self._view
+        # Photons of unknown objects cannot be held on these.
+        scene = None if photons.object_id is None else view.scene
+        inputs = MethodInput(photons, settings, scene, view.n_threads, self._progress)
         field = prepare(method, inputs)
         for stage, seconds in field.seconds.items():
-            self._finished(stage, seconds, photons=len(photons))
+            self._record(stage, seconds, photons=len(photons))
         return field
 
-    def picture(self, field: Field, supersampling: int, max_depth: int) -> dict[str, Floats]:
+    def render(self, field: Field) -> dict[str, Floats]:
         started = perf_counter()
-        report = Reporter(self._progress, "render", self._camera.height)
-        photon_layers = PhotonLayers(field)
+        report = Reporter(self._progress, "render", self._view.camera.height)
+        estimates = PhotonEstimates(field)
         parts, n_hit_points = [], 0
-        for band in bands(
-            self._scene,
-            self._camera,
-            supersampling=supersampling,
-            max_depth=max_depth,
-            n_threads=self._n_threads,
-        ):
-            parts.append(_layers(band, photon_layers))
+        for band in self._view.bands():
+            parts.append(with_radiance(band_layers(band, estimates(band))))
             n_hit_points += len(band.hits)
             report.advance(len(band.rows))
-        self._finished("render", perf_counter() - started, hit_points=n_hit_points)
-        return joined(parts)
+        self._record("render", perf_counter() - started, hit_points=n_hit_points)
+        return concatenate_bands(parts)
 
     def stats(self, photons: PhotonMap) -> dict[str, Any]:
         total = sum(stage["seconds"] for stage in self._stages.values())
-        return {"stages": self._stages, "seconds": total, "ledger": _ledger(photons)}
+        return {"stages": self._stages, "seconds": total, "ledger": ledger_values(photons)}
 
-    def _finished(self, stage: str, seconds: float, **counts: int) -> None:
+    def _record(self, stage: str, seconds: float, **counts: int) -> None:
         self._stages[stage] = {"seconds": seconds, **counts}

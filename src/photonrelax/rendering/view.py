@@ -1,43 +1,46 @@
-"""Hit points of a view, in bands of rows."""
+"""Hit points of a camera view, in bands of rows."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from time import perf_counter
 
 import numpy as np
 
+from .._util import validation
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
 from ..estimation.field import Field
-from ..scene.camera import Camera
 from ..scene.scene import Scene
 from ..transport.direct_light import direct_irradiance
-from ..transport.hit_points import FirstSurfaces, HitPoints, trace_hit_points
+from ..transport.hit_points import MAX_DEPTH, FirstSurfaces, HitPoints, trace_hit_points
 from ..transport.raycast import RayCaster
 
-# Camera rays followed at a time, which bounds the memory a picture takes.
+# Camera rays traced together, which bounds the memory of an image.
 _RAYS_PER_BAND = 400_000
+# Position of samples in the cells of the s·s grid of their pixel.
+CENTRE = (0.5, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Some rows of a picture: the points seen, and all that does not depend on photons.
+    """Hit points of some rows of an image, and all that does not depend on photons.
 
     Attributes
     ----------
     rows : range
-        Of the picture, row 0 at the top.
+        Of the image, row 0 at the top.
     width : int
-        Of the picture.
+        Of the image.
     hits : HitPoints
         The diffuse points seen.
     first : FirstSurfaces
         Normal and depth of the first surface.
     direct : (m, 3)
-        Irradiance at the hit points from emitters in plain sight, W/m².
+        Direct irradiance at the hit points, W/m².
     """
 
     rows: range
@@ -46,21 +49,12 @@ class Band:
     first: FirstSurfaces
     direct: Floats
 
-    def fixed_layers(self) -> dict[str, Floats]:
-        """Return the layers that need no photons."""
-        return {
-            "direct": self.radiance(self.direct),
-            "albedo": self.sums(self.hits.weight * self.hits.albedo),
-            "N": self.first.normal,
-            "Z": self.first.depth,
-        }
-
     def radiance(self, irradiance: Floats) -> Floats:
-        """Return radiance (rows, width, 3) of irradiance (m, 3) at the hit points."""
+        """Radiance (rows, width, 3) of irradiance (m, 3) at the hit points."""
         return self.sums(self.hits.weight * self.hits.albedo / np.pi * irradiance)
 
     def sums(self, values: Floats) -> Floats:
-        """Return the sums (rows, width, c) over the hit points of each pixel."""
+        """Sums (rows, width, c) of values (m, c) over the hit points of each pixel."""
         pixel = self.hits.pixel - self.rows.start * self.width
         sums = np.zeros((len(self.rows) * self.width, values.shape[1]))
         for channel, column in enumerate(values.T):
@@ -68,41 +62,131 @@ class Band:
         return sums.reshape(len(self.rows), self.width, -1)
 
 
-def bands(
-    scene: Scene,
-    camera: Camera,
-    *,
-    supersampling: int,
-    max_depth: int,
-    n_threads: int,
-    offset: tuple[float, float] = (0.5, 0.5),
-    caster: RayCaster | None = None,
-) -> Iterator[Band]:
-    """Yield what a camera sees, from the top down, so many rows at a time as memory allows.
+class View:
+    """Hit points that the camera of a scene sees, computed in bands of rows.
 
-    Where samples are in the cells of their pixel's grid is `offset`; see `camera.pixel_rays`.
-    Making the caster of the scene's objects takes time, unless it is given.
+    Parameters
+    ----------
+    scene : Scene
+        With a camera.
+    supersampling, max_depth : int
+        s·s samples a pixel; maximum number of specular surfaces on a camera path.
+    n_threads : int, optional
+        Threads; all available by default. Results do not depend on it.
+
+    Attributes
+    ----------
+    scene, supersampling, max_depth, n_threads
+        As given.
+    camera : Camera
+        Of the scene.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the scene has no camera, or a number is out of its range.
     """
-    caster = caster or RayCaster(scene.objects)
-    rows_per_band = max(_RAYS_PER_BAND // (camera.width * supersampling**2), 1)
-    for top in range(0, camera.height, rows_per_band):
-        rows = range(top, min(top + rows_per_band, camera.height))
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        supersampling: int = 2,
+        max_depth: int = 8,
+        n_threads: int | None = None,
+    ) -> None:
+        if scene.camera is None:
+            raise ValueError("scene should have a camera to be rendered")
+        self.scene = scene
+        self.camera = scene.camera
+        self.supersampling = validation.count(supersampling, "supersampling")
+        self.max_depth = validation.count(max_depth, "max_depth", low=0, high=MAX_DEPTH)
+        self.n_threads = thread_count(n_threads)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of images."""
+        return self.camera.height, self.camera.width
+
+    @property
+    def settings(self) -> dict[str, int]:
+        """Supersampling and maximum depth by their names."""
+        return {"supersampling": self.supersampling, "max_depth": self.max_depth}
+
+    @cached_property
+    def caster(self) -> RayCaster:
+        """Ray caster of the scene's objects, built on first use."""
+        return RayCaster(self.scene.objects)
+
+    def bands(self, offset: tuple[float, float] = CENTRE) -> Iterator[Band]:
+        """Trace the camera rays, band by band from the top down.
+
+        Samples lie at `offset` in the cells of the grid of their pixel; see `pixel_rays`.
+        """
+        height, width = self.shape
+        rows_per_band = max(_RAYS_PER_BAND // (width * self.supersampling**2), 1)
+        for top in range(0, height, rows_per_band):
+            yield self._band(range(top, min(top + rows_per_band, height)), offset)
+
+    def _band(self, rows: range, offset: tuple[float, float]) -> Band:
         hits, first = trace_hit_points(
-            scene,
-            caster,
-            camera,
+            self.scene,
+            self.caster,
+            self.camera,
             rows,
-            supersampling=supersampling,
+            supersampling=self.supersampling,
             offset=offset,
-            max_depth=max_depth,
-            n_threads=n_threads,
+            max_depth=self.max_depth,
+            n_threads=self.n_threads,
         )
-        direct = direct_irradiance(scene, caster, hits.position, hits.normal, n_threads=n_threads)
-        yield Band(rows, camera.width, hits, first, direct)
+        direct = direct_irradiance(
+            self.scene, self.caster, hits.position, hits.normal, n_threads=self.n_threads
+        )
+        return Band(rows, self.camera.width, hits, first, direct)
+
+    def stored(self, progress: Progress | None) -> StoredView:
+        """Trace all bands and keep them in memory."""
+        started = perf_counter()
+        report = Reporter(progress, "camera", self.camera.height)
+        bands = []
+        for band in self.bands():
+            bands.append(band)
+            report.advance(len(band.rows))
+        return StoredView(bands, perf_counter() - started)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredView:
+    """Bands of a view in memory, to evaluate several fields at the same hit points.
+
+    Attributes
+    ----------
+    bands : list of Band
+        From the top down.
+    seconds : float
+        Time of tracing them.
+    """
+
+    bands: list[Band]
+    seconds: float
+
+    def caustic(self, field: Field, progress: Progress | None) -> Floats:
+        """Radiance (height, width, 3) of the irradiance of a field."""
+        report = Reporter(progress, "render", sum(len(band.rows) for band in self.bands))
+        parts = []
+        for band in self.bands:
+            parts.append(band.radiance(field(band.hits.position, band.hits.normal)))
+            report.advance(len(band.rows))
+        return np.concatenate(parts)
+
+
+def concatenate_bands(parts: list[dict[str, Floats]]) -> dict[str, Floats]:
+    """Layers of an image from those of its bands, from the top down."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def resized(scene: Scene, width: int | None, height: int | None) -> Scene:
-    """Return a scene with pictures of another size; in proportion if one side alone is given."""
+    """Scene with images of another size; one side alone keeps their proportions."""
     camera = scene.camera
     if camera is None:
         raise ValueError("scene should have a camera to be resized")
@@ -113,63 +197,3 @@ def resized(scene: Scene, width: int | None, height: int | None) -> Scene:
         width = max(round(scale * camera.width), 1)
         height = max(round(scale * camera.height), 1)
     return replace(scene, camera=replace(camera, width=width, height=height))
-
-
-def joined(parts: list[dict[str, Floats]]) -> dict[str, Floats]:
-    """Return the layers of a picture whose bands are given from the top down."""
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """The points a camera sees, kept.
-
-    Attributes
-    ----------
-    bands : list of Band
-        From the top down.
-    fixed : dict
-        Layers that need no photons.
-    seconds : float
-        What finding them took.
-    """
-
-    bands: list[Band]
-    fixed: dict[str, Floats]
-    seconds: float
-
-    def caustic(self, field: Field, progress: Progress | None) -> Floats:
-        """Return the radiance (height, width, 3) of a field's irradiance."""
-        report = Reporter(progress, "render", sum(len(band.rows) for band in self.bands))
-        parts = []
-        for band in self.bands:
-            parts.append(band.radiance(field(band.hits.position, band.hits.normal)))
-            report.advance(len(band.rows))
-        return np.concatenate(parts)
-
-
-def look(
-    scene: Scene,
-    *,
-    supersampling: int,
-    max_depth: int,
-    n_threads: int | None,
-    progress: Progress | None,
-) -> View:
-    """Find what a scene's camera sees."""
-    if scene.camera is None:
-        raise ValueError("scene should have a camera to be seen")
-    started = perf_counter()
-    report = Reporter(progress, "camera", scene.camera.height)
-    seen = []
-    for band in bands(
-        scene,
-        scene.camera,
-        supersampling=supersampling,
-        max_depth=max_depth,
-        n_threads=thread_count(n_threads),
-    ):
-        seen.append(band)
-        report.advance(len(band.rows))
-    fixed = joined([band.fixed_layers() for band in seen])
-    return View(seen, fixed, perf_counter() - started)
