@@ -10,6 +10,7 @@ from photonrelax import gallery
 from photonrelax.cli import commands
 from photonrelax.estimation import methods
 from photonrelax.estimation.field import PhotonField
+from photonrelax.rendering import layers
 from photonrelax.scene.emission_region import cap_region, start_distance
 from photonrelax.scene.emitters import DirectLight, Emitter
 from tests.helpers.photon_maps import uniform_map
@@ -102,3 +103,19 @@ def test_an_emitter_is_one_class(scene):
     assert expected.layers["direct"].max() > 0.0
     for name, layer in expected.layers.items():
         np.testing.assert_allclose(ours.layers[name], layer, rtol=1e-12, err_msg=name)
+
+
+def test_a_layer_is_one_record(scene, monkeypatch):
+    """Written, and merged over progressive passes, as its record says."""
+    hits = layers.Layer(
+        "hits",
+        "hit points in a pixel",
+        lambda band, _: band.sums(np.ones((len(band.hits), 1))),
+        channels=1,
+    )
+    monkeypatch.setattr(layers, "RECORDS", (*layers.RECORDS, hits))
+    image = pr.render(scene, method="standard", n_emitted=2000, supersampling=2)
+    assert image.layers["hits"].max() == 4.0
+    many = pr.render_progressive(scene, n_passes=2, photons_per_pass=500, stochastic=True)
+    assert many.layers["hits"].max() == 4.0
+    assert many.layers["hits"].shape == image.layers["hits"].shape
