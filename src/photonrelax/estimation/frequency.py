@@ -1,9 +1,9 @@
 """Frequency-driven progressive photon mapping (FPPM).
 
 Progressive photon mapping shrinks every disc for ever, at the expense of noise. Here a disc is left
-as it is while the local spectra of the light (see `spectrum`) say that its mean is off by no more
-than 5 % of the amplitude of the light, so that smooth regions keep large discs and all their
-photons.
+as it is while the local frequency spectra of the light (see
+`photonrelax.transport.frequency.operators`) say that its mean is off by no more than 5 % of the
+amplitude of the light, so that smooth regions keep large discs and all their photons.
 
 Some of the photons carry spectra (see `trace_photons`). At every pass a hit point takes the largest
 of each coefficient among those in and around its disc, as diffuse surfaces reflect them, and the

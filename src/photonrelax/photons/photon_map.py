@@ -49,8 +49,8 @@ class PhotonMap:
     path_length : (n,) array_like, optional
         Length of the path from the emitter, m.
     spectrum : (n, 3) array_like, optional
-        (e, b, c) of the local spectrum of light, in cycles²/m², cycles²/rad², cycles²/(m rad), as
-        in `photonrelax.transport.frequency.operators`; rows of NaN for photons that carry none.
+        (e, b, c) of the local frequency spectrum of the light, in cycles²/m², cycles²/rad² and
+        cycles²/(m rad), see `photonrelax.transport.frequency.operators`; rows of NaN for none.
     n_emitted : int, optional
         Paths started to make this map.
     well_spaced : bool
