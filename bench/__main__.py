@@ -1,6 +1,7 @@
 """Comparisons by one command each; run from the root of a checkout.
 
 python -m bench                   compare with peers: tables, JSON and a plot
+python -m bench versions          every stage beside another build of photonrelax
 python -m bench table1            SJ13's Table I beside the paper's own figures
 python -m bench memory            bytes a photon takes in each stage
 python -m bench figure7           SJ13's Fig. 7: λ₂ of uniform photons, and the constraint
@@ -18,7 +19,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from bench.speed import memory, memory_stage, side_by_side, simd
+from bench.speed import memory, memory_stage, side_by_side, simd, versions
 from bench.studies import (
     equal_error,
     figure7,
@@ -34,6 +35,7 @@ from bench.studies import (
 _DEFAULT = "compare"
 _COMMANDS = {
     _DEFAULT: side_by_side,
+    "versions": versions,
     "table1": table1,
     "figure7": figure7,
     "memory": memory,

@@ -1,10 +1,12 @@
 """Inputs, recipes, timing and tables of the benchmarks."""
 
+import os
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
-from bench.speed import inputs, peers, plot, report, stages, workbench
+from bench.speed import inputs, peers, plot, report, stages, versions, workbench
 from bench.speed.checks import assert_nearest, assert_nearest_in_range
 from bench.speed.timing import Case, Timing, interleave
 from bench.studies import (
@@ -161,6 +163,30 @@ def test_iterations_are_told_from_the_tree_they_share():
     results = workbench.Workbench(inputs.caustic(2_000), 1, 8).measured(tasks, 2)
     assert list(results) == ["collapsed iteration"]
     assert len(results["collapsed iteration"].wall) == 2
+
+
+def test_builds_are_compared_on_the_same_inputs(tmp_path):
+    """A build beside itself, as no other is at hand."""
+    versions.save_inputs(tmp_path, 2_000, 8)
+    python, arguments = Path(sys.executable), [str(tmp_path), "1", "8"]
+    tasks = ("build", "gather", "neighbours 15")
+    with (
+        versions.worker(python, arguments, dict(os.environ)) as one,
+        versions.worker(python, arguments, dict(os.environ)) as other,
+    ):
+        timings = {task: versions.compared(task, (one, other), 2) for task in tasks}
+    assert all(len(timing.wall) == 2 for both in timings.values() for timing in both)
+    lines = versions.markdown("2,000 photons", timings | {"trace": None}).splitlines()
+    assert [line.split(" | ")[0] for line in lines[2:6]] == [*(f"| {task}" for task in tasks), ""]
+
+
+def test_a_task_that_a_build_cannot_do_is_left_out(monkeypatch, capsys):
+    def unavailable(build, task):
+        raise peers.UnavailableError("no module")
+
+    monkeypatch.setattr(versions, "_once", unavailable)
+    assert versions.compared("emission", (None, None), 2) is None
+    assert "left out: no module" in capsys.readouterr().err
 
 
 def test_tables_show_medians_the_fastest_peer_and_nothing_unmeasured():

@@ -1,4 +1,8 @@
-"""Inputs: photons of the prism's caustic, hit points of its camera, degenerate photons."""
+"""Inputs: photons of the prism's caustic, hit points of its camera, degenerate photons.
+
+Only public names of photonrelax are imported up here, so that `versions` can measure builds whose
+modules lie elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cache, lru_cache
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 import photonrelax as pr
@@ -26,6 +31,13 @@ def scene(pixels: int = 600) -> pr.Scene:
         whole = scene()
         return replace(whole, camera=replace(whole.camera, width=pixels, height=pixels))
     return gallery.scene("prism")
+
+
+@cache
+def nearly_empty_scene() -> pr.Scene:
+    """Return the light of the prism and a triangle that few of its rays hit."""
+    triangle = trimesh.Trimesh([[2.0, 2.0, 0.0], [4.0, 2.0, 0.0], [2.0, 4.0, 0.0]], [[0, 1, 2]])
+    return pr.Scene([pr.SceneObject(triangle, pr.Diffuse(0.5))], scene().emitters)
 
 
 @lru_cache(maxsize=2)

@@ -1,4 +1,8 @@
-"""Parts of stages: structure detection without its trees, emission, tracing by its parts."""
+"""Parts of stages: structure detection without its trees, emission, tracing by its parts.
+
+They reach behind public names of photonrelax, which each function imports by itself: what
+`versions` measures does without.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
 """Table of tasks that are timed: each by photonrelax, some by peers too.
 
-`bench_stages` gives them to pytest-benchmark one by one, `side_by_side` interleaves them.
+`bench_stages` gives them to pytest-benchmark one by one, `side_by_side` interleaves them, and
+`versions` runs some with two builds of photonrelax; cases of public names alone work with any
+build.
 """
 
 from __future__ import annotations
@@ -211,6 +213,15 @@ class Workbench:
         emit = stages.emission(n_emitted, self.n_threads)
         return Case(lambda _: emit(), size=n_emitted)
 
+    def misses(self) -> Case:
+        """Trace rays of which few hit anything: emission and little else, by public names."""
+        n_emitted = int(EMITTED * self.n)
+        return Case(
+            lambda scene: pr.trace_photons(scene, n_emitted, paths="all", n_threads=self.n_threads),
+            prepare=inputs.nearly_empty_scene,
+            size=n_emitted,
+        )
+
     def trace(self) -> Case:
         n_emitted = int(EMITTED * self.n)
         return Case(
@@ -281,6 +292,7 @@ STAGES = {
     f"{_MANY} collapsed": Task("relaxation", (0, _MANY), beside="neighbours 16"),
     "gather": Task("gather", (), _PEERS),
     "emission": Task("emission"),
+    "emission, rays that miss": Task("misses"),
     "trace": Task("trace"),
 }
 """Stages of photonrelax, of photons in order of emission."""
