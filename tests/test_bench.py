@@ -1,10 +1,12 @@
-"""What the benchmarks themselves must get right: inputs, recipes, tables."""
+"""Inputs, recipes, timing and tables of the benchmarks."""
 
+import os
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
-from bench.speed import inputs, peers, plot, report, stages
+from bench.speed import inputs, peers, plot, report, stages, versions, workbench
 from bench.speed.checks import assert_nearest, assert_nearest_in_range
 from bench.speed.timing import Case, Timing, interleave
 from bench.studies import (
@@ -20,44 +22,45 @@ from bench.studies import (
 
 import photonrelax as pr
 from photonrelax import gallery
-from photonrelax.evaluation import gallery_subject, reference
+from photonrelax.evaluation import gallery_subject
+from photonrelax.evaluation.reference import ReferenceSettings
 
 K = 7
 
 
 @pytest.fixture
-def sheet():
-    """Two sheets over one another in space, apart on the emitter, dense where they start."""
+def photons():
+    """Two sheets over one another in space, apart on the emitter, dense at their start."""
     coords = np.random.default_rng(1).random((600, 2)) ** 2
     position = np.column_stack([coords % 0.5, np.zeros(600)])
-    return inputs.Sheet(position, coords, np.full(600, 0.1))
+    return inputs.RangedPhotons(position, coords, np.full(600, 0.1))
 
 
-def brute_force(sheet, k):
+def brute_force(photons, k):
     """The definition: sorted distances to those in range, infinite where there is none."""
-    apart = np.linalg.norm(sheet.coords[:, None] - sheet.coords, axis=2)
-    distance = np.linalg.norm(sheet.position[:, None] - sheet.position, axis=2)
-    distance[apart > sheet.radius[:, None]] = np.inf
+    apart = np.linalg.norm(photons.coords[:, None] - photons.coords, axis=2)
+    distance = np.linalg.norm(photons.position[:, None] - photons.position, axis=2)
+    distance[apart > photons.radius[:, None]] = np.inf
     return np.sort(distance, axis=1)[:, :k]
 
 
 @pytest.mark.parametrize("recipe", peers.RECIPES.values(), ids=peers.RECIPES)
 @pytest.mark.parametrize("n_threads", [1, 2])
-def test_recipes_are_exact(sheet, recipe, n_threads):
-    expected = brute_force(sheet, K)
-    ids, distance = recipe(sheet, K, n_threads)
+def test_recipes_are_exact(photons, recipe, n_threads):
+    expected = brute_force(photons, K)
+    ids, distance = recipe(photons, K, n_threads)
     assert np.isinf(expected).any()
     assert np.isfinite(expected[:, -1]).any()
     np.testing.assert_allclose(distance, expected, rtol=1e-12)
     np.testing.assert_array_equal(ids == len(expected), np.isinf(expected))
-    assert_nearest_in_range((ids, distance), sheet, K)
+    assert_nearest_in_range((ids, distance), photons, K)
 
 
-def test_a_neighbour_out_of_range_is_noticed(sheet):
-    ids, distance = peers.constrained_by_block(sheet, K)
-    ids[0, -1] = np.linalg.norm(sheet.coords - sheet.coords[0], axis=1).argmax()
+def test_a_neighbour_out_of_range_is_noticed(photons):
+    ids, distance = peers.constrained_by_block(photons, K)
+    ids[0, -1] = np.linalg.norm(photons.coords - photons.coords[0], axis=1).argmax()
     with pytest.raises(AssertionError):
-        assert_nearest_in_range((ids, distance), sheet, K)
+        assert_nearest_in_range((ids, distance), photons, K)
 
 
 @pytest.mark.parametrize("name", [peer.name for peer in peers.ALL])
@@ -79,7 +82,7 @@ def test_morton_order_follows_the_curve():
     # The bits of x, y, z in turn, x lowest, are the place on the curve.
     bits = points.astype(int)
     place = sum(((bits[:, a] >> b) & 1) << (3 * b + a) for a in range(3) for b in range(2))
-    np.testing.assert_array_equal(place[peers.morton_order(points)], np.arange(64))
+    np.testing.assert_array_equal(place[inputs.morton_order(points)], np.arange(64))
 
 
 def test_the_chart_keeps_areas():
@@ -93,11 +96,12 @@ def test_the_chart_keeps_areas():
 
 
 def test_photons_side_by_side_follow_each_other_in_the_best_order():
-    emitted, along = inputs.caustic(3000), inputs.along_curve(3000)
-    steps = [np.linalg.norm(np.diff(p.position, axis=0), axis=1).mean() for p in (emitted, along)]
+    emitted = inputs.caustic(3000)
+    ordered = inputs.in_morton_order(emitted)
+    steps = [np.linalg.norm(np.diff(p.position, axis=0), axis=1).mean() for p in (emitted, ordered)]
     assert steps[1] < 0.2 * steps[0]
     for array in ("position", "emitter_coords"):
-        both = (np.sort(getattr(photons, array), axis=0) for photons in (emitted, along))
+        both = (np.sort(getattr(photons, array), axis=0) for photons in (emitted, ordered))
         np.testing.assert_array_equal(*both)
 
 
@@ -122,7 +126,7 @@ def test_photons_stay_beside_those_of_their_sheet_when_rounded():
 
 
 def test_structure_is_the_same_with_trees_built_before(monkeypatch):
-    photons = inputs.along_curve(3000)
+    photons = inputs.in_morton_order(inputs.caustic(3000))
     expected = pr.detect_structure(photons)
     detect = stages.with_trees_built(photons, 1)
     monkeypatch.setattr("photonrelax.spatial.kdtree.KDTree.__init__", None)
@@ -133,14 +137,56 @@ def test_structure_is_the_same_with_trees_built_before(monkeypatch):
 
 def test_cases_take_turns_and_are_checked_once():
     calls, checked = [], []
-    cases = [
-        Case("a", lambda x: calls.append(x), prepare=lambda: "a", check=checked.append),
-        Case("b", lambda _: calls.append("b"), rounds=1),
-    ]
+    cases = {
+        "a": Case(lambda x: calls.append(x), prepare=lambda: "a", check=checked.append),
+        "b": Case(lambda _: calls.append("b"), rounds=1),
+    }
     timings = interleave(cases, 3)
     assert calls == ["a", "b", "a", "a"]
     assert len(checked) == 1
     assert [len(timings[name].wall) for name in "ab"] == [3, 1]
+
+
+def test_cases_of_a_workbench_are_those_of_its_tasks_and_of_the_peers_at_hand():
+    bench = workbench.Workbench(inputs.caustic(2_000), 1, 8)
+    cases = bench.cases(["constrained 6", "gather"])
+    found = [f"{peer.name}: gather" for peer in peers.available()]
+    recipes = [f"{recipe}: constrained 6" for recipe in peers.RECIPES]
+    assert list(cases) == ["constrained 6", *recipes, "gather", *found]
+    bench.n = 10**7
+    with pytest.raises(peers.UnavailableError, match="ball recipe"):
+        bench.case("constrained 6", "ball recipe")
+
+
+def test_iterations_are_told_from_the_tree_they_share():
+    tasks = ["1 collapsed", "8 collapsed"]
+    results = workbench.Workbench(inputs.caustic(2_000), 1, 8).measured(tasks, 2)
+    assert list(results) == ["collapsed iteration"]
+    assert len(results["collapsed iteration"].wall) == 2
+
+
+def test_builds_are_compared_on_the_same_inputs(tmp_path):
+    """A build beside itself, as no other is at hand."""
+    versions.save_inputs(tmp_path, 2_000, 8)
+    python, arguments = Path(sys.executable), [str(tmp_path), "1", "8"]
+    tasks = ("build", "gather", "neighbours 15")
+    with (
+        versions.worker(python, arguments, dict(os.environ)) as one,
+        versions.worker(python, arguments, dict(os.environ)) as other,
+    ):
+        timings = {task: versions.compared(task, (one, other), 2) for task in tasks}
+    assert all(len(timing.wall) == 2 for both in timings.values() for timing in both)
+    lines = versions.markdown("2,000 photons", timings | {"trace": None}).splitlines()
+    assert [line.split(" | ")[0] for line in lines[2:6]] == [*(f"| {task}" for task in tasks), ""]
+
+
+def test_a_task_that_a_build_cannot_do_is_left_out(monkeypatch, capsys):
+    def unavailable(build, task):
+        raise peers.UnavailableError("no module")
+
+    monkeypatch.setattr(versions, "_once", unavailable)
+    assert versions.compared("emission", (None, None), 2) is None
+    assert "left out: no module" in capsys.readouterr().err
 
 
 def test_tables_show_medians_the_fastest_peer_and_nothing_unmeasured():
@@ -162,12 +208,12 @@ def test_tables_show_medians_the_fastest_peer_and_nothing_unmeasured():
     assert "| all neighbours, K = 50 | 1 s | fast | 20 s | 20× |" in cpu
 
 
-def test_awkward_photons_stand_beside_a_caustic():
+def test_degenerate_photons_stand_beside_a_caustic():
     times = {"generic: gathering": 2.0, "lattice: gathering": 3.0, "generic: structure": 1.0}
     degenerate = {name: Timing([seconds], [seconds]) for name, seconds in times.items()}
     text = report.Report(863_000, 1, "here", degenerate=degenerate).markdown()
     assert "| time over a caustic's | coincident | collinear | lattice | rounded |" in text
-    assert "| gathering |  |  | 1.50 |  |" in text
+    assert "| gathering | | | 1.50 | |" in text
 
 
 def test_table_1_is_told_stage_by_stage(capsys):
@@ -213,34 +259,35 @@ def test_squared_errors_are_told_by_the_brightest_pixels():
     assert told == "80% of it is in the 2 brightest pixels, which it shows at 75%"
 
 
-def test_refinements_and_first_discs_are_measured_against_references(tmp_path, monkeypatch):
+def test_refinements_and_initial_radii_are_measured_against_references(tmp_path, monkeypatch):
     ring = gallery_subject("ring", 16)
     monkeypatch.setattr(first_discs, "gallery_subject", lambda *_: ring)
     monkeypatch.setattr(first_discs, "KS", (15, 4))
     monkeypatch.setattr(refinements, "MOST_KS", (30,))
-    effort = reference.ReferenceSettings(passes=2, photons=1_000)
-    lots = (("shapes", 3_000, "random"), ("ring", 3_000, "halton"))
-    study = refinements.Study(16, effort, tmp_path, lots)
+    few = ReferenceSettings(passes=2, photons=1_000)
+    cases = (("shapes", 3_000, "random"), ("ring", 3_000, "halton"))
+    study = refinements.Study(16, few, tmp_path, cases)
     lines = refinements.markdown(study).splitlines()
     assert [row.split(" | ")[0][2:] for row in lines[2:7]] == [
         *("standard", "differential-checking", "bias-compensation"),
         *("relaxation", "parameterised"),
     ]
     assert ", k = " in lines[2]
-    text = first_discs.markdown(1, 1_000, pixels=16, effort=effort, folder=tmp_path)
-    assert text.count("discs from the photon") == 2
+    text = first_discs.markdown(1, 1_000, pixels=16, references=few, folder=tmp_path)
+    assert text.count("initial radius of k = ") == 2
     assert "The reference: its own noise" in text
-    lots = (("ring", 3_000, "halton"), ("ring", 3_000, "random"))
-    head, _, *rows = first_discs.dealt(lots, pixels=16, effort=effort, folder=tmp_path).splitlines()
+    cases = (("ring", 3_000, "halton"), ("ring", 3_000, "random"))
+    text = first_discs.split(cases, pixels=16, references=few, folder=tmp_path)
+    titles, _, *rows = text.splitlines()
     assert [row.split(" | ")[0] for row in rows] == ["| ring, 3,000 halton", "| ring, 3,000 random"]
-    assert all(row.count("%") == len(first_discs.DEALT) + 2 for row in rows)
-    assert head.count(" passes |") == len(first_discs.DEALT)
+    assert all(row.count("%") == len(first_discs.SPLIT) + 2 for row in rows)
+    assert titles.count(" passes |") == len(first_discs.SPLIT)
 
 
 def test_a_best_at_the_border_of_what_was_tried_is_told():
     floor = equal_error.Floor("ring", 1.0, 4)
-    ways = [(f"k = {k}", "standard", pr.GatherSettings(k=k)) for k in (5, 20)]
-    run = equal_error.best(floor, np.ones((4, 4)), 300, "random", ways)
+    estimates = [(f"k = {k}", "standard", pr.GatherSettings(k=k)) for k in (5, 20)]
+    run = equal_error.best(floor, np.ones((4, 4)), 300, "random", estimates)
     assert run.settings.endswith("(at the border of those tried)")
 
 
@@ -275,28 +322,28 @@ def test_methods_stand_side_by_side_on_every_scene(tmp_path):
         (3_000,),
         scenes=scenes,
         pixels=16,
-        effort=reference.ReferenceSettings(passes=1, photons=3_000),
+        references=ReferenceSettings(passes=1, photons=3_000),
         folder=tmp_path,
         longest=2,
     )
     lines = methods.markdown(matrix).splitlines()
-    head, _, *rows = lines[:6]
+    titles, _, *rows = lines[:6]
     assert [row.split(" | ")[0][2:] for row in rows] == [
         f"{scene}, 3,000 {sampler}" for scene in scenes for sampler in methods.SAMPLERS
     ]
     for name in ("standard", "parameterised", *methods.VARIANTS):
-        assert f"| {name} |" in head
+        assert f"| {name} |" in titles
     for row in rows:
         assert row.count("**") == 4
         assert row.endswith("| exact |") == row.startswith("| shapes")
-        assert row.count(" · ") == head.count("|") - 3
+        assert row.count(" · ") == titles.count("|") - 3
     squares = lines[lines.index("Relative L2:") + 4 :][:4]
     assert [row.split(" | ")[0] for row in squares] == [row.split(" | ")[0] for row in rows]
-    known = [line for line in lines if "where its light is known: off by" in line]
-    assert [line.split(" where")[0] for line in known] == [
+    analytic = [line for line in lines if "where irradiance is analytic: off by" in line]
+    assert [line.split(" where")[0] for line in analytic] == [
         f"Reference of ring, 3,000 {sampler}" for sampler in methods.SAMPLERS
     ]
-    assert all(", parameterised " in line for line in known)
+    assert all(", parameterised " in line for line in analytic)
     first = next(i for i, line in enumerate(lines) if line.startswith("| seconds"))
     times = lines[first + 2 : first + 4]
     assert [row.split(" | ")[0] for row in times] == [f"| {s}, 3,000 halton" for s in scenes]
@@ -338,6 +385,6 @@ def test_counted_floors_and_pictures_are_the_same_way_up():
     )
     counted = floor.counted(photons)
     assert counted[:3, 7:].mean() == pytest.approx(1.0)
-    shown = floor.picture(pr.IrradianceField(photons, pr.GatherSettings(k=50)))
+    shown = floor.image(pr.IrradianceField(photons, pr.GatherSettings(k=50)))
     np.testing.assert_allclose(shown[:2, 8:], counted[:2, 8:], atol=0.25)
     assert shown[4:, :6].max() == 0.0

@@ -1,10 +1,10 @@
-"""Photons that defeat trees: many at one place, on a line, on a lattice."""
+"""Photons that are the worst case of trees: many at one place, on a line, on a lattice."""
 
 import pytest
 
-from bench.speed import checks, inputs, peers, stages
-
-WORK = ("neighbours", "constrained neighbours", "structure", "relaxation", "gathering")
+from bench.speed import inputs, peers
+from bench.speed.timing import Case
+from bench.speed.workbench import DEGENERATE, degenerate_cases
 
 
 @pytest.fixture(scope="session")
@@ -12,29 +12,27 @@ def n_degenerate(request):
     return 4_000 if request.config.getoption("benchmark_disable") else 200_000
 
 
-@pytest.mark.parametrize("work", WORK)
-@pytest.mark.parametrize("kind", inputs.DEGENERATE)
-def test_degenerate(timed, n_degenerate, kind, work):
-    photons = inputs.degenerate(kind, n_degenerate)
-    call = stages.awkward_calls(photons)[work]
-    result = timed(call, n_degenerate, f"degenerate {work}", kind)
-    if work == "neighbours":
-        points = photons.position
-        rows = checks.sample(n_degenerate)
-        checks.assert_nearest((result.ids[rows], result.distance[rows]), points, points[rows])
-    elif work == "constrained neighbours":
-        found = result.ids, result.distance
-        checks.assert_nearest_in_range(found, inputs.sheet_of(photons), 50)
-    elif work == "structure":
-        checks.assert_neighbourhoods(result, photons, 50)
+@pytest.fixture(scope="session", params=inputs.DEGENERATE)
+def kind(request):
+    return request.param
 
 
-def test_peers_too(timed, n_degenerate):
-    """How pykdtree fares with many photons at one point."""
+@pytest.fixture(scope="session")
+def cases(kind, n_degenerate):
+    return degenerate_cases(inputs.degenerate(kind, n_degenerate))
+
+
+@pytest.mark.parametrize("name", DEGENERATE)
+def test_degenerate(timed, cases, n_degenerate, kind, name):
+    timed(cases[name], n_degenerate, f"degenerate {name}", kind)
+
+
+def test_coincident_photons_by_a_peer(timed, n_degenerate):
     points = inputs.degenerate("coincident", n_degenerate).position
     try:
         tree = peers.Ordered(peers.named("pykdtree"), points)
-    except LookupError as error:
+    except peers.UnavailableError as error:
         pytest.skip(str(error))
     with peers.threads(1):
-        timed(lambda: tree.search(50, 1), n_degenerate, "coincident", "pykdtree", rounds=1)
+        case = Case(lambda _: tree.search(50, 1), rounds=1)
+        timed(case, n_degenerate, "coincident", "pykdtree")

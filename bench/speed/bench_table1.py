@@ -2,6 +2,7 @@
 
 import pytest
 
+from bench.arguments import numbers
 from bench.speed import inputs
 from bench.studies import table1
 
@@ -14,7 +15,7 @@ def n_emitted(request):
     counts = request.config.getoption("photons")
     if counts is None:
         return 20_000_000
-    return int(max(map(float, counts.split(","))) / inputs.STORED)
+    return int(max(numbers(counts)) / inputs.STORED)
 
 
 def test_table1(benchmark, n_emitted, pixels):

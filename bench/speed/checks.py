@@ -1,4 +1,4 @@
-"""What is compared is the same: neighbours found by a trusted search, whatever the ties."""
+"""Checks of results against SciPy and against all photons; of ties any may be chosen."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import photonrelax as pr
-from bench.speed.inputs import Sheet
-from bench.speed.morton import Floats, Ids
-from bench.speed.peers import Found
-from photonrelax.relaxation.structure import MAX_NORMAL_CHORD
+from bench.speed.inputs import Floats, Ids, RangedPhotons
+from bench.speed.peers import KnnResult, Ordered
 
 _SAMPLE = 2000
-# Distances nearer than this, relatively, are ties, among which any may be chosen.
+# Distances that differ by less than this, relatively, are ties.
 _TIE = 1e-9
+# Neighbours lie on faces at angles of at most 60°: the chord between their unit normals.
+_MAX_NORMAL_CHORD = 1.0
 
 
 def sample(n: int) -> Ids:
@@ -21,13 +21,15 @@ def sample(n: int) -> Ids:
     return np.unique(np.linspace(0, n - 1, min(n, _SAMPLE)).astype(np.intp))
 
 
-def assert_nearest(found: Found, points: Floats, queries: Floats, limit: float = np.inf) -> None:
+def assert_nearest(
+    found: KnnResult, points: Floats, queries: Floats, limit: float = np.inf
+) -> None:
     """Check ids and counts of neighbours against SciPy's.
 
     Parameters
     ----------
     found : (ids, distance)
-        Each (m, k), nearest first; an id of n or more where there is none.
+        Each (m, k), nearest first; an id of n or more in empty slots.
     points, queries : (n, 3) and (m, 3) float arrays
     limit : float
         Largest distance.
@@ -37,15 +39,21 @@ def assert_nearest(found: Found, points: Floats, queries: Floats, limit: float =
     _assert_same(found, (ids, distance), len(points))
 
 
-def assert_nearest_in_range(found: Found, sheet: Sheet, k: int) -> None:
+def assert_nearest_by_peer(found: KnnResult, tree: Ordered, limit: float) -> None:
+    """Check some of the neighbours that a peer found for all queries of its tree."""
+    rows = sample(len(tree.queries))
+    assert_nearest(tree.answers(found, rows), tree.points, tree.queries[rows], limit)
+
+
+def assert_nearest_in_range(found: KnnResult, photons: RangedPhotons, k: int) -> None:
     """Check ids and counts of neighbours in range against all photons, on some of the rows."""
-    n = len(sheet.position)
+    n = len(photons.position)
     rows = sample(n)[::20]
     expected = np.full((len(rows), k + 1), n), np.full((len(rows), k + 1), np.inf)
     for i, row in enumerate(rows):
-        apart = np.linalg.norm(sheet.coords - sheet.coords[row], axis=1)
-        near = np.flatnonzero(apart <= sheet.radius[row])
-        distance = np.linalg.norm(sheet.position[near] - sheet.position[row], axis=1)
+        apart = np.linalg.norm(photons.coords - photons.coords[row], axis=1)
+        near = np.flatnonzero(apart <= photons.radius[row])
+        distance = np.linalg.norm(photons.position[near] - photons.position[row], axis=1)
         best = np.argsort(distance, kind="stable")[: k + 1]
         expected[0][i, : len(best)] = near[best]
         expected[1][i, : len(best)] = distance[best]
@@ -63,17 +71,17 @@ def assert_neighbourhoods(structure: pr.Structure, photons: pr.PhotonMap, k: int
 def _neighbourhood(
     structure: pr.Structure, photons: pr.PhotonMap, row: int, k: int
 ) -> tuple[int, float]:
-    """Return how many photons there are around one, at most k, and how far they reach."""
+    """Return the size, at most k, and the radius of a photon's neighbourhood."""
     apart = np.linalg.norm(photons.emitter_coords - photons.emitter_coords[row], axis=1)
     distance = np.linalg.norm(photons.position - photons.position[row], axis=1)
     near = (apart <= structure.emitter_range[row]) & (distance <= structure.reach[row])
-    near &= np.linalg.norm(photons.normal - photons.normal[row], axis=1) <= MAX_NORMAL_CHORD
+    near &= np.linalg.norm(photons.normal - photons.normal[row], axis=1) <= _MAX_NORMAL_CHORD
     nearest = np.sort(distance[near])[:k]
     return len(nearest), nearest[-1]
 
 
-def _assert_same(found: Found, expected: Found, n: int) -> None:
-    """Compare k neighbours with k + 1, of which the last tells whether the k-th is tied."""
+def _assert_same(found: KnnResult, expected: KnnResult, n: int) -> None:
+    """Compare k neighbours with k + 1; the last shows whether the k-th is tied."""
     ids, distance = found[0].astype(np.intp), found[1]
     k = ids.shape[1]
     np.testing.assert_array_equal((ids < n).sum(axis=1), (expected[0][:, :k] < n).sum(axis=1))

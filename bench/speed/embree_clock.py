@@ -1,4 +1,4 @@
-"""How much of tracing embree takes: its scenes are replaced by ones that look at the clock."""
+"""Time of tracing inside embree: its scenes are replaced by timed ones."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from embreex import rtcore_scene
 
 @dataclass
 class EmbreeClock:
-    """Seconds inside embree on one thread, and when it was first asked for more than a ray."""
+    """Seconds inside embree on one thread, and the time of the first call of several rays."""
 
     wall: float = 0.0
     cpu: float = 0.0
@@ -30,7 +30,7 @@ class EmbreeClock:
 
 @contextmanager
 def embree_clock() -> Iterator[EmbreeClock]:
-    """Time what scenes made inside the block do, on one thread."""
+    """Time the calls of scenes made inside the block, on one thread."""
     clock, original = EmbreeClock(), rtcore_scene.EmbreeScene
 
     class TimedScene(original):  # type: ignore[misc, valid-type]

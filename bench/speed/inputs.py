@@ -1,4 +1,8 @@
-"""What is measured: photons of the prism's caustic, its camera's hit points, awkward points."""
+"""Inputs: photons of the prism's caustic, hit points of its camera, degenerate photons.
+
+Only public names of photonrelax are imported up here, so that `versions` can measure builds whose
+modules lie elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -6,26 +10,34 @@ from dataclasses import dataclass, fields, replace
 from functools import cache, lru_cache
 
 import numpy as np
+import trimesh
+from numpy.typing import NDArray
 
 import photonrelax as pr
-from bench.speed.morton import Floats, morton_order
 from photonrelax import gallery
-from photonrelax.relaxation.structure import emitter_range
-from photonrelax.transport import raycast
-from photonrelax.transport.hit_points import HitPoints, trace_hit_points
 
-# The share of the photons aimed at the prism that is stored, from below.
+Floats = NDArray[np.float64]
+Ids = NDArray[np.intp]
+
+# Share of the photons aimed at the prism that is stored, rounded down.
 STORED = 0.31
-_N_COINCIDENT = 0.15
+_SHARE_COINCIDENT = 0.15
 
 
 @cache
 def scene(pixels: int = 600) -> pr.Scene:
-    """Return the prism, whose light spreads over a factor of some thousand in density."""
+    """Return the prism, whose caustic varies in density by a factor of some thousand."""
     if pixels != 600:
         whole = scene()
         return replace(whole, camera=replace(whole.camera, width=pixels, height=pixels))
     return gallery.scene("prism")
+
+
+@cache
+def nearly_empty_scene() -> pr.Scene:
+    """Return the light of the prism and a triangle that few of its rays hit."""
+    triangle = trimesh.Trimesh([[2.0, 2.0, 0.0], [4.0, 2.0, 0.0], [2.0, 4.0, 0.0]], [[0, 1, 2]])
+    return pr.Scene([pr.SceneObject(triangle, pr.Diffuse(0.5))], scene().emitters)
 
 
 @lru_cache(maxsize=2)
@@ -38,16 +50,64 @@ def caustic(n: int) -> pr.PhotonMap:
     return photons.replace(emitter_density=density).subset(slice(0, n))
 
 
-@lru_cache(maxsize=1)
-def along_curve(n: int) -> pr.PhotonMap:
-    """Return the same photons in Morton order of their positions: the best order for all."""
-    photons = caustic(n)
+@lru_cache(maxsize=2)
+def hit_points(pixels: int) -> pr.HitPoints:
+    """Return the hit points of the prism's camera, 4 samples a pixel, in order of the pixels."""
+    from photonrelax.transport.hit_points import trace_hit_points
+    from photonrelax.transport.raycast import RayCaster
+
+    seen = scene(pixels)
+    hits, _ = trace_hit_points(
+        seen, RayCaster(seen.objects), seen.camera, range(pixels), supersampling=2
+    )
+    order = np.argsort(hits.pixel, kind="stable")
+    rows = {field.name: getattr(hits, field.name)[order] for field in fields(hits)}
+    return pr.HitPoints(**rows)
+
+
+# --- Morton order ---------------------------------------------------------------------------------
+
+_BITS = 21
+# Steps that move apart the bits of a 21-bit number until two zeros follow each.
+_SPREAD = (
+    (32, 0x1F00000000FFFF),
+    (16, 0x1F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
+
+
+def morton_order(points: Floats) -> Ids:
+    """Return rows of points (n, 2|3) in Morton order of cubic cells, 2²¹ to the longest side.
+
+    Coded here, as peers should not be given the order that photonrelax builds its tree from.
+    """
+    low = points.min(axis=0)
+    cells = (points - low) * ((2**_BITS - 1) / max(np.ptp(points, axis=0).max(), 1e-300))
+    code = np.zeros(len(points), dtype=np.uint64)
+    for axis, column in enumerate(cells.astype(np.uint64).T):
+        code |= _spread(column) << np.uint64(axis)
+    return np.argsort(code, kind="stable")
+
+
+def _spread(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    for shift, mask in _SPREAD:
+        bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
+    return bits
+
+
+def in_morton_order(photons: pr.PhotonMap) -> pr.PhotonMap:
+    """Return photons in Morton order of their positions: the best order for every search."""
     return photons.subset(morton_order(photons.position))
 
 
+# --- constrained searches -------------------------------------------------------------------------
+
+
 @dataclass(frozen=True, eq=False)
-class Sheet:
-    """Photons and what limits the constrained search to their sheet.
+class RangedPhotons:
+    """Points and ranges of the constrained search.
 
     Attributes
     ----------
@@ -68,25 +128,22 @@ class Sheet:
         return np.hstack([self.position, self.coords])
 
 
-def sheet(n: int, n_axes: int) -> Sheet:
-    """Return the caustic over directions (6 axes) or over an equal-area chart of them (5).
+def ranged(photons: pr.PhotonMap, n_axes: int = 6) -> RangedPhotons:
+    """Return photons with the ranges of structure detection.
 
-    In Morton order of the positions.
+    Over directions (6 axes) or over an equal-area chart of them (5).
     """
-    whole = sheet_of(along_curve(n))
-    return whole if n_axes == 6 else replace(whole, coords=equal_area_chart(whole.coords))
-
-
-def sheet_of(photons: pr.PhotonMap) -> Sheet:
-    """Return photons with the range that structure detection allows them."""
-    ranges = emitter_range(photons, pr.StructureSettings())
-    return Sheet(photons.position, photons.emitter_coords, ranges)
+    settings, coords = pr.StructureSettings(), photons.emitter_coords
+    radius = settings.range_scale * np.sqrt(settings.k / (np.pi * photons.emitter_density))
+    return RangedPhotons(
+        photons.position, coords if n_axes == 6 else equal_area_chart(coords), radius
+    )
 
 
 def equal_area_chart(directions: Floats) -> Floats:
-    """Return unit vectors (n, 3) on a plane on which equal areas stay equal (Lambert), (n, 2).
+    """Return unit vectors (n, 3) on a plane that keeps areas equal (Lambert), (n, 2).
 
-    This is how a plane emitter would hold the same photons.
+    These are emitter coordinates as a plane emitter has them.
     """
     axis = directions.mean(axis=0)
     axis /= np.linalg.norm(axis)
@@ -96,36 +153,27 @@ def equal_area_chart(directions: Floats) -> Floats:
     return scale[:, np.newaxis] * (directions @ np.column_stack([u, np.cross(axis, u)]))
 
 
-@lru_cache(maxsize=2)
-def hit_points(pixels: int) -> HitPoints:
-    """Return what the prism's camera sees at 4 samples a pixel, in the order of the pixels."""
-    seen = scene(pixels)
-    hits, _ = trace_hit_points(
-        seen, raycast.RayCaster(seen.objects), seen.camera, range(pixels), supersampling=2
-    )
-    order = np.argsort(hits.pixel, kind="stable")
-    rows = {field.name: getattr(hits, field.name)[order] for field in fields(hits)}
-    return HitPoints(**rows)
+# --- degenerate photons ---------------------------------------------------------------------------
 
 
 def degenerate(kind: str, n: int) -> pr.PhotonMap:
-    """Return n photons whose positions are awkward, those of a sheet still side by side.
+    """Return n photons of degenerate positions; neighbours on the emitter stay neighbours.
 
     Parameters
     ----------
     kind : {"generic", "coincident", "collinear", "lattice", "rounded"}
-        A caustic as it is; with 15 % of its photons at one point; thrown on a line; photons
+        A caustic as it is; with 15 % of its photons at one point; projected onto a line; photons
         emitted from a lattice and laid on one, four sheets over one another; a caustic whose
         positions are rounded to a lattice.
     n : int
         Photons.
     """
-    return _AWKWARD[kind](caustic(n))
+    return _DEGENERATE[kind](caustic(n))
 
 
 def _coincident(photons: pr.PhotonMap) -> pr.PhotonMap:
     position = photons.position.copy()
-    position[: int(_N_COINCIDENT * len(position))] = np.median(position, axis=0)
+    position[: int(_SHARE_COINCIDENT * len(position))] = np.median(position, axis=0)
     return photons.replace(position=position)
 
 
@@ -160,20 +208,20 @@ def _on_sphere(chart: Floats) -> Floats:
 def _rounded(photons: pr.PhotonMap) -> pr.PhotonMap:
     """Round to cells that hold five photons where light is of the median density.
 
-    So most photons share their place with a few others, and those of the brightest edges with
-    more than belong to a neighbourhood.
+    Most photons then share their place with a few others, and those of the brightest edges with
+    more than a neighbourhood holds.
     """
     reach = pr.KDTree(photons.position).farthest(50)
     cell = np.median(reach) * np.sqrt(np.pi / 10.0)
     return photons.replace(position=np.round(photons.position / cell) * cell)
 
 
-# The first is the others' measure.
-_AWKWARD = {
+# Times of the others are compared with those of the first.
+_DEGENERATE = {
     "generic": lambda photons: photons,
     "coincident": _coincident,
     "collinear": _collinear,
     "lattice": _lattice,
     "rounded": _rounded,
 }
-DEGENERATE = tuple(_AWKWARD)
+DEGENERATE = tuple(_DEGENERATE)

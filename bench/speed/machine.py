@@ -1,4 +1,4 @@
-"""Where and with what something was measured."""
+"""Machine and versions of a measurement."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _OPTIONAL = ("embreex", "pykdtree", "numba-kdtree", "numba")
 
 
 def versions() -> dict[str, str]:
-    """Return versions of Python and of the packages that were measured."""
+    """Return versions of Python and of the packages measured."""
     found = {
         "photonrelax": pr.__version__,
         "Python": platform.python_version(),
@@ -45,7 +45,7 @@ def machine() -> dict[str, str | int]:
 
 
 def _cpu_facts() -> dict[str, str]:
-    """Return what Linux says of the first core; nothing elsewhere."""
+    """Return Linux's facts of the first core; empty elsewhere."""
     info = Path("/proc/cpuinfo")
     if not info.exists():
         return {}

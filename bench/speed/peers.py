@@ -1,4 +1,4 @@
-"""Other packages that find nearest neighbours, each at its best, and what NumPy users write."""
+"""Searches to compare with: k-d trees of other packages, and recipes of NumPy and SciPy."""
 
 from __future__ import annotations
 
@@ -16,10 +16,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from bench.speed.inputs import Sheet
-from bench.speed.morton import Floats, Ids, morton_order
+from bench.speed.inputs import Floats, Ids, RangedPhotons, morton_order
 
-Found = tuple[Ids, Floats]
+KnnResult = tuple[Ids, Floats]
+"""Ids and distances, (m, k) each, nearest first."""
+
+
+class UnavailableError(Exception):
+    """An alternative that cannot be measured here; the message gives the reason."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +33,11 @@ class Peer:
     Attributes
     ----------
     name : str
-        As in tables.
+        Name in tables.
     package : str
-        As installed by pip.
+        Name of its distribution.
     needs : tuple of str
-        Modules it cannot be measured without.
+        Modules to import.
     build : callable
         Tree of points.
     query : callable
@@ -44,7 +48,7 @@ class Peer:
     package: str
     needs: tuple[str, ...]
     build: Callable[[Floats], Any]
-    query: Callable[[Any, Floats, int, float, int], Found]
+    query: Callable[[Any, Floats, int, float, int], KnnResult]
 
     @property
     def version(self) -> str:
@@ -55,7 +59,7 @@ def _scipy_build(points: Floats) -> Any:
     return cKDTree(points, leafsize=16)
 
 
-def _scipy_query(tree: cKDTree, queries: Floats, k: int, limit: float, n_threads: int) -> Found:
+def _scipy_query(tree: cKDTree, queries: Floats, k: int, limit: float, n_threads: int) -> KnnResult:
     distance, ids = tree.query(queries, k, distance_upper_bound=limit, workers=n_threads)
     return ids, distance
 
@@ -66,7 +70,7 @@ def _pykdtree_build(points: Floats) -> Any:
     return KDTree(points)
 
 
-def _pykdtree_query(tree: Any, queries: Floats, k: int, limit: float, n_threads: int) -> Found:
+def _pykdtree_query(tree: Any, queries: Floats, k: int, limit: float, n_threads: int) -> KnnResult:
     bound = None if np.isinf(limit) else limit
     distance, ids = tree.query(queries, k, distance_upper_bound=bound)
     return ids, distance
@@ -79,7 +83,7 @@ def _numba_build(points: Floats) -> Any:
     return numba_kdtree.KDTree(points, leafsize=16)
 
 
-def _numba_query(tree: Any, queries: Floats, k: int, limit: float, n_threads: int) -> Found:
+def _numba_query(tree: Any, queries: Floats, k: int, limit: float, n_threads: int) -> KnnResult:
     distance, ids, _ = tree.query_parallel(queries, k, distance_upper_bound=limit)
     return ids, distance
 
@@ -99,7 +103,7 @@ ALL = (
 
 @cache
 def missing() -> dict[str, str]:
-    """Return why peers cannot be measured here, by their names."""
+    """Return the reasons why peers cannot be measured here, by their names."""
     reasons = {}
     for peer in ALL:
         try:
@@ -121,20 +125,20 @@ def available() -> tuple[Peer, ...]:
 
 
 def named(name: str) -> Peer:
-    """Return the peer of a name; LookupError says why there is none."""
+    """Return the peer of a name; an UnavailableError gives the reason if there is none."""
     for peer in available():
         if peer.name == name:
             return peer
-    raise LookupError(missing().get(name, f"there is no peer {name}"))
+    raise UnavailableError(missing().get(name, f"there is no peer {name}"))
 
 
 @contextmanager
 def threads(n: int) -> Iterator[None]:
-    """Hold the peers that take no argument for it to n threads.
+    """Limit peers whose searches have no argument for it to n threads.
 
-    pykdtree asks OpenMP, whose library comes with its wheel; numba has a number of its own.
+    pykdtree uses OpenMP, whose library comes with its wheel; numba has a setting of its own.
     """
-    # What is to be held must have been imported.
+    # Limits hold for libraries that have been loaded.
     available()
     if "numba" in sys.modules:
         sys.modules["numba"].set_num_threads(n)
@@ -146,7 +150,7 @@ def threads(n: int) -> Iterator[None]:
 
 
 class Ordered:
-    """A peer's tree, with points and queries in Morton order, which suits it best.
+    """Search of a peer, with points and queries in Morton order, which suits it best.
 
     Parameters
     ----------
@@ -163,37 +167,40 @@ class Ordered:
         ordered = np.ascontiguousarray(points[self._order])
         self._tree = peer.build(ordered)
         self._query_order = self._order if queries is None else morton_order(queries)
-        self._queries = ordered if queries is None else queries[self._query_order]
+        self._ordered_queries = ordered if queries is None else queries[self._query_order]
+        self.points, self.queries = points, points if queries is None else queries
 
-    def search(self, k: int, n_threads: int, limit: float = np.inf) -> Found:
-        """Return what is timed: the neighbours, in its own order and numbers."""
-        return self._peer.query(self._tree, self._queries, k, limit, n_threads)
+    def search(self, k: int, n_threads: int, limit: float = np.inf) -> KnnResult:
+        """Return the neighbours in Morton order, by the rows of the tree: this is timed."""
+        return self._peer.query(self._tree, self._ordered_queries, k, limit, n_threads)
 
-    def answers(self, found: Found, rows: Ids) -> Found:
-        """Return the neighbours of some queries, these and the points numbered as given."""
+    def answers(self, found: KnnResult, rows: Ids) -> KnnResult:
+        """Return the neighbours of some queries; ids and rows are those of the given arrays."""
         n = len(self._order)
         place = np.empty(len(self._query_order), dtype=np.intp)
         place[self._query_order] = np.arange(len(place))
         ids, distance = (array[place[rows]] for array in found)
-        # Packages differ in what they put where there is no neighbour.
+        # Packages mark empty slots by different ids.
         none = (ids < 0) | (ids >= n)
         ids = np.append(self._order, n)[np.where(none, n, ids).astype(np.intp)]
         return ids, np.where(none, np.inf, distance)
 
 
-def constrained_by_block(sheet: Sheet, k: int, n_threads: int = 1, size: int = 32) -> Found:
-    """Return the k nearest in range, exact, from blocks of photons that left side by side.
+def constrained_by_block(
+    photons: RangedPhotons, k: int, n_threads: int = 1, size: int = 32
+) -> KnnResult:
+    """Return the exact k nearest in range, by blocks of photons that are near on the emitter.
 
-    All photons in range of a block are compared with all of it: the fastest way found that
-    calls nothing but NumPy and SciPy.
+    Each photon of a block is compared with all photons in range of the block: the fastest recipe
+    known that calls NumPy and SciPy alone.
     """
-    tree = cKDTree(sheet.coords)
-    order = morton_order(sheet.coords)
+    tree = cKDTree(photons.coords)
+    order = morton_order(photons.coords)
     ids = np.empty((len(order), k), dtype=np.intp)
     distance = np.empty((len(order), k))
 
     def work(rows: Ids) -> None:
-        ids[rows], distance[rows] = _block(sheet, tree, rows, k)
+        ids[rows], distance[rows] = _block(photons, tree, rows, k)
 
     blocks = [order[first : first + size] for first in range(0, len(order), size)]
     with ThreadPoolExecutor(n_threads) as pool:
@@ -202,37 +209,38 @@ def constrained_by_block(sheet: Sheet, k: int, n_threads: int = 1, size: int = 3
     return ids, distance
 
 
-def _block(sheet: Sheet, tree: cKDTree, rows: Ids, k: int) -> Found:
-    coords = sheet.coords[rows]
+def _block(photons: RangedPhotons, tree: cKDTree, rows: Ids, k: int) -> KnnResult:
+    coords = photons.coords[rows]
     centre = 0.5 * (coords.min(axis=0) + coords.max(axis=0))
     apart = np.linalg.norm(coords - centre, axis=1)
-    reach = (apart + sheet.radius[rows]).max() * (1.0 + 1e-9)
+    reach = (apart + photons.radius[rows]).max() * (1.0 + 1e-9)
     near = np.array(tree.query_ball_point(centre, reach))
-    squared = cdist(sheet.position[rows], sheet.position[near], "sqeuclidean")
-    out = cdist(coords, sheet.coords[near], "sqeuclidean") > sheet.radius[rows, np.newaxis] ** 2
+    squared = cdist(photons.position[rows], photons.position[near], "sqeuclidean")
+    out = cdist(coords, photons.coords[near], "sqeuclidean") > photons.radius[rows, np.newaxis] ** 2
     squared[out] = np.inf
-    return _nearest(np.broadcast_to(near, squared.shape), squared, k, len(sheet.position))
+    return _nearest(np.broadcast_to(near, squared.shape), squared, k, len(photons.position))
 
 
-def constrained_by_ball(sheet: Sheet, k: int, n_threads: int = 1, size: int = 2000) -> Found:
-    """Return the k nearest in range, exact, from the list of all that are in range of each photon.
-
-    What one writes first.
+def constrained_by_ball(
+    photons: RangedPhotons, k: int, n_threads: int = 1, size: int = 2000
+) -> KnnResult:
+    """Return the exact k nearest in range, from a list of the photons in range of each: the
+    obvious recipe.
     """
-    tree = cKDTree(sheet.coords)
-    order = morton_order(sheet.coords)
+    tree = cKDTree(photons.coords)
+    order = morton_order(photons.coords)
     ids = np.empty((len(order), k), dtype=np.intp)
     distance = np.empty((len(order), k))
     for first in range(0, len(order), size):
         rows = order[first : first + size]
         lists = tree.query_ball_point(
-            sheet.coords[rows], sheet.radius[rows], workers=n_threads, return_sorted=False
+            photons.coords[rows], photons.radius[rows], workers=n_threads, return_sorted=False
         )
-        ids[rows], distance[rows] = _nearest_listed(sheet.position, rows, lists, k)
+        ids[rows], distance[rows] = _nearest_listed(photons.position, rows, lists, k)
     return ids, distance
 
 
-def _nearest_listed(position: Floats, rows: Ids, lists: Any, k: int) -> Found:
+def _nearest_listed(position: Floats, rows: Ids, lists: Any, k: int) -> KnnResult:
     counts = np.fromiter(map(len, lists), np.intp, len(lists))
     near = np.concatenate(lists).astype(np.intp, copy=False)
     row = np.repeat(np.arange(len(rows)), counts)
@@ -245,15 +253,15 @@ def _nearest_listed(position: Floats, rows: Ids, lists: Any, k: int) -> Found:
     return _nearest(table, squared, k, len(position))
 
 
-def _nearest(near: Ids, squared: Floats, k: int, n: int) -> Found:
-    """Return ids and distances of the k least of each row, nearest first; n where there is none."""
+def _nearest(near: Ids, squared: Floats, k: int, n: int) -> KnnResult:
+    """Return ids and distances of the k least of each row, nearest first; n in empty slots."""
     ids = np.full((len(near), k), n, dtype=np.intp)
     distance = np.full((len(near), k), np.inf)
     k = min(k, near.shape[1])
     best = np.argpartition(squared, k - 1, axis=1)[:, :k]
-    least = np.take_along_axis(squared, best, axis=1)
-    order = np.argsort(least, axis=1)
-    distance[:, :k] = np.sqrt(np.take_along_axis(least, order, axis=1))
+    smallest = np.take_along_axis(squared, best, axis=1)
+    order = np.argsort(smallest, axis=1)
+    distance[:, :k] = np.sqrt(np.take_along_axis(smallest, order, axis=1))
     ids[:, :k] = np.take_along_axis(near, np.take_along_axis(best, order, axis=1), axis=1)
     ids[np.isinf(distance)] = n
     return ids, distance

@@ -1,4 +1,4 @@
-"""Time against photon count; the slopes tell how cost grows."""
+"""Plot of time over photon count, with the exponents of growth."""
 
 from __future__ import annotations
 
@@ -50,5 +50,5 @@ def _curve(axes, sweep: dict[int, dict[str, Timing]], name: str, label: str) -> 
 
 
 def slope(counts: list[int], seconds: list[float]) -> float:
-    """Return the exponent with which time grows."""
+    """Return the exponent of the growth of time."""
     return float(np.polyfit(np.log(counts), np.log(seconds), 1)[0])

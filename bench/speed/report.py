@@ -1,4 +1,4 @@
-"""The tables of the README, from what was measured."""
+"""Tables of a comparison with peers."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from typing import Any, NamedTuple
 
 from bench.speed import inputs
 from bench.speed.timing import Timing
+from photonrelax.evaluation.report.markdown import markdown_table
 
 Results = dict[str, Timing]
 
 
 @dataclass
 class Report:
-    """All that was measured.
+    """Results of a comparison.
 
     Attributes
     ----------
     n : int
         Photons of the tables.
     rounds : int
-        How often each was run.
+        Most rounds of each.
     description : str
         Machine and versions.
     by_threads : dict
@@ -34,7 +35,7 @@ class Report:
     sweep : dict
         Results on one thread by the number of photons.
     clock : {"wall", "cpu"}
-        Which time the tables show; that of two threads against one is always wall time.
+        Time in the tables; that of two threads against one is always wall time.
     """
 
     n: int
@@ -60,10 +61,10 @@ class Report:
         }
 
     def markdown(self) -> str:
-        """Return all tables and what they were measured with."""
+        """Return all tables, and machine and versions."""
         parts = [
-            _table(self._speed_header(), self._speed_rows()),
-            _table(self._cost_header(), self._cost_rows()),
+            _table(self._speed_titles(), self._speed_rows()),
+            _table(self._cost_titles(), self._cost_rows()),
             _table(["time over a caustic's", *inputs.DEGENERATE[1:]], self._degenerate_rows()),
             _table(["", *self._thread_names(), "times as fast"], self._scaling_rows()),
             f"Medians of {self.rounds} interleaved rounds, {self._clock_name()}. "
@@ -72,7 +73,7 @@ class Report:
         return "\n\n".join(part for part in parts if part) + "\n"
 
     def seconds(self, results: Results, name: str) -> float | None:
-        """Return the median, by the chosen clock, of what was measured, None if it was not."""
+        """Return the median of a result by the chosen clock; None if it was not measured."""
         return median(getattr(results[name], self.clock)) if name in results else None
 
     def fastest(self, results: Results, task: str) -> str | None:
@@ -86,7 +87,7 @@ class Report:
     def _thread_names(self) -> list[str]:
         return [_threads(n) for n in self.by_threads]
 
-    def _speed_header(self) -> list[str]:
+    def _speed_titles(self) -> list[str]:
         others = [f"times as fast, {_threads(n)}" for n in self.by_threads]
         return [f"{self.n:,} photons of a caustic", "time", "beside", "its time", *others]
 
@@ -111,7 +112,7 @@ class Report:
             return None
         return mine, peer.split(":")[0], theirs
 
-    def _cost_header(self) -> list[str]:
+    def _cost_titles(self) -> list[str]:
         return ["time over time", *self._thread_names()]
 
     def _cost_rows(self) -> Iterable[list[str]]:
@@ -145,9 +146,9 @@ class Report:
 
 
 class Speed(NamedTuple):
-    """A row of the first table: what is done, by what name; beside what task, by which peer.
+    """A row of the first table: description, own result, task of the peers, and the peer.
 
-    The fastest at the task where the peer is left open.
+    Without a peer, the fastest at the task.
     """
 
     work: str
@@ -226,8 +227,7 @@ def _times(ratio: float) -> str:
     return f"{ratio:.0f}×" if ratio >= 20.0 else f"{ratio:.2g}×"
 
 
-def _table(header: list[str], rows: Iterable[list[str]]) -> str:
-    """Return a table in Markdown, nothing if it has no rows."""
+def _table(column_titles: list[str], rows: Iterable[list[str]]) -> str:
+    """Return a table in Markdown, an empty text if it has no rows."""
     rows = list(rows)
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) if rows else ""
+    return markdown_table(column_titles, rows) if rows else ""

@@ -1,11 +1,11 @@
-"""Wall and CPU time of alternatives, measured in turns so that a busy machine slows all alike."""
+"""Wall and CPU time of alternatives, interleaved so that a busy machine slows all alike."""
 
 from __future__ import annotations
 
 import ctypes
 import gc
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from statistics import median
 from time import perf_counter, process_time
@@ -17,21 +17,21 @@ _M_MMAP_MAX = -4
 
 
 def keep_memory() -> None:
-    """Have freed memory kept for the next allocation, where glibc can.
+    """Make glibc keep freed memory for the next allocation.
 
-    Fresh pages of results of hundreds of megabytes can take longer than what is measured, and
-    more or less so by what ran before.
+    Fresh pages for results of hundreds of megabytes can take longer than the work that is
+    measured, by an amount that depends on what ran before.
     """
     if sys.platform == "linux":
         mallopt = getattr(ctypes.CDLL(None), "mallopt", lambda option, value: 0)
         mallopt(_M_MMAP_MAX, 0)
-        # Never, not even of gigabytes.
+        # -1: no amount of free memory is returned to the system.
         mallopt(_M_TRIM_THRESHOLD, -1)
 
 
 @dataclass
 class Timing:
-    """Seconds of each round: on the clock, and of all threads' CPUs together."""
+    """Seconds of each round: wall time, and CPU time summed over threads."""
 
     wall: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
@@ -41,11 +41,11 @@ class Timing:
         self.cpu.append(cpu)
 
     def scaled(self, factor: float) -> Timing:
-        """Return the time of a part of the work, or of work not measured apart."""
+        """Return the time of a share of the work."""
         return Timing([factor * s for s in self.wall], [factor * s for s in self.cpu])
 
     def minus(self, other: Timing) -> Timing:
-        """Return the time of what this does, round by round, and the other does not."""
+        """Return the difference, round by round."""
         return Timing(
             [a - b for a, b in zip(self.wall, other.wall, strict=True)],
             [a - b for a, b in zip(self.cpu, other.cpu, strict=True)],
@@ -61,15 +61,26 @@ class Timing:
 
 @dataclass(frozen=True)
 class Case:
-    """One alternative: what is timed, on what `prepare` returns, which is not.
+    """One alternative of a comparison.
 
-    `check` looks at the first result; `rounds` limits how often something slow is run.
+    Attributes
+    ----------
+    work : callable
+        Timed; its argument is the result of `prepare`.
+    prepare : callable
+        Input of the work; not timed.
+    check : callable
+        Raises an AssertionError if the result of the first round is wrong.
+    size : int, optional
+        Photons emitted, or points, if the work is not done for each photon.
+    rounds : int, optional
+        Most rounds of slow work.
     """
 
-    name: str
     work: Callable[[Any], Any]
     prepare: Callable[[], Any] = lambda: None
     check: Callable[[Any], None] = lambda result: None
+    size: int | None = None
     rounds: int | None = None
 
 
@@ -80,18 +91,18 @@ def stopwatch(work: Callable[[], Any]) -> tuple[float, float, Any]:
     return perf_counter() - wall, process_time() - cpu, result
 
 
-def interleave(cases: Iterable[Case], rounds: int) -> dict[str, Timing]:
+def interleave(cases: Mapping[str, Case], rounds: int) -> dict[str, Timing]:
     """Run all cases in turn, `rounds` times over, and return the times by name."""
-    cases = list(cases)
-    timings = {case.name: Timing() for case in cases}
+    timings = {name: Timing() for name in cases}
     for turn in range(rounds):
-        for case in cases:
+        for name, case in cases.items():
             if case.rounds is None or turn < case.rounds:
-                timings[case.name].add(*_timed(case, check=turn == 0))
+                timings[name].add(*run_once(case, check=turn == 0))
     return timings
 
 
-def _timed(case: Case, check: bool) -> tuple[float, float]:
+def run_once(case: Case, check: bool = False) -> tuple[float, float]:
+    """Return wall seconds and CPU seconds of one round."""
     subject = case.prepare()
     gc.collect()
     wall, cpu, result = stopwatch(lambda: case.work(subject))

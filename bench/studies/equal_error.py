@@ -1,14 +1,15 @@
-"""SSO08's Table 1: photons, and time, that gathering the nearest takes for the error of diffusion.
+"""SSO08's Table 1: photons, and time, that k nearest photons take for the error of diffusion.
 
-Errors are relative L1 over the pixels of a square of the floor. The truth is counted: the flux of
-many photons that fall into each pixel, whatever method gathers them. As in the paper the number of
-nearest photons is the best for each map; so is the bandwidth of diffusion.
+Errors are relative L1 over the pixels of a square of the floor. The reference is the flux of many
+photons that fall into each pixel, which depends on no estimate. As in the paper, k is the best
+for each map; so is the bandwidth of diffusion.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from statistics import median
@@ -17,8 +18,9 @@ from time import perf_counter
 import numpy as np
 
 import photonrelax as pr
-from bench.speed.morton import Floats
+from bench.speed.inputs import Floats
 from photonrelax import gallery
+from photonrelax.evaluation.report.markdown import markdown_table
 
 # Photons of SSO08's Fig. 6(d) and 7(d), and how many times as many its Table 1 has for (c).
 PAPER = {"ring": (40_000, 160_000 / 40_000), "ripples": (70_000, 520_000 / 70_000)}
@@ -32,13 +34,13 @@ _BANDWIDTH_COUNTS = (6, 12, 25, 50, 100, 200, 400)
 _NOISE_SHARES = (0.25, 0.5)
 _TIMES_AS_MANY = (1, 2, 4, 8, 16, 32)
 _ROUNDS = 3
-# Text, method and settings.
-Way = tuple[str, str, object]
+Estimate = tuple[str, str, object]
+"""Description, method and settings."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """A picture of the floor; seconds from emission to picture, the median of some rounds."""
+    """An image of the floor; seconds from emission to image, the median of some rounds."""
 
     settings: str
     n: int
@@ -48,7 +50,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Floor:
-    """The square of a scene's floor that is looked at, and its truth."""
+    """The square of a scene's floor that errors are measured on."""
 
     scene: str
     half: float
@@ -65,70 +67,74 @@ class Floor:
         )
 
     def samples(self, s: int = 2) -> tuple[Floats, Floats]:
-        """Return s·s points of each pixel, and normals."""
+        """Return s·s points in each pixel, and normals."""
         side = (np.arange(self.n_pixels * s) + 0.5) / (self.n_pixels * s)
         x, y = np.meshgrid(*2 * [self.half * (2 * side - 1)])
         points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
         return points, np.tile([0.0, 0.0, 1.0], (len(points), 1))
 
-    def picture(self, field: pr.IrradianceField, s: int = 2) -> Floats:
+    def image(self, field: pr.IrradianceField, s: int = 2) -> Floats:
         found = field(*self.samples(s)).mean(axis=1)
         return found.reshape(self.n_pixels, s, self.n_pixels, s).mean(axis=(1, 3))
 
 
 @lru_cache
-def truth(floor: Floor, passes: int, n_emitted: int) -> Floats:
+def counted_reference(floor: Floor, passes: int, n_emitted: int) -> Floats:
+    """Return the mean of counted irradiance over passes."""
     scene = gallery.scene(floor.scene)
     total = np.zeros((floor.n_pixels, floor.n_pixels))
     for seed in range(passes):
         total += floor.counted(pr.trace_photons(scene, n_emitted, seed=1000 + seed))
-        print(f"... truth of {floor.scene}, pass {seed + 1} of {passes}", file=sys.stderr)
+        print(f"... reference of {floor.scene}, pass {seed + 1} of {passes}", file=sys.stderr)
     return total / passes
 
 
 def tracing(scene: str, n: int, sampler: str, seed: int = 0) -> Callable[[], pr.PhotonMap]:
-    """Return what traces about n photons."""
+    """Return a call that traces about n photons."""
     built = gallery.scene(scene)
     share = len(pr.trace_photons(built, 20_000)) / 20_000
     return partial(pr.trace_photons, built, int(n / share), seed=seed, sampler=sampler)
 
 
-def best(floor: Floor, expected: Floats, n: int, sampler: str, ways: Sequence[Way]) -> Run:
-    """Return the run of the least error among ways."""
+def best(
+    floor: Floor, expected: Floats, n: int, sampler: str, estimates: Sequence[Estimate]
+) -> Run:
+    """Return the run of the estimate with the least error."""
     trace = tracing(floor.scene, n, sampler)
     photons = trace()
     errors = [
-        float(np.abs(shown(floor, photons, way) - expected).sum() / expected.sum()) for way in ways
+        float(np.abs(image_of(floor, photons, one) - expected).sum() / expected.sum())
+        for one in estimates
     ]
     found = int(np.argmin(errors))
-    border = " (at the border of those tried)" if found in (0, len(ways) - 1) else ""
+    border = " (at the border of those tried)" if found in (0, len(estimates) - 1) else ""
     seconds = []
     for _ in range(_ROUNDS):
         started = perf_counter()
-        shown(floor, trace(), ways[found])
+        image_of(floor, trace(), estimates[found])
         seconds.append(perf_counter() - started)
-    return Run(f"{ways[found][0]}{border}", len(photons), errors[found], median(seconds))
+    return Run(f"{estimates[found][0]}{border}", len(photons), errors[found], median(seconds))
 
 
-def shown(floor: Floor, photons: pr.PhotonMap, way: Way) -> Floats:
-    _, method, settings = way
+def image_of(floor: Floor, photons: pr.PhotonMap, estimate: Estimate) -> Floats:
+    _, method, settings = estimate
     name = "gather" if method == "standard" else "diffusion"
-    return floor.picture(pr.irradiance_field(photons, method=method, **{name: settings}))
+    return floor.image(pr.irradiance_field(photons, method=method, **{name: settings}))
 
 
-def nearest() -> list[Way]:
+def nearest() -> list[Estimate]:
     return [(f"k = {k}", "standard", pr.GatherSettings(k=k)) for k in _KS]
 
 
-def adaptive() -> list[Way]:
+def adaptive() -> list[Estimate]:
     return [(f"k = {k}", "diffusion", pr.DiffusionSettings(k=k)) for k in _DIFFUSION_KS]
 
 
-def published(n: int, half: float, share: float) -> list[Way]:
-    """Return SSO08's: fixed bandwidths, a noise scale of a share of each, q = 0.2, λ₁ over its
-    largest.
+def published(n: int, half: float, share: float) -> list[Estimate]:
+    """Return the estimates of SSO08: fixed bandwidths, a noise scale of a share of each, q = 0.2,
+    λ₁ over its largest value.
     """
-    ways: list[Way] = []
+    estimates: list[Estimate] = []
     for count in _BANDWIDTH_COUNTS:
         bandwidth = 2 * half * np.sqrt(count / (np.pi * n))
         settings = pr.DiffusionSettings(
@@ -138,53 +144,53 @@ def published(n: int, half: float, share: float) -> list[Way]:
             edge_threshold=0.2,
             normalisation="maximum",
         )
-        ways.append((f"h = {bandwidth:.3f} m", "diffusion", settings))
-    return ways
+        estimates.append((f"h = {bandwidth:.3f} m", "diffusion", settings))
+    return estimates
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--scenes", nargs="+", default=tuple(PAPER), metavar="SCENE")
+    parser.add_argument("--sampler", choices=("random", "halton"), default="random")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the table."""
+    print(markdown(options.scenes, options.sampler))
 
 
 def markdown(scenes: Sequence[str] = tuple(PAPER), sampler: str = "random") -> str:
-    """Return the tables of some scenes."""
-    lines = [
-        f"| {sampler} | photons | L1 | seconds | nearest for this L1: photons | seconds |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
-    for scene in scenes:
-        lines += _rows(Floor(scene, HALF_SIZES[scene], PIXELS), sampler)
-    return "\n".join([*lines, ""])
+    """Return the table of some scenes."""
+    titles = [sampler, "photons", "L1", "seconds", "nearest for this L1: photons", "seconds"]
+    floors = (Floor(scene, HALF_SIZES[scene], PIXELS) for scene in scenes)
+    return markdown_table(titles, (row for floor in floors for row in _rows(floor, sampler))) + "\n"
 
 
-def _rows(floor: Floor, sampler: str) -> list[str]:
-    expected = truth(floor, _REFERENCE_PASSES, _REFERENCE_EMITTED)
+def _rows(floor: Floor, sampler: str) -> Iterator[list[str]]:
+    expected = counted_reference(floor, _REFERENCE_PASSES, _REFERENCE_EMITTED)
     n, ratio = PAPER[floor.scene]
     ladder = [best(floor, expected, n * times, sampler, nearest()) for times in _TIMES_AS_MANY]
-    runs = {
-        "diffusion, local": best(floor, expected, n, sampler, adaptive()),
-    }
+    runs = {"diffusion, local": best(floor, expected, n, sampler, adaptive())}
     for share in _NOISE_SHARES:
-        ways = published(n, floor.half, share)
-        runs[f"SSO08, noise scale {share:g} h"] = best(floor, expected, n, sampler, ways)
-    lines = [_row(f"{floor.scene}, {name}", run, ladder) for name, run in runs.items()]
-    rungs = [
-        f"| {floor.scene}, nearest, {run.settings} | {run.n:,} | {run.error:.3f} "
-        f"| {run.seconds:.2f} | | |"
-        for run in ladder
-    ]
-    paper = f"| {floor.scene}, SSO08's own Table 1 | {n:,} | | | {ratio:.1f}× | |"
-    return [*rungs, *lines, paper]
+        estimates = published(n, floor.half, share)
+        runs[f"SSO08, noise scale {share:g} h"] = best(floor, expected, n, sampler, estimates)
+    for run in ladder:
+        yield [*_cells(f"{floor.scene}, nearest", run), "", ""]
+    for name, run in runs.items():
+        sign, photons, seconds = needed(ladder, run.error)
+        times = [f"{sign}{photons / run.n:.1f}×", f"{sign}{seconds / run.seconds:.1f}×"]
+        yield [*_cells(f"{floor.scene}, {name}", run), *times]
+    yield [f"{floor.scene}, SSO08's own Table 1", f"{n:,}", "", "", f"{ratio:.1f}×", ""]
 
 
-def _row(name: str, run: Run, ladder: list[Run]) -> str:
-    sign, photons, seconds = needed(ladder, run.error)
-    return (
-        f"| {name}, {run.settings} | {run.n:,} | {run.error:.3f} | {run.seconds:.2f} "
-        f"| {sign}{photons / run.n:.1f}× | {sign}{seconds / run.seconds:.1f}× |"
-    )
+def _cells(name: str, run: Run) -> list[str]:
+    return [f"{name}, {run.settings}", f"{run.n:,}", f"{run.error:.3f}", f"{run.seconds:.2f}"]
 
 
 def needed(ladder: list[Run], error: float) -> tuple[str, float, float]:
     """Return photons and seconds of this error, interpolated on logarithms.
 
-    Before them "<" or ">" where the ladder, from few photons to many, starts or ends before.
+    Before them "<" or ">" where the error is outside the ladder, which goes from few photons to
+    many.
     """
     sign = "<" if error > ladder[0].error else ">" if error < ladder[-1].error else ""
     x = -np.log([run.error for run in ladder])

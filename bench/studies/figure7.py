@@ -1,13 +1,16 @@
-"""SJ13's Fig. 7: how λ₂ of uniform photons spreads, and the constraint that follows from λ₂."""
+"""SJ13's Fig. 7: distribution of λ₂ of uniform photons, and the constraint over λ₂."""
 
 from __future__ import annotations
 
+import argparse
+import sys
 from pathlib import Path
 
 import numpy as np
 from scipy.stats import norm
 
-from bench.speed.morton import Floats
+from bench.speed.inputs import Floats
+from photonrelax.evaluation.report.markdown import markdown_table
 from photonrelax.relaxation import structure as st
 
 K = 100
@@ -24,22 +27,35 @@ def second_eigenvalues(n_sets: int = SETS, k: int = K, seed: int = 0) -> Floats:
     return st.principal_components(points)[0][:, 1]
 
 
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--sets", type=float, default=SETS, help="default 100000")
+    parser.add_argument("--out", type=Path, default=Path("build/bench/figure7.svg"))
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the table and save the plot."""
+    found = second_eigenvalues(int(options.sets))
+    print(markdown(found))
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    save(found, options.out)
+    print(f"saved in {options.out}", file=sys.stderr)
+
+
 def markdown(found: Floats) -> str:
-    """Return a table of what was found, the paper's figures and the closed forms."""
+    """Return a table of the paper's figures, the measured ones and the closed forms."""
     forms = {"mean": st.isotropic_mean(K), "deviation": st.isotropic_sd(K)}
     values = {"mean": found.mean(), "deviation": found.std()}
-    lines = [
-        f"| λ₂ of {len(found):,} sets of {K} uniform points | SJ13 | measured | photonrelax |",
-        "| --- | --- | --- | --- |",
-        *(f"| {n} | {PAPER[n]:.4f} | {values[n]:.4f} | {forms[n]:.4f} |" for n in PAPER),
-    ]
+    table = markdown_table(
+        [f"λ₂ of {len(found):,} sets of {K} uniform points", "SJ13", "measured", "photonrelax"],
+        ([n, *(f"{each[n]:.4f}" for each in (PAPER, values, forms))] for n in PAPER),
+    )
     skew = float((((found - found.mean()) / found.std()) ** 3).mean())
     apart = farthest_from_gaussian(found)
     note = (
         "A Gaussian of the same mean and deviation differs from the distribution by at most "
         f"{apart:.1%} of the sets; its skewness is {skew:+.2f}, a Gaussian's 0."
     )
-    return "\n".join([*lines, "", note, ""])
+    return f"{table}\n\n{note}\n"
 
 
 def farthest_from_gaussian(found: Floats) -> float:

@@ -1,10 +1,11 @@
-"""Frequency-driven beside progressive photon mapping, on the floor of `reflector`.
+"""Frequency-driven beside progressive photon mapping of the same photons, on `reflector`.
 
-The same photons for both; errors by how much the light varies around.
+Errors on the floor, by the variation of irradiance around each point.
 """
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
 from time import perf_counter
@@ -15,27 +16,28 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 import photonrelax as pr
+from bench.arguments import numbers
 from bench.speed import machine
+from bench.speed.inputs import Floats
 from photonrelax import gallery
-
-Floats = NDArray[np.float64]
+from photonrelax.evaluation.report.markdown import markdown_table
 
 METHODS = ("progressive", "frequency")
 # The floor in front of the strip, in cells, m.
 _CELL, _LOW, _HIGH = 0.015, (-1.9, -1.6), (0.0, 1.6)
-# Where the reference ranges over so much of itself within this distance, m.
+# Regions by the range of the reference within this distance, m, over its value.
 _WITHIN = 0.15
 REGIONS = {"smooth: < 10 %": 0.10, "10 % to 25 %": 0.25, "25 % to 100 %": 1.0, "more": np.inf}
-# Photons of the first pass that discs start with: the smoothest light has the largest.
+# Photons of the first pass within the initial radius.
 _K = 15
-# Blocks of cells a side that are looked at one by one.
+# Side of the blocks that are compared one by one, cells.
 _BLOCK = 10
 _LEAST_LIGHT = 0.05
 
 
 @dataclass(frozen=True)
 class Floor:
-    """Points on the floor, two references of their own photons (2, points), and regions."""
+    """Points on the floor, two independent references (2, points), and regions."""
 
     points: Floats
     shape: tuple[int, int]
@@ -48,7 +50,7 @@ class Floor:
 
 
 def floor(n_reference: int) -> Floor:
-    """Return the floor with two references of `n_reference` photons each."""
+    """Return the floor with references of `n_reference` photons each."""
     x, y = (np.arange(*ends, _CELL) + _CELL / 2 for ends in zip(_LOW, _HIGH, strict=True))
     grid = np.meshgrid(x, y, indexing="ij")
     points = np.stack([*grid, np.zeros_like(grid[0])], axis=-1).reshape(-1, 3)
@@ -67,7 +69,7 @@ def _regions(reference: Floats) -> NDArray[np.intp]:
     """Return the number of each cell's region; -1 in the dark."""
     reach = round(_WITHIN / _CELL)
     disc = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) <= reach
-    # Noise of the reference is no variation of the light.
+    # Smoothed, as noise of the reference is not variation of the light.
     even = gaussian_filter(reference, 1.0)
     spread = maximum_filter(even, footprint=disc) - minimum_filter(even, footprint=disc)
     variation = spread / np.maximum(even, 1e-12)
@@ -114,23 +116,31 @@ def blocks(on: Floor, squared: Floats) -> Floats:
     return np.sqrt(np.maximum(cut.mean(axis=(1, 3)), 0.0).ravel())
 
 
-def lines(on: Floor, squared: dict[str, Floats]) -> Iterator[str]:
+def _rows(on: Floor, squared: dict[str, Floats]) -> Iterator[list[str]]:
     """Yield a row for each region, and one for the block where frequency does worst."""
     for number, name in enumerate(REGIONS):
         inside = on.region == number
-        progressive, frequency = (np.sqrt(squared[m][:, inside].mean()) for m in METHODS)
-        yield (
-            f"| {name} | {inside.mean():.0%} | {progressive:.2%} | {frequency:.2%} "
-            f"| {progressive / frequency:.2f}× |"
-        )
+        errors = [np.sqrt(squared[method][:, inside].mean()) for method in METHODS]
+        yield [name, f"{inside.mean():.0%}", *_cells(*errors)]
     progressive, frequency = (blocks(on, squared[method]) for method in METHODS)
     worst = np.nanargmax(frequency / progressive)
-    side = _BLOCK * _CELL
-    yield (
-        f"| worst of {np.isfinite(progressive).sum()} blocks of {side:.2f} m | "
-        f"| {progressive[worst]:.2%} | {frequency[worst]:.2%} "
-        f"| {progressive[worst] / frequency[worst]:.2f}× |"
-    )
+    name = f"worst of {np.isfinite(progressive).sum()} blocks of {_BLOCK * _CELL:.2f} m"
+    yield [name, "", *_cells(progressive[worst], frequency[worst])]
+
+
+def _cells(progressive: float, frequency: float) -> list[str]:
+    return [f"{progressive:.2%}", f"{frequency:.2%}", f"{progressive / frequency:.2f}×"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--photons", type=numbers, default=[1_000_000, 2_000_000, 6_000_000])
+    parser.add_argument("--seeds", type=int, default=3, help="default 3")
+    parser.add_argument("--passes", type=int, default=64, help="default 64")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the tables."""
+    print(markdown(options.photons, n_seeds=options.seeds, passes=options.passes))
 
 
 def markdown(
@@ -142,24 +152,22 @@ def markdown(
     share: float = 0.02,
     n_reference: int = 10_000_000,
 ) -> str:
-    """Return tables of errors by how much the light varies around, for photons emitted."""
+    """Return tables of errors by region, one for each number of photons emitted and sampler."""
     on = floor(n_reference)
-    text = []
+    parts = []
     for n_emitted in photons:
         for sampler in samplers:
             squared, seconds = errors(on, n_emitted, sampler, range(n_seeds), passes, share)
-            text += [
-                f"| reflector, {n_emitted:,} {sampler}, {passes} passes "
-                "| of the floor | progressive | frequency | times as small |",
-                "| --- | --- | --- | --- | --- |",
-                *lines(on, squared),
-                "",
+            title = f"reflector, {n_emitted:,} {sampler}, {passes} passes"
+            parts += [
+                markdown_table(
+                    [title, "of the floor", *METHODS, "times as small"], _rows(on, squared)
+                ),
                 ", ".join(f"{name} {time / n_seeds:.2g} s" for name, time in seconds.items()),
-                "",
             ]
-    text.append(
-        f"Relative errors, root mean squares over {n_seeds} seeds; regions by how far the "
-        f"reference ranges within {_WITHIN} m; {share:.0%} of the photons carry spectra. "
+    parts.append(
+        f"Relative errors, root mean squares over {n_seeds} seeds; regions by the range of the "
+        f"reference within {_WITHIN} m; {share:.0%} of the photons carry spectra. "
         f"{machine.description()}."
     )
-    return "\n".join([*text, ""])
+    return "\n\n".join(parts) + "\n"

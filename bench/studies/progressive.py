@@ -1,11 +1,12 @@
-"""How progressive photon mapping converges: against irradiance known without photons.
+"""Convergence of progressive photon mapping to analytic irradiance.
 
-Two runs of their own photons tell noise from bias: noise is what they differ by, and the product
-of their errors has the squared bias as its mean, to which noise adds nothing.
+Two independent runs separate noise from bias: the mean square of their difference is twice the
+squared noise, the mean product of their errors is the squared bias.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 from dataclasses import dataclass
 from functools import cache
@@ -17,14 +18,15 @@ from tests.analytic.metal_ring import MetalRing
 import photonrelax as pr
 from photonrelax import gallery
 from photonrelax.estimation.progressive import initial_radius
+from photonrelax.evaluation.report.markdown import markdown_table
 from photonrelax.rendering.progressive_render import pass_seed
 from photonrelax.transport.raycast import RayCaster
 
 ALPHA = 0.7
-# Slopes are of the passes from here on: discs do not know the light at first.
+# Slopes are fitted from this pass on, when radii have adapted to the light.
 FIRST = 8
-# Of the irradiance around a point of the ring, as far as discs reach at the start; beyond it the
-# point counts as one of the singularity or of the border of light.
+# Largest ratio of irradiances within the initial radius around a point of the ring; beyond it the
+# point counts as part of the singularity or of the border of light.
 MOST_CONTRAST = 1.45
 
 
@@ -32,7 +34,7 @@ MOST_CONTRAST = 1.45
 class Case:
     """A scene, points (m, 3) of its floor away from singularities, their irradiance (m,), W/m².
 
-    With discs of `radius` at the start, m, bias is seen beside noise.
+    With an initial `radius`, m, at which bias is seen beside noise.
     """
 
     scene: pr.Scene
@@ -51,7 +53,7 @@ class Errors:
     bias: np.ndarray
 
     def slope(self, name: str) -> float:
-        """Return the exponent with which an error falls over passes."""
+        """Return the exponent of an error over passes."""
         errors, late = getattr(self, name), self.passes >= FIRST
         late &= errors > 0.0
         return float(np.polyfit(np.log(self.passes[late]), np.log(errors[late]), 1)[0])
@@ -69,12 +71,12 @@ def sphere() -> Case:
 
 @cache
 def ring() -> Case:
-    """Points of the ring's floor, but for those near the cardioid and the border of light."""
+    """Points of the ring's floor away from the cardioid and the border of light."""
     radius = 0.04
     known = MetalRing(height=0.4, elevation=np.radians(28.0), irradiance=1.6, reflectance=0.95)
     axis = np.linspace(-0.9, 0.9, 121)
     xy = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
-    # Farther out light arrives that met the wall twice.
+    # Farther out there is light that was reflected twice.
     xy = xy[np.linalg.norm(xy, axis=1) < 0.92]
     xy = xy[known.irradiance_at(xy, 2001) > 0.0]
     turn = np.arange(16) * np.pi / 8
@@ -113,7 +115,7 @@ def converge(
                 caster=caster,
             )
             if len(runs) < seed:
-                runs.append(_started(case, photons, settings))
+                runs.append(_first_pass(case, photons, settings))
             runs[seed - 1].add(photons)
         if number in wanted:
             found.append(_errors(case, runs))
@@ -121,7 +123,7 @@ def converge(
     return Errors(np.array(wanted), *np.transpose(found))
 
 
-def _started(
+def _first_pass(
     case: Case, photons: pr.PhotonMap, settings: pr.ProgressiveSettings
 ) -> pr.ProgressiveStatistics:
     up = np.tile([0.0, 0.0, 1.0], (len(case.points), 1))
@@ -136,24 +138,29 @@ def _errors(case: Case, runs: list[pr.ProgressiveStatistics]) -> tuple[float, fl
     return total, noise, np.sqrt(max((one * other).mean(), 0.0))
 
 
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--passes", type=int, default=1024, help="default 1024")
+    parser.add_argument("--photons", type=float, default=20e3, help="in each pass, default 20e3")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the table."""
+    print(markdown(options.passes, int(options.photons)))
+
+
 def markdown(n_passes: int, photons_per_pass: int) -> str:
     """Return errors and slopes for both scenes, from random and from Halton photons."""
-    columns = [str(2**i) for i in range(n_passes.bit_length())]
-    lines = [
-        f"| scene, photons | error | {' | '.join(columns)} | slope | theory |",
-        "| --- " * (len(columns) + 4) + "|",
-    ]
+    passes = [str(2**i) for i in range(n_passes.bit_length())]
+    rows = []
     for scene, case in CASES.items():
         for sampler in SAMPLERS:
             errors = converge(case(), n_passes, photons_per_pass, sampler=sampler)
-            lines += [_line(f"{scene}, {sampler}", errors, name) for name in THEORY]
-    starts = ", ".join(f"{case().radius:g} m on {scene}" for scene, case in CASES.items())
-    note = f"{photons_per_pass:,} photons a pass, α = {ALPHA}; discs start with R = {starts}."
-    return "\n".join([*lines, "", note, ""])
+            rows += [_row(f"{scene}, {sampler}", errors, name) for name in THEORY]
+    table = markdown_table(["scene, photons", "error", *passes, "slope", "theory"], rows)
+    radii = ", ".join(f"{case().radius:g} m on {scene}" for scene, case in CASES.items())
+    return f"{table}\n\n{photons_per_pass:,} photons a pass, α = {ALPHA}; initial radius {radii}.\n"
 
 
-def _line(title: str, errors: Errors, name: str) -> str:
+def _row(title: str, errors: Errors, name: str) -> list[str]:
     values = [f"{100 * value:.2f} %" for value in getattr(errors, name)]
-    return (
-        f"| {title} | {name} | {' | '.join(values)} | {errors.slope(name):.2f} | {THEORY[name]} |"
-    )
+    return [title, name, *values, f"{errors.slope(name):.2f}", THEORY[name]]

@@ -1,47 +1,52 @@
-"""Refinements of standard estimates beside what moves photons: relative L1, best of several."""
+"""Refinements of standard estimates beside relaxations: relative L1, the best of several k."""
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import photonrelax as pr
-from bench.studies.methods import FOLDER, REFERENCES, truth_of
-from photonrelax.estimation.methods import METHODS, Settings
-from photonrelax.evaluation import ComparisonRequest, compare, gallery_subject, reference
+from bench.studies.methods import FOLDER, REFERENCES, reference_of
+from photonrelax.estimation.methods import Settings
+from photonrelax.evaluation import ComparisonRequest, compare, gallery_subject
+from photonrelax.evaluation.reference import ReferenceSettings, uncertainty_of
+from photonrelax.evaluation.report.markdown import markdown_table
 
+RELAXATIONS = ("relaxation", "parameterised")
 KS = (15, 50, 100, 200)
 MOST_KS = (100, 200, 500)
-# What is compared on: scene, photons emitted, sampler.
-LOTS = (("shapes", 48_000, "random"), ("ring", 200_000, "random"), ("ring", 200_000, "halton"))
+CASES = (("shapes", 48_000, "random"), ("ring", 200_000, "random"), ("ring", 200_000, "halton"))
+"""Scene, photons emitted, sampler."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """What is measured on pictures of so many pixels, and the references of scenes."""
+    """Width and height of images, settings and cache of references, and cases."""
 
     pixels: int = 256
-    effort: reference.ReferenceSettings = REFERENCES
+    references: ReferenceSettings = REFERENCES
     folder: Path = FOLDER
-    lots: tuple[tuple[str, int, str], ...] = LOTS
+    cases: tuple[tuple[str, int, str], ...] = CASES
 
     def columns(self) -> Iterator[dict[str, tuple[float, str]]]:
-        """Yield relative L1, and the number of photons it is of, by row."""
-        for name, n, sampler in self.lots:
+        """Yield the least relative L1, and its k, by row."""
+        for name, n, sampler in self.cases:
             print(f"... {name}, {n:,} {sampler}", file=sys.stderr, flush=True)
-            plan = ComparisonRequest(
+            request = ComparisonRequest(
                 subject=gallery_subject(name, self.pixels, self.pixels),
-                methods=("relaxation", "parameterised"),
+                methods=RELAXATIONS,
                 variants=variants(),
                 n_emitted=n,
                 sampler=sampler,
             )
-            truth = truth_of(plan, self.effort, self.folder)
-            if (doubt := reference.uncertainty_of(truth)) is not None:
-                print(f"... its reference: {doubt.text()}", file=sys.stderr, flush=True)
-            yield _least({e.name: e.errors.relative_l1 for e in compare(plan, truth).entries})
+            reference = reference_of(request, self.references, self.folder)
+            if (uncertainty := uncertainty_of(reference)) is not None:
+                print(f"... its reference: {uncertainty.text()}", file=sys.stderr, flush=True)
+            entries = compare(request, reference).entries
+            yield _best({entry.name: entry.errors.relative_l1 for entry in entries})
 
 
 def variants() -> dict[str, tuple[str, Settings]]:
@@ -56,8 +61,8 @@ def _gather(**settings: object) -> Settings:
     return Settings(gather=pr.GatherSettings(**settings))
 
 
-def _least(errors: dict[str, float]) -> dict[str, tuple[float, str]]:
-    """Return the least error of each kind, and what of it has it."""
+def _best(errors: dict[str, float]) -> dict[str, tuple[float, str]]:
+    """Return the least error of each kind of estimate, and its k."""
     found: dict[str, tuple[float, str]] = {}
     for name, error in errors.items():
         kind, _, k = name.partition(", ")
@@ -70,16 +75,24 @@ def _cell(error: float, k: str) -> str:
     return f"{error:.3f}, {k}" if k else f"{error:.3f}"
 
 
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """No arguments."""
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the table."""
+    print(markdown(Study()))
+
+
 def markdown(study: Study) -> str:
     """Return the table."""
     columns = list(study.columns())
-    heads = (f"{name}, {n:,} {sampler}" for name, n, sampler in study.lots)
-    lines = [f"| relative L1 | {' | '.join(heads)} |", "| --- |" + len(columns) * " --- |"]
-    for row in sorted(columns[0], key=lambda row: row in list(METHODS)[1:]):
-        cells = [_cell(*column[row]) for column in columns]
-        lines.append(f"| {row} | {' | '.join(cells)} |")
-    tried = (
-        f"The best of k = {', '.join(map(str, KS))}, and of up to "
-        f"{', '.join(map(str, MOST_KS))} photons; {study.pixels} x {study.pixels} pixels."
+    titles = ["relative L1", *(f"{name}, {n:,} {sampler}" for name, n, sampler in study.cases)]
+    rows = (
+        [row, *(_cell(*column[row]) for column in columns)]
+        for row in sorted(columns[0], key=lambda row: row in RELAXATIONS)
     )
-    return "\n".join([*lines, "", tried, ""])
+    return (
+        f"{markdown_table(titles, rows)}\n\nThe best of k = {', '.join(map(str, KS))}, and of up "
+        f"to {', '.join(map(str, MOST_KS))} photons; {study.pixels} x {study.pixels} pixels.\n"
+    )

@@ -1,12 +1,14 @@
-"""SSO08's Fig. 4: the shapes estimated in twelve ways, as pictures and as figures.
+"""SSO08's Fig. 4: the shapes by twelve estimates, as images and as figures.
 
 Noise is the deviation of estimates at a point between photon maps of different seeds, root mean
-square over the points of a region, over the irradiance of the shapes; unlike the deviation over
-the points of one map, it has no part of bias.
+square over the points of a region, over the irradiance of the shapes. Unlike the deviation over
+the points of one map, it does not include bias.
 """
 
 from __future__ import annotations
 
+import argparse
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -15,8 +17,9 @@ from pathlib import Path
 import numpy as np
 
 import photonrelax as pr
-from bench.speed.morton import Floats
+from bench.speed.inputs import Floats
 from photonrelax import gallery
+from photonrelax.evaluation.report.markdown import markdown_table
 from photonrelax.gallery import shapes as layout
 from photonrelax.gallery.photon_pattern import PhotonPattern
 from photonrelax.imaging.metrics import relative_l1
@@ -31,13 +34,13 @@ SEEDS = 8
 BANDWIDTH = 0.042
 NOISE_SCALE = 0.0105
 _STANDARD_KS = (9600, 4800, 2400, 1200, 850, 600, 425, 300, 212, 150, 106, 75, 53, 38, 27)
-# Deep inside is farther from the edge than any kernel looks; along an edge is next to it.
+# Deep inside: farther from the edge than any bandwidth. Along an edge: within this distance of it.
 _DEEP, _ALONG = 0.06, 0.01
 _POINTS = 600
 
 
 @dataclass(frozen=True)
-class Way:
+class Estimate:
     """A method and its settings."""
 
     name: str
@@ -51,7 +54,7 @@ class Way:
 
 @dataclass(frozen=True)
 class Measures:
-    """What a way makes of the shapes; all relative to the shapes' irradiance.
+    """Figures of an estimate, all relative to the shapes' irradiance.
 
     Attributes
     ----------
@@ -60,8 +63,8 @@ class Measures:
     noise, edge_noise, line_noise : float
         Deep inside the disc and the square; within 1 cm of their edges; on the thinnest line.
     error : float
-        Relative L1 over the pixels of one picture, against the truth at the same samples; NaN if
-        not asked.
+        Relative L1 over the pixels of one image, against the exact irradiance at the same samples;
+        NaN if not asked.
     """
 
     line: float
@@ -71,25 +74,25 @@ class Measures:
     error: float = float("nan")
 
 
-def nearest(k: int, **settings: object) -> Way:
-    return Way(f"k = {k}", "standard", pr.GatherSettings(k=k, **settings))
+def nearest(k: int, **settings: object) -> Estimate:
+    return Estimate(f"k = {k}", "standard", pr.GatherSettings(k=k, **settings))
 
 
 def diffusion(
     threshold: float, *, isotropic: bool = False, normalisation: str = "maximum", **settings: float
-) -> Way:
-    """Return SSO08's: a fixed bandwidth, λ₁ over its largest value."""
-    how = pr.DiffusionSettings(
+) -> Estimate:
+    """Return an estimate of SSO08: a fixed bandwidth, λ₁ over its largest value."""
+    chosen = pr.DiffusionSettings(
         k=None,
         edge_threshold=threshold,
         normalisation=normalisation,
         **{"bandwidth": BANDWIDTH, "noise_scale": NOISE_SCALE, "least_eigenvalue": 1e-3} | settings,
     )
     method = "isotropic-diffusion" if isotropic else "diffusion"
-    return Way(f"q = {threshold}", method, how)
+    return Estimate(f"q = {threshold}", method, chosen)
 
 
-def figure4() -> dict[str, list[Way]]:
+def figure4() -> dict[str, list[Estimate]]:
     """Return the rows of the figure."""
     return {
         "k nearest photons": [nearest(k) for k in KS],
@@ -98,24 +101,26 @@ def figure4() -> dict[str, list[Way]]:
     }
 
 
-def plain_estimates() -> list[Way]:
+def plain_estimates() -> list[Estimate]:
     """Return every kernel of the standard method, and fixed bandwidths, from smooth to noisy."""
     fixed = [
-        Way(f"fixed bandwidth {h:.4f} m", "standard", pr.GatherSettings(k=10**6, gather_radius=h))
+        Estimate(
+            f"fixed bandwidth {h:.4f} m", "standard", pr.GatherSettings(k=10**6, gather_radius=h)
+        )
         for h in BANDWIDTH * np.sqrt(np.array(_STANDARD_KS) / KS[0])
     ]
     counted = [
-        Way(f"{kernel}, k = {k}", "standard", pr.GatherSettings(k=k, kernel=kernel))
+        Estimate(f"{kernel}, k = {k}", "standard", pr.GatherSettings(k=k, kernel=kernel))
         for kernel in ("epanechnikov", "cone", "constant")
         for k in _STANDARD_KS
     ]
     return counted + fixed
 
 
-def refined_estimates() -> list[Way]:
+def refined_estimates() -> list[Estimate]:
     """Return every refinement of the standard method, from smooth to noisy."""
     return [
-        Way(
+        Estimate(
             f"{name} from {k_min}, k = {k}",
             "standard",
             pr.GatherSettings(k=k, k_min=k_min, refinement=name),
@@ -131,7 +136,7 @@ def refined_estimates() -> list[Way]:
 
 
 @lru_cache(maxsize=SEEDS)
-def distribution(seed: int) -> PhotonPattern:
+def pattern(seed: int) -> PhotonPattern:
     return gallery.pattern("shapes", seed=seed)
 
 
@@ -155,33 +160,32 @@ def regions(n: int = _POINTS) -> dict[str, Floats]:
     }
 
 
-def measured(way: Way, seeds: int = SEEDS, *, pixels: int = 0) -> Measures:
-    """Measure a way over photon maps of so many seeds, and one picture's error if asked."""
-    places = regions()
-    points = np.concatenate(list(places.values()))
+def measured(estimate: Estimate, seeds: int = SEEDS, *, pixels: int = 0) -> Measures:
+    """Measure over photon maps of so many seeds, and the error of one image if asked."""
+    parts = regions()
+    points = np.concatenate(list(parts.values()))
     points = np.column_stack([points, np.zeros(len(points))])
     normals = np.tile([0.0, 0.0, 1.0], (len(points), 1))
-    fields = [way.prepare(distribution(seed).photons) for seed in range(seeds)]
+    fields = [estimate.prepare(pattern(seed).photons) for seed in range(seeds)]
     found = np.array([field(points, normals)[:, 0] for field in fields])
-    ends = np.cumsum([len(place) for place in places.values()])[:-1]
+    ends = np.cumsum([len(part) for part in parts.values()])[:-1]
     deep, edges, line = np.split(found, ends, axis=1)
     error = float("nan")
     if pixels:
-        exact, shown = (distribution(0).image(f, pixels, pixels, 2) for f in (_truth, fields[0]))
+        exact, shown = (pattern(0).image(f, pixels, pixels, 2) for f in (_exact, fields[0]))
         error = relative_l1(shown, exact)
     noise = [float(np.sqrt(part.var(axis=0, ddof=1).mean())) for part in (deep, edges, line)]
     return Measures(float(line.mean()), *noise, error)
 
 
-def _truth(points: Floats, normals: Floats) -> Floats:
-    return distribution(0).irradiance(points)
+def _exact(points: Floats, normals: Floats) -> Floats:
+    return pattern(0).irradiance(points)
 
 
 def line_at_equal_noise(found: Sequence[Measures], noise: float) -> float | None:
-    """Return what estimates of one kind keep of the line where their noise is so much.
+    """Return the share of the line that estimates of one kind keep at a noise.
 
-    Interpolated between those that are next to it in noise, logarithmically; None if none is as
-    quiet, or all are quieter.
+    Interpolated on the logarithm of noise; None outside the range of the estimates' noise.
     """
     order = np.argsort([m.noise for m in found])
     noises = [found[i].noise for i in order]
@@ -190,43 +194,54 @@ def line_at_equal_noise(found: Sequence[Measures], noise: float) -> float | None
     return float(np.interp(np.log(noise), np.log(noises), [found[i].line for i in order]))
 
 
-# --- tables and pictures -------------------------------------------------------------------------
+# --- tables and images ----------------------------------------------------------------------------
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="photon maps, default 8")
+    parser.add_argument("--out", type=Path, default=Path("build/bench/shapes.png"))
+
+
+def run(options: argparse.Namespace) -> None:
+    """Save the images and print the tables."""
+    save(options.out)
+    print(f"saved in {options.out}", file=sys.stderr)
+    print(markdown(options.seeds))
 
 
 def markdown(seeds: int = SEEDS, pixels: int = 200) -> str:
-    """Return the measures of the twelve pictures, and what standard estimates keep of the line."""
-    lines = [
-        "| shapes, 48,000 photons | line kept | noise inside | along edges | on the line | L1 |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
-    adaptive: list[tuple[str, Measures]] = []
-    for row, ways in figure4().items():
-        for way in ways:
-            found = measured(way, seeds, pixels=pixels)
-            lines.append(_line(f"{row}, {way.name}", found))
-            if way.method == "diffusion":
-                adaptive.append((f"{row}, {way.name}", found))
-    coarse = measured(diffusion(THRESHOLDS[-1], noise_scale=0.5 * BANDWIDTH), seeds, pixels=pixels)
-    lines.append(_line(f"noise scale half the bandwidth, q = {THRESHOLDS[-1]}", coarse))
-    return "\n".join([*lines, "", *_comparison(adaptive, seeds), ""])
-
-
-def _line(name: str, m: Measures) -> str:
-    return (
-        f"| {name} | {m.line:.1%} | {m.noise:.1%} | {m.edge_noise:.1%} | {m.line_noise:.1%} "
-        f"| {m.error:.3f} |"
+    """Return the measures of the twelve images, and the best of the standard estimates."""
+    found = {
+        f"{row}, {estimate.name}": (estimate, measured(estimate, seeds, pixels=pixels))
+        for row, estimates in figure4().items()
+        for estimate in estimates
+    }
+    coarse = diffusion(THRESHOLDS[-1], noise_scale=0.5 * BANDWIDTH)
+    measures = {name: each for name, (_, each) in found.items()} | {
+        f"noise scale half the bandwidth, {coarse.name}": measured(coarse, seeds, pixels=pixels)
+    }
+    adaptive = {n: each for n, (estimate, each) in found.items() if estimate.method == "diffusion"}
+    titles = ["line kept", "noise inside", "along edges", "on the line", "L1"]
+    table = markdown_table(
+        ["shapes, 48,000 photons", *titles], ([name, *_cells(m)] for name, m in measures.items())
     )
+    return f"{table}\n\n{_comparison(adaptive, seeds)}\n"
 
 
-def most_kept(ways: Sequence[Way], noise: float, seeds: int = SEEDS) -> tuple[float, str]:
-    """Return the most of the line that ways of this noise keep, and which does.
+def _cells(m: Measures) -> list[str]:
+    shares = (m.line, m.noise, m.edge_noise, m.line_noise)
+    return [*(f"{share:.1%}" for share in shares), f"{m.error:.3f}"]
+
+
+def most_kept(estimates: Sequence[Estimate], noise: float, seeds: int = SEEDS) -> tuple[float, str]:
+    """Return the largest share of the line kept at a noise, and the kind of estimate.
 
     Kinds that do not reach this noise are named after it.
     """
     kinds: dict[str, list[Measures]] = {}
-    for way in ways:
-        kinds.setdefault(way.name.rsplit(",", 1)[0].split(" 0.")[0], []).append(
-            _standard_measured(way, seeds)
+    for estimate in estimates:
+        kinds.setdefault(estimate.name.rsplit(",", 1)[0].split(" 0.")[0], []).append(
+            _standard_measured(estimate, seeds)
         )
     kept = {kind: line_at_equal_noise(found, noise) for kind, found in kinds.items()}
     reached = {kind: line for kind, line in kept.items() if line is not None}
@@ -238,39 +253,37 @@ def most_kept(ways: Sequence[Way], noise: float, seeds: int = SEEDS) -> tuple[fl
 
 
 @cache
-def _standard_measured(way: Way, seeds: int) -> Measures:
-    return measured(way, seeds)
+def _standard_measured(estimate: Estimate, seeds: int) -> Measures:
+    return measured(estimate, seeds)
 
 
-def _comparison(adaptive: list[tuple[str, Measures]], seeds: int) -> list[str]:
-    lines = [
-        "| beside | line kept | best standard estimate of equal noise | best of the refined |",
-        "| --- | --- | --- | --- |",
-    ]
-    for name, found in adaptive:
+def _comparison(adaptive: dict[str, Measures], seeds: int) -> str:
+    rows = []
+    for name, found in adaptive.items():
         cells = [
             f"{kept:.1%} ({kind})"
-            for ways in (plain_estimates(), refined_estimates())
-            for kept, kind in [most_kept(ways, found.noise, seeds)]
+            for estimates in (plain_estimates(), refined_estimates())
+            for kept, kind in [most_kept(estimates, found.noise, seeds)]
         ]
-        lines.append(f"| {name} | {found.line:.1%} | {' | '.join(cells)} |")
-    return lines
+        rows.append([name, f"{found.line:.1%}", *cells])
+    titles = ["line kept", "best standard estimate of equal noise", "best of the refined"]
+    return markdown_table(["beside", *titles], rows)
 
 
 def save(path: Path, pixels: int = 300) -> None:
-    """Write the twelve pictures as one sheet, in the order of the figure."""
+    """Write the twelve images as one contact sheet, in the order of the figure."""
     from PIL import Image
 
-    shapes, gap = distribution(0), 4
+    shapes, gap = pattern(0), 4
     rows = []
-    for ways in figure4().values():
-        pictures = [shapes.image(w.prepare(shapes.photons), pixels, pixels, 2) for w in ways]
-        rows.append(np.concatenate([_framed(p[..., 0], gap) for p in pictures], axis=1))
+    for estimates in figure4().values():
+        images = [shapes.image(e.prepare(shapes.photons), pixels, pixels, 2) for e in estimates]
+        rows.append(np.concatenate([_framed(image[..., 0], gap) for image in images], axis=1))
     sheet = np.clip(np.concatenate(rows), 0.0, 1.25) / 1.25
     grey = np.round(255 * sheet ** (1 / 2.2)).astype(np.uint8)
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(grey).save(path)
 
 
-def _framed(picture: Floats, gap: int) -> Floats:
-    return np.pad(picture, gap, constant_values=0.3)
+def _framed(image: Floats, gap: int) -> Floats:
+    return np.pad(image, gap, constant_values=0.3)

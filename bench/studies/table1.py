@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from time import perf_counter
 from typing import Any
 
 import photonrelax as pr
 from bench.speed import inputs, machine
+from photonrelax.evaluation.report.markdown import markdown_table
 
-# Stages by the rows of the table; every other stage of a method's own finds features.
+# Rows of the table by stage; every other stage of a method counts as feature detection.
 _FEATURES = "structure (feature detect)"
 _ROWS_OF = {"trace": "photon cast", "relax": "relaxation", "render": "render"}
 # Spencer & Jones 2013, Table I, "Our method": seconds on 7 cores of a desktop of its time.
@@ -52,7 +54,7 @@ def measured(
     pixels: int = 600,
     method: str = "parameterised",
 ) -> dict[str, float]:
-    """Return seconds and counts of a picture with the paper's settings, by the table's rows.
+    """Return seconds and counts of an image with the paper's settings, by the table's rows.
 
     K = 15, 7 + 7 iterations, K_c = 50; 600 x 600 pixels of 2 x 2 samples.
     """
@@ -65,7 +67,7 @@ def measured(
         diffusion=_DIFFUSION,
         supersampling=2,
         n_threads=n_threads,
-        progress=_tell,
+        progress=_report,
     )
     stages: dict[str, Any] = image.stats["stages"]
     seconds: dict[str, float] = {}
@@ -91,7 +93,7 @@ def progressive(
         photons_per_pass=n_emitted,
         settings=pr.ProgressiveSettings(k=4),
         n_threads=n_threads,
-        progress=_tell,
+        progress=_report,
     )
     return {
         "photons emitted": n_passes * n_emitted,
@@ -100,29 +102,45 @@ def progressive(
     }
 
 
-def _tell(stage: str, done: int, total: int) -> None:
+def _report(stage: str, done: int, total: int) -> None:
     if done == total:
         print(f"... {stage}: {total:,} done", file=sys.stderr, flush=True)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--emitted", type=float, default=20e6, help="default 20e6")
+    parser.add_argument("--stored", type=float, default=863e3, help="of the second column")
+    parser.add_argument("--methods", action="store_true", help="all five columns of the paper")
+    parser.add_argument("--passes", type=int, default=50, help="of progressive, default 50")
+    parser.add_argument("--threads", type=int, help="default all")
+    parser.add_argument("--quick", action="store_true", help="few photons: does it run?")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print photonrelax's column beside the paper's, or all columns."""
+    stored, emitted = (2e4, 2e5) if options.quick else (options.stored, options.emitted)
+    if options.methods:
+        print(every_method(int(stored), options.passes, options.threads))
+    else:
+        print(markdown(int(emitted), int(stored), options.threads))
 
 
 def markdown(n_emitted: int, n_stored: int, n_threads: int | None = None) -> str:
     """Return the table: with so many photons emitted, and with about so many stored."""
     pixels = 600 if n_emitted > 1_000_000 else 60
-    columns = [
-        measured(n_emitted, n_threads, pixels),
-        measured(int(n_stored / inputs.STORED), n_threads, pixels),
-    ]
-    threads = n_threads or machine.machine()["cores"]
-    lines = [
-        f"| prism | SJ13, Table I | {n_emitted:,} emitted | about {n_stored:,} stored |",
-        "| --- | --- | --- | --- |",
-        *(_line(row, [PAPER, *columns]) for row in PAPER),
-    ]
-    note = (
-        "SJ13: 7 cores of a desktop of 2012. Photons are aimed at the prism, so more of those "
-        f"emitted are stored. Threads: {threads}. {machine.description()}."
+    columns = {
+        "SJ13, Table I": PAPER,
+        f"{n_emitted:,} emitted": measured(n_emitted, n_threads, pixels),
+        f"about {n_stored:,} stored": measured(int(n_stored / inputs.STORED), n_threads, pixels),
+    }
+    table = markdown_table(
+        ["prism", *columns],
+        ([row, *(_cell(row, column) for column in columns.values())] for row in PAPER),
     )
-    return "\n".join([*lines, "", note, ""])
+    return (
+        f"{table}\n\nSJ13: 7 cores of a desktop of 2012. Photons are aimed at the prism, so more "
+        f"of those emitted are stored. {_threads_and_machine(n_threads)}\n"
+    )
 
 
 def every_method(n_stored: int, n_passes: int, n_threads: int | None = None) -> str:
@@ -132,7 +150,7 @@ def every_method(n_stored: int, n_passes: int, n_threads: int | None = None) -> 
     passes, each of as many photons emitted.
     """
     pixels, n_emitted = 600 if n_stored > 100_000 else 60, int(n_stored / inputs.STORED)
-    # The first one timed should not pay for what is imported and allocated.
+    # Not timed: imports and first allocations.
     measured(10_000, n_threads, pixels, "standard")
     columns = {
         method: measured(n_emitted, n_threads, pixels, method)
@@ -140,23 +158,16 @@ def every_method(n_stored: int, n_passes: int, n_threads: int | None = None) -> 
         if method != "progressive"
     }
     columns["progressive"] = progressive(n_passes, n_emitted, n_threads, pixels)
-    head = f"| prism, in brackets SJ13 | {' | '.join(columns)} |"
-    rows = [
-        f"| {row} | "
-        + " | ".join(
-            f"{_cell(row, found)} ({_cell(row, PAPER_OF[method])})"
-            for method, found in columns.items()
-        )
-        + " |"
+    rows = (
+        [row, *(f"{_cell(row, columns[m])} ({_cell(row, PAPER_OF[m])})" for m in columns)]
         for row in PAPER
-    ]
-    threads = n_threads or machine.machine()["cores"]
-    note = f"Threads: {threads}. {machine.description()}."
-    return "\n".join([head, "| --- |" + len(columns) * " --- |", *rows, "", note, ""])
+    )
+    table = markdown_table(["prism, in brackets SJ13", *columns], rows)
+    return f"{table}\n\n{_threads_and_machine(n_threads)}\n"
 
 
-def _line(row: str, columns: list[dict[str, float]]) -> str:
-    return f"| {row} | {' | '.join(_cell(row, column) for column in columns)} |"
+def _threads_and_machine(n_threads: int | None) -> str:
+    return f"Threads: {n_threads or machine.machine()['cores']}. {machine.description()}."
 
 
 def _cell(row: str, column: dict[str, float]) -> str:
