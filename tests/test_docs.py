@@ -3,6 +3,7 @@
 import re
 import shlex
 from dataclasses import fields
+from operator import attrgetter
 from pathlib import Path
 
 import pytest
@@ -103,6 +104,12 @@ def test_files_it_names_exist(page):
     for name in re.findall(r"`([\w.-]+(?:/[\w.-]+)+/?)`", prose(page)):
         found = any((root / name).exists() for root in ROOTS)
         assert found or name.startswith(GENERATED), name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=NAMES)
+def test_public_names_it_uses_exist(page):
+    for name in re.findall(r"`pr\.([\w.]+)", prose(page)):
+        assert attrgetter(name)(pr), name
 
 
 def tables(page):
