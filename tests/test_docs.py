@@ -3,6 +3,7 @@
 import re
 import shlex
 from dataclasses import fields
+from operator import attrgetter
 from pathlib import Path
 
 import pytest
@@ -83,7 +84,7 @@ def test_commands_are_understood(line):
 
 @pytest.mark.parametrize("line", commands("python -m bench "))
 def test_benchmarks_are_understood(line):
-    assert bench.parsed(shlex.split(line)).command
+    assert bench.parsed(shlex.split(line))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=NAMES)
@@ -103,6 +104,12 @@ def test_files_it_names_exist(page):
     for name in re.findall(r"`([\w.-]+(?:/[\w.-]+)+/?)`", prose(page)):
         found = any((root / name).exists() for root in ROOTS)
         assert found or name.startswith(GENERATED), name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=NAMES)
+def test_public_names_it_uses_exist(page):
+    for name in re.findall(r"`pr\.([\w.]+)", prose(page)):
+        assert attrgetter(name)(pr), name
 
 
 def tables(page):
