@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .._ext.photons.normals import alike, distinct
+from .._ext.photons.normals import all_nearly_equal, group_normals
 from .._ext.spatial.blocks import copy_scaled_rows
 from .._util.validation import Floats, Rows
 from ..spatial.kdtree import KDTree
@@ -40,7 +40,7 @@ def _facing_label(normal: Floats) -> tuple[NDArray, NDArray]:
 
     Zero for every normal where there are too many to compare them all.
     """
-    faces, face = distinct(normal, MOST_FACES)
+    faces, face = group_normals(normal, MOST_FACES)
     if faces is None or len(faces) < 2:
         return np.zeros(len(normal), dtype=np.int8), np.zeros(1, dtype=np.int8)
     joined = facing(faces)
@@ -78,7 +78,7 @@ def photon_tree(
     if coords is not None and ranges is not None:
         columns.append(coords)
         scales.append(1.0)
-    if not alike(normal, None if isinstance(rows, slice) else rows):
+    if not all_nearly_equal(normal, None if isinstance(rows, slice) else rows):
         if ranges is None:
             ranges = np.broadcast_to(MAX_NORMAL_CHORD, len(position))
         columns.append(normal)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from .._ext.photons.normals import distinct, faced
+from .._ext.photons.normals import find_face_sets, group_normals
 from .._ext.spatial import morton
 from .._util import validation
 from .._util.progress import Reporter
@@ -41,7 +41,7 @@ class PhotonTrees:
         self._photons = photons
         self._n_threads = n_threads
         self._trees: dict[int, tuple[KDTree, Order]] = {}
-        self._faces, face = distinct(photons.normal, MOST_FACES)
+        self._faces, face = group_normals(photons.normal, MOST_FACES)
         self._members = np.empty((0, 0), dtype=bool)
         if self._faces is not None:
             self._members = np.unique(facing(self._faces), axis=0)
@@ -126,7 +126,7 @@ class PhotonTrees:
             return np.zeros(len(normals), dtype=np.int8)
         bits = np.uint64(1) << np.arange(len(self._faces), dtype=np.uint64)
         sets = (self._members * bits).sum(axis=1, dtype=np.uint64)
-        number = faced(normals, self._faces, sets, MAX_NORMAL_CHORD, self._n_threads)
+        number = find_face_sets(normals, self._faces, sets, MAX_NORMAL_CHORD, self._n_threads)
         if number.min(initial=0) < -1:
             validation.unit_vectors(normals, "normals", normals.shape)
         return number

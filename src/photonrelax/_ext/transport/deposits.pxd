@@ -4,7 +4,8 @@ from libc.stdint cimport int32_t, int64_t
 
 
 cdef struct Deposit:
-    # As the columns, but for `throughput`, which is relative to the flux of a photon.
+    # As the columns, but for `throughput`, which is relative to the flux of a photon. `path` counts
+    # from the first of the batch.
     double[3] position
     double[3] normal
     double[3] wi
@@ -15,15 +16,10 @@ cdef struct Deposit:
 
 
 cdef class Deposits:
-    cdef readonly Py_ssize_t n
-    cdef Py_ssize_t n_paths
-    cdef unsigned char[::1] memory
-    cdef Deposit* rows
+    cdef Py_ssize_t n
+    cdef Deposit[::1] rows
     cdef double[:, ::1] coords
     cdef double[::1] density
-    cdef int32_t[::1] place
 
-    cdef void clear(self, Py_ssize_t n_paths)
     cdef void reserve(self, Py_ssize_t n)
     cdef Deposit* add(self) noexcept nogil
-    cdef void order(self) noexcept nogil

@@ -5,10 +5,25 @@ from libc.stdint cimport int32_t, int64_t
 
 import numpy as np
 
+DEPOSIT = np.dtype(
+    [
+        ("position", np.float64, 3),
+        ("normal", np.float64, 3),
+        ("wi", np.float64, 3),
+        ("throughput", np.float64, 3),
+        ("path_length", np.float64),
+        ("path_signature", np.int64),
+        ("path", np.int32),
+        ("n_bounces", np.int32),
+        ("object_id", np.int32),
+    ],
+    align=True,
+)
+
 
 @cython.final
 cdef class Columns:
-    """The columns of a photon map, with room for photons to come."""
+    """The columns of a photon map, with rows for photons to come."""
 
     cdef double[:, ::1] position, normal, wi, flux, emitter_coords
     cdef double[::1] emitter_density, path_length
@@ -25,6 +40,29 @@ cdef class Columns:
         self.emitter_coords, self.emitter_density = emitter_coords, emitter_density
         self.emitter_id, self.path_signature = emitter_id, path_signature
         self.n_bounces, self.path_length, self.object_id = n_bounces, path_length, object_id
+
+    def write(
+        self, const Deposit[::1] deposits, const double[:, ::1] coords, const double[::1] density,
+        *, Py_ssize_t first, const double[::1] flux, int emitter_id,
+    ):
+        """Fill the rows from `first` with photons of `flux`; deposits of a path keep their order.
+
+        `coords` and `density` have a row for each path.
+        """
+        cdef Py_ssize_t i, n = deposits.shape[0]
+        cdef int32_t[::1] row = np.zeros(density.shape[0], np.int32)
+        cdef int32_t path
+        if self.position.shape[0] < first + n:
+            raise ValueError(f"columns should have {first + n} rows")
+        with nogil:
+            first_rows(row, deposits)
+            for i in range(n):
+                path = deposits[i].path
+                self.fill(
+                    first + row[path], &deposits[i], &coords[path, 0], density[path], &flux[0]
+                )
+                row[path] += 1
+            self.emitter_id[first : first + n] = emitter_id
 
     cdef void fill(
         self, Py_ssize_t row, const Deposit* deposit, const double* coords, double density,
@@ -45,69 +83,40 @@ cdef class Columns:
         self.object_id[row] = deposit.object_id
 
 
+cdef void first_rows(int32_t[::1] row, const Deposit[::1] deposits) noexcept nogil:
+    """Write the row of the first deposit of each path, in the order of the paths; from zeros."""
+    cdef Py_ssize_t i
+    cdef int32_t before = 0, own
+    for i in range(deposits.shape[0]):
+        row[deposits[i].path] += 1
+    for i in range(row.shape[0]):
+        own = row[i]
+        row[i] = before
+        before += own
+
+
 @cython.final
 cdef class Deposits:
-    """What up to `n_paths` paths store, and where each of them left its emitter."""
+    """Deposits of `n_paths` paths, and emitter coordinates and density of each path."""
 
     def __init__(self, Py_ssize_t n_paths):
-        self.coords = np.zeros((n_paths, 3))
+        self.coords = np.empty((n_paths, 3))
         self.density = np.empty(n_paths)
-        self.place = np.empty(n_paths, np.int32)
-        self.memory = np.empty(0, np.uint8)
-
-    def __len__(self):
-        return self.n
-
-    cdef void clear(self, Py_ssize_t n_paths):
-        """Make ready for paths that have stored nothing yet."""
-        self.n_paths, self.n = n_paths, 0
+        self.rows = np.empty(0, DEPOSIT)
 
     cdef void reserve(self, Py_ssize_t n):
-        """Have room for n deposits more."""
-        cdef Py_ssize_t size = (self.n + n) * sizeof(Deposit)
-        if size > self.memory.shape[0]:
-            larger = np.empty(max(size, 3 * self.memory.shape[0] // 2), np.uint8)
-            larger[: self.memory.shape[0]] = self.memory
-            self.memory = larger
-            self.rows = <Deposit*> &self.memory[0]
+        """Make room for n more deposits."""
+        cdef Deposit[::1] larger
+        if self.n + n > self.rows.shape[0]:
+            larger = np.empty(max(self.n + n, 3 * self.rows.shape[0] // 2), DEPOSIT)
+            larger[: self.n] = self.rows[: self.n]
+            self.rows = larger
 
     cdef Deposit* add(self) noexcept nogil:
         """Return a row to be filled."""
         self.n += 1
         return &self.rows[self.n - 1]
 
-    cdef void order(self) noexcept nogil:
-        """Count which place in the order of the paths the first deposit of each path has."""
-        cdef Py_ssize_t i
-        cdef int32_t before = 0, here
-        self.place[: self.n_paths] = 0
-        for i in range(self.n):
-            self.place[self.rows[i].path] += 1
-        for i in range(self.n_paths):
-            here = self.place[i]
-            self.place[i] = before
-            before += here
-
-    def ends(self):
-        """Return, for each path, the number of photons up to its last; after `write`."""
-        return np.array(self.place[: self.n_paths])
-
-    def write(self, Columns columns, Py_ssize_t first, const double[::1] flux, int emitter_id):
-        """Fill the rows from `first` with photons of `flux`; deposits of a path keep their order.
-
-        May be called once.
-        """
-        cdef Py_ssize_t i
-        cdef int32_t path
-        if columns.position.shape[0] < first + self.n:
-            raise ValueError(f"columns should have {first + self.n} rows")
-        with nogil:
-            self.order()
-            for i in range(self.n):
-                path = self.rows[i].path
-                columns.fill(
-                    first + self.place[path], &self.rows[i], &self.coords[path, 0],
-                    self.density[path], &flux[0],
-                )
-                self.place[path] += 1
-            columns.emitter_id[first : first + self.n] = emitter_id
+    def arrays(self):
+        """Return deposits (n,) as `DEPOSIT`, coordinates (n_paths, 3) and densities (n_paths,)."""
+        return self.rows.base[: self.n], self.coords.base, self.density.base

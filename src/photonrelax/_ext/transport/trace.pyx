@@ -123,7 +123,7 @@ cdef class Paths:
     cdef Ray* ray
     cdef object origin_array, direction_array
     cdef float[:, ::1] origins, directions
-    cdef readonly Deposits deposits
+    cdef Deposits deposits
     cdef double[:, :, ::1] ledger
     cdef int64_t[::1] ends
     cdef double[3] luminance
@@ -142,7 +142,7 @@ cdef class Paths:
         self.ray = <Ray*> &self.memory[0]
         self.origins = self.origin_array = np.empty((size, 3), np.float32)
         self.directions = self.direction_array = np.empty((size, 3), np.float32)
-        self.deposits = Deposits(size)
+        self.deposits = Deposits(0)
         self.path_filter, self.max_bounces = path_filter, max_bounces
 
     @property
@@ -160,7 +160,7 @@ cdef class Paths:
             raise ValueError(f"photons should be at most {self.size}, but are {n}")
         self.ledger, self.ends = ledger, ends
         self.n_met_specular = 0
-        self.deposits.clear(n)
+        self.deposits = Deposits(n)
         for c in range(3):
             self.luminance[c] = luminance[c]
         self.finite = True
@@ -169,6 +169,12 @@ cdef class Paths:
                 self.emit(emission, i, photons[i])
         self.n_live = n
         self.check_finite()
+
+    def take_deposits(self):
+        """Arrays of the deposits of a finished batch, as of `Deposits.arrays`."""
+        arrays = self.deposits.arrays()
+        self.deposits = Deposits(0)
+        return arrays
 
     def live_rays(self):
         """Path, origin and direction of the live rays, (n_live, 7)."""

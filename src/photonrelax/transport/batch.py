@@ -1,0 +1,183 @@
+"""Batches of traced paths: a function of scene, plan and indices that returns plain arrays.
+
+A batch can be traced in any thread or process: `TraceContext` is pickled by what it is made of.
+"""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import dataclass
+from uuid import uuid4
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._ext.transport import trace as _kernel
+from .._ext.transport.materials import Materials
+from .._util.validation import Floats
+from ..photons.energy_ledger import PATH_OUTCOMES
+from ..scene.scene import Scene
+from .emission import LUMINANCE, PATHS, EmissionPlan, emission
+from .raycast import RayCaster
+
+Job = tuple[int, range]
+"""An emitter and the indices of some of its photons."""
+
+
+@dataclass(frozen=True)
+class TraceSettings:
+    """The settings of `trace_photons` that its photons depend on."""
+
+    seed: int
+    paths: str
+    sampler: str
+    max_bounces: int
+    frequency_share: float
+
+
+@dataclass(frozen=True, eq=False)
+class BatchLedger:
+    """Outcomes of some paths of one emitter.
+
+    `energy` (blocks, outcomes, 3) is relative to the flux of a photon; `ends` (outcomes,) and
+    `n_met_specular` count paths.
+    """
+
+    emitter_id: int
+    n_paths: int
+    energy: Floats
+    ends: NDArray[np.int64]
+    n_met_specular: int
+
+
+@dataclass(frozen=True, eq=False)
+class TracedBatch:
+    """Photons deposited by some paths of one emitter.
+
+    Attributes
+    ----------
+    deposits : (n,) structured
+        In the order of events; `photonrelax._ext.transport.deposits.DEPOSIT`.
+    emitter_coords, emitter_density : (n_paths, 3), (n_paths,) float64
+        Of the paths, by `path` of the deposits.
+    ledger : BatchLedger
+        Outcomes of the paths.
+    spectrum_photons : (m,) int64
+        Indices of the photons that are to get spectra.
+    spectrum_rows : (m,) intp
+        Their rows among the deposits in the order of the paths.
+    """
+
+    deposits: NDArray[np.void]
+    emitter_coords: Floats
+    emitter_density: Floats
+    ledger: BatchLedger
+    spectrum_photons: NDArray[np.int64]
+    spectrum_rows: NDArray[np.intp]
+
+
+class TraceContext:
+    """A scene prepared for tracing batches of up to `size` paths, from several threads at once.
+
+    What a process unpickles is prepared once for all jobs of one context, and kept until there is
+    another one.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        plan: EmissionPlan,
+        settings: TraceSettings,
+        size: int,
+        *,
+        caster: RayCaster | None = None,
+    ) -> None:
+        self._materials = Materials(scene.material_table())
+        if not self._materials.diffuse.any():
+            raise ValueError(
+                "scene should have a Diffuse object to store photons on, "
+                f"but none of its {len(scene.objects)} objects is"
+            )
+        self.scene, self.plan, self.settings, self.size = scene, plan, settings, size
+        self.caster = caster or RayCaster(scene.objects)
+        self.flux = plan.flux_per_photon
+        self.emissions = [
+            emission(plan, e, seed=settings.seed, sampler=settings.sampler)
+            for e in range(len(plan.regions))
+        ]
+        self._free_list: list[_kernel.Paths] = []
+        self._pickled: tuple[str, bytes] | None = None
+
+    def acquire_paths(self) -> _kernel.Paths:
+        """Return paths that were released, for memory just used is in the cache, or new ones."""
+        try:
+            return self._free_list.pop()
+        except IndexError:
+            return _kernel.Paths(
+                self._materials,
+                self.caster.frame,
+                self.caster.triangles,
+                self.size,
+                path_filter=PATHS.index(self.settings.paths),
+                max_bounces=self.settings.max_bounces,
+            )
+
+    def release_paths(self, paths: _kernel.Paths) -> None:
+        """Take paths back that have ended."""
+        self._free_list.append(paths)
+
+    def __reduce__(self) -> tuple:
+        if self._pickled is None:
+            parts = (self.scene, self.plan, self.settings, self.size)
+            self._pickled = uuid4().hex, pickle.dumps(parts)
+        return _unpickled_context, self._pickled
+
+
+_latest_context: tuple[str, TraceContext] | None = None
+
+
+def _unpickled_context(key: str, parts: bytes) -> TraceContext:
+    """Return the context of a key: the latest of this process, or a new one made of its parts."""
+    global _latest_context
+    latest = _latest_context
+    if latest is None or latest[0] != key:
+        latest = _latest_context = key, TraceContext(*pickle.loads(parts))
+    return latest[1]
+
+
+def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
+    """Trace some photons of one emitter to the ends of their paths."""
+    emitter_id, photons = job
+    n = len(photons)
+    energy = np.zeros((-(-n // _kernel.LEDGER_BLOCK), len(PATH_OUTCOMES), 3))
+    ends = np.zeros(len(PATH_OUTCOMES), dtype=np.int64)
+    paths = context.acquire_paths()
+    paths.start(
+        context.emissions[emitter_id],
+        np.arange(photons.start, photons.stop, dtype=np.int64),
+        luminance=LUMINANCE * context.flux[emitter_id],
+        ledger=energy,
+        ends=ends,
+    )
+    while paths.n_live:
+        paths.advance(context.caster.find(*paths.rays))
+    deposits, coords, density = paths.take_deposits()
+    ledger = BatchLedger(emitter_id, n, energy, ends, paths.n_met_specular)
+    context.release_paths(paths)
+    path, rows = _spectrum_rows(context, job, deposits)
+    return TracedBatch(deposits, coords, density, ledger, photons.start + path, rows)
+
+
+def _spectrum_rows(
+    context: TraceContext, job: Job, deposits: NDArray[np.void]
+) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    """Return the paths of a batch whose first deposits are to get spectra, and their rows."""
+    emitter_id, photons = job
+    share = context.settings.frequency_share
+    if share == 0.0:
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.intp)
+    selected = np.empty(len(photons), dtype=np.uint8)
+    context.emissions[emitter_id].spectrum_photons(photons.start, selected, share)
+    n_deposits = np.bincount(deposits["path"], minlength=len(photons))
+    path = np.flatnonzero((selected > 0) & (n_deposits > 0))
+    return path, (np.cumsum(n_deposits) - n_deposits)[path]
