@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import photonrelax as pr
-from photonrelax.photons.neighbourhoods import MOST_FACES
+from photonrelax.photons.neighbourhoods import MAX_FACES
 from photonrelax.relaxation.gradient import gradient_constraint
 from tests.helpers.photon_maps import flat_map, plane, uniform_map, unit_square
 
@@ -126,7 +126,7 @@ def test_photons_on_the_two_sides_of_a_curved_sheet_are_no_neighbours():
             for field in ("position", "normal", "flux")
         }
     )
-    assert len(np.unique(one.normal, axis=0)) > MOST_FACES
+    assert len(np.unique(one.normal, axis=0)) > MAX_FACES
     alone = [found_gradient(side)[0] for side in (one, other)]
     np.testing.assert_allclose(found_gradient(both)[0], np.concatenate(alone), atol=1e-12)
 

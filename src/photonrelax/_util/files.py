@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Atomic writing of files, and locks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
-# What numpy and zipfile raise for archives that are broken or encrypted.
+# Raised by numpy and zipfile for archives that are broken or encrypted.
 NOT_READABLE = (
     *(ValueError, TypeError, EOFError, RuntimeError),
     *(NotImplementedError, zipfile.BadZipFile, zlib.error),
@@ -24,7 +24,7 @@ NOT_READABLE = (
 
 @contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a path beside `path` to write to; it becomes `path` if nothing is raised.
+    """Yield a temporary path beside `path`, which is renamed to `path` unless an error is raised.
 
     Raises
     ------
@@ -43,18 +43,18 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def file_lock(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Keep other processes that ask for it away from `path`, which need not exist.
+    """Hold the lock of `path`, which need not exist.
 
-    A file beside it is locked, which ends with the process whatever ends that.
+    A file beside it is locked; the system releases the lock when the process ends.
 
     Raises
     ------
     BlockingIOError
-        If another has it.
+        If another process holds it.
     """
     path = Path(path)
-    lock = path.with_name(f"{_partials(path)}.lock")
-    held = _locked(lock)
+    lock = path.with_name(f"{_partial_prefix(path)}.lock")
+    held = _acquire(lock)
     if held is None:
         raise BlockingIOError(f"{path} is in use by another run")
     try:
@@ -64,13 +64,13 @@ def file_lock(path: str | os.PathLike[str]) -> Iterator[None]:
         os.close(held)
 
 
-def _locked(lock: Path) -> int | None:
-    """Return the open file that was locked, None if another process has it."""
+def _acquire(lock: Path) -> int | None:
+    """Return the open file that was locked, None if another process holds it."""
     while True:
         held = os.open(lock, os.O_RDWR | os.O_CREAT)
         try:
             fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # Who had it before may have removed it in between.
+            # The process that held it may have removed the file in between.
             if os.path.samestat(os.fstat(held), os.stat(lock)):
                 return held
         except BlockingIOError:
@@ -82,14 +82,14 @@ def _locked(lock: Path) -> int | None:
 
 
 def remove_leftovers(path: Path) -> None:
-    """Remove what `whole_file` could not, where a process was killed that wrote `path`."""
-    pattern = f"{glob.escape(_partials(path))}.{'[0-9a-f]' * 32}.part"
+    """Remove temporary files of `whole_file` left by processes that were killed."""
+    pattern = f"{glob.escape(_partial_prefix(path))}.{'[0-9a-f]' * 32}.part"
     for partial in path.parent.glob(pattern):
         partial.unlink(missing_ok=True)
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
-    """Raise what `whole_file` would, by creating and removing a file beside `path`.
+    """Raise the errors of `whole_file`, by creating and removing a file beside `path`.
 
     Raises
     ------
@@ -114,9 +114,9 @@ def check_writable(path: str | os.PathLike[str]) -> None:
 
 
 def output_path(path: Path, suffix: str | None = None) -> Path:
-    """Return a path that can be written to; better to find out before the work than after.
+    """Return a path, checked to be writable before the work whose result it is for.
 
-    What was left half written of it, by a process that was killed, is removed.
+    Temporary files left by processes that were killed are removed.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def output_path(path: Path, suffix: str | None = None) -> Path:
 
 
 def check_distinct(paths: Mapping[str, Path | None]) -> None:
-    """Raise ValueError if one file would overwrite another."""
+    """Raise ValueError if two names stand for one file."""
     names: dict[str, str] = {}
     for name, path in paths.items():
         if path is not None:
@@ -143,7 +143,7 @@ def check_distinct(paths: Mapping[str, Path | None]) -> None:
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON, indented."""
+    """Write indented JSON."""
     path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
@@ -153,11 +153,11 @@ def _check_folder(path: Path) -> None:
 
 
 def _partial(path: Path) -> Path:
-    return path.with_name(f"{_partials(path)}.{uuid.uuid4().hex}.part")
+    return path.with_name(f"{_partial_prefix(path)}.{uuid.uuid4().hex}.part")
 
 
-def _partials(path: Path) -> str:
-    """Return how the names of files begin that become `path`, and of no others."""
+def _partial_prefix(path: Path) -> str:
+    """Return the prefix of the names of `path`'s temporary files, and of no others."""
     # The whole name could become longer than file systems allow.
     digest = blake2b(os.fsencode(path.name), digest_size=8).hexdigest()
     return f".{path.name[:40]}.{digest}"

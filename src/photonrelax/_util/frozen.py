@@ -14,7 +14,7 @@ def set_field(instance: object, name: str, value: object) -> None:
 
 
 def frozen(array: NDArray) -> NDArray:
-    """Read-only array that nobody else can write to; copied only if somebody could."""
+    """Read-only array with no writable owner; copied only if it has one."""
     owner = array if array.base is None else array.base
     if not isinstance(owner, np.ndarray) or owner.flags.writeable:
         array = array.copy()

@@ -1,4 +1,4 @@
-"""NumPy archives, written whole and checked when read."""
+"""NumPy archives: atomic writing, and checks of their arrays."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ _KIND_NAMES = {"iu": "integer", "b": "truth value", "U": "text"}
 
 
 def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Write an archive, whole or not at all."""
+    """Write an archive atomically."""
     with whole_file(path) as partial, partial.open("wb") as file:
         np.savez(file, **arrays)
 
 
 def read_npz(path: Path) -> dict[str, NDArray]:
-    """All arrays of an archive; raises one of `files.NOT_READABLE` if it is none."""
+    """Return all arrays of an archive; raises one of `files.NOT_READABLE` if it is none."""
     with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-        # Members of the archive that are not arrays come as bytes.
+        # Members that are not arrays are read as bytes.
         return {name: np.asarray(file[name]) for name in file.files}
 
 
@@ -35,7 +35,7 @@ def check_names(arrays: Mapping[str, NDArray], names: Sequence[str]) -> None:
 
 
 def scalar(arrays: Mapping[str, NDArray], name: str, kinds: str) -> Any:
-    """The value of an array of one element, None if there is no such array.
+    """Return the value of a 0-d array, None if there is no such array.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How long loops report progress, and give Ctrl-C a chance, without slowing the kernels."""
+"""Progress reports of long loops, in chunks between which Ctrl-C is served."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ CHUNK = 65536
 
 
 class Reporter:
-    """Count finished work of one stage and tell whoever listens."""
+    """Counts finished work of one stage and reports it."""
 
     def __init__(self, progress: Progress | None, stage: str, total: int) -> None:
         self._progress = progress
@@ -27,7 +27,7 @@ class Reporter:
             self._progress(self._stage, self._done, self._total)
 
     def chunks(self, n: int) -> Iterator[tuple[int, int]]:
-        """Yield (first, end) of consecutive chunks of n rows, counting each when it is done."""
+        """Yield (first, end) of consecutive chunks of n rows, and count each when it is done."""
         for first in range(0, n, CHUNK):
             end = min(first + CHUNK, n)
             yield first, end
@@ -35,7 +35,7 @@ class Reporter:
 
 
 def prefixed(progress: Progress | None, prefix: str) -> Progress | None:
-    """Return what reports the stages of a part of the work by ``prefix: stage``."""
+    """Return a callback that reports stages as ``prefix: stage``."""
     if progress is None:
         return None
     return lambda stage, done, total: progress(f"{prefix}: {stage}", done, total)

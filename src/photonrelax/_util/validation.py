@@ -1,6 +1,6 @@
-"""The one door to the kernels: dtype, shape, contiguity, finiteness, thread count.
+"""Validation of arguments: dtype, shape, contiguity, finiteness and range.
 
-Kernels trust what they are given, so every array a user passes comes through here first.
+Kernels do not check their arguments, so every array from a user is validated here first.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._ext.common import unit_vectors as _unit_vectors
 
-# Radii beyond have squares, and what is divided by these, outside of the range of floats.
+# Squares of radii in this range, and their inverses, are within the range of floats.
 RADII = (1e-150, 1e150)
 
-# Numbers looked at together where an array is only checked.
-_PART = 32768
+# Numbers checked together: few enough for the cache.
+_CHUNK = 32768
+_SEED_BITS = 64
 
 Floats = NDArray[np.float64]
 Rows = slice | NDArray[np.intp]
@@ -33,13 +34,13 @@ def float_array(
     Parameters
     ----------
     value : array_like
-        What the caller gave; copied only if its type or layout differ.
+        The argument; copied only if its dtype or layout differ.
     name : str
         The argument's name, for messages.
     shape : sequence of int or None, optional
         Required shape, None for an axis of any length; None for any shape at all.
     finite : bool
-        Refuse NaN and infinities.
+        Reject NaN and infinities.
 
     Raises
     ------
@@ -123,10 +124,10 @@ def unit_vectors(value: ArrayLike, name: str, shape: Shape, n_threads: int = 1) 
 
 
 def are_unit(vectors: Floats) -> bool:
-    """Return whether the rows of an (n, 3) array are unit vectors, to some roundings."""
+    """Return whether the rows of an (n, 3) array are unit vectors but for rounding."""
     tolerance = 4.0 * np.finfo(np.float64).eps
-    for first in range(0, len(vectors), _PART):
-        x, y, z = vectors[first : first + _PART].T
+    for first in range(0, len(vectors), _CHUNK):
+        x, y, z = vectors[first : first + _CHUNK].T
         with np.errstate(over="ignore"):
             length = np.sqrt(x * x + y * y + z * z)
         if (np.abs(length - 1.0) > tolerance).any():
@@ -149,21 +150,21 @@ def positive(value: float, name: str, *, allow_inf: bool = False) -> float:
 
 
 def in_units(array: Floats) -> tuple[Floats, float]:
-    """Return numbers over a unit near the largest of them, and the unit.
+    """Return numbers divided by a unit near the largest of them, and the unit.
 
-    It is a power of two, so that nothing is rounded; squares of what is returned stay finite.
+    The unit is a power of two, so that the division is exact; squares of the quotients are finite.
     """
     unit = power_of_two(float(np.abs(array).max(initial=0.0)) or 1.0)
     return array / unit, unit
 
 
 def power_of_two(number: float) -> float:
-    """Return the power of two next below a positive number."""
+    """Return the largest power of two not above a positive number."""
     return math.ldexp(0.5, math.frexp(number)[1])
 
 
 def radius(value: float, name: str, *, allow_inf: bool = False) -> float:
-    """Return a radius, m, whose square is within the range of floats.
+    """Return a radius, m, with a square within the range of floats.
 
     Raises
     ------
@@ -197,24 +198,6 @@ def count(value: int, name: str, *, low: int = 1, high: float = np.inf) -> int:
     return number
 
 
-def _all_finite(array: Floats) -> bool:
-    """Check a cacheful at a time: a mask of the whole would take memory and time."""
-    flat = array.reshape(-1)
-    return all(np.isfinite(flat[i : i + _PART]).all() for i in range(0, len(flat), _PART))
-
-
-def _check_shape(actual: tuple[int, ...], name: str, wanted: Shape) -> None:
-    matches = len(actual) == len(wanted) and all(
-        w is None or w == a for a, w in zip(actual, wanted, strict=True)
-    )
-    if not matches:
-        letters = ", ".join("n" if w is None else str(w) for w in wanted)
-        raise ValueError(f"{name} should have shape ({letters}), but has {actual}")
-
-
-_SEED_BITS = 64
-
-
 def check_seed(seed: int) -> int:
     """Return `seed` as an int in [0, 2^64).
 
@@ -233,3 +216,18 @@ def check_choice(value: str, name: str, choices: Iterable[str]) -> None:
     """Raise ValueError unless `value` is one of the choices."""
     if value not in choices:
         raise ValueError(f"{name} should be one of {', '.join(choices)}, but is {value!r}")
+
+
+def _all_finite(array: Floats) -> bool:
+    """Return whether all values are finite, without a mask of the whole array."""
+    flat = array.reshape(-1)
+    return all(np.isfinite(flat[i : i + _CHUNK]).all() for i in range(0, len(flat), _CHUNK))
+
+
+def _check_shape(actual: tuple[int, ...], name: str, required: Shape) -> None:
+    matches = len(actual) == len(required) and all(
+        n is None or n == m for m, n in zip(actual, required, strict=True)
+    )
+    if not matches:
+        letters = ", ".join("n" if n is None else str(n) for n in required)
+        raise ValueError(f"{name} should have shape ({letters}), but has {actual}")

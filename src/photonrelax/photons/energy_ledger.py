@@ -1,4 +1,4 @@
-"""The balance of emitted flux."""
+"""Balance of the emitted flux by outcome of the paths."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from .._util.frozen import Ints, frozen, set_field
 from .._util.npz import check_names
 from .._util.validation import Floats, float_array, int_array
 
-# What can become of emitted flux; with "emitted" before them, the rows of an EnergyLedger.
+# Outcomes of paths, and of the flux they carry: fields of EnergyLedger, in the kernel's order.
 PATH_OUTCOMES = ("stored", "absorbed", "escaped", "cut", "discarded")
 
 
 @dataclass(frozen=True, eq=False)
 class EnergyLedger:
-    """What became of the flux each emitter sent out; emitted is the sum of the others.
+    """Flux emitted by each emitter, divided by outcome; emitted is the sum of the others.
 
     Attributes
     ----------
@@ -27,17 +27,17 @@ class EnergyLedger:
         Flux of all paths started, W.
     stored : (n_emitters, 3) float64
         Flux that stayed where a photon was stored: all of it where the path ends there, otherwise
-        what came in less what travels on (a path that wins at roulette may take more than came).
+        incident flux less scattered (which may be more, for paths that survive roulette).
     absorbed : (n_emitters, 3) float64
         Flux lost to mirrors and to absorbing media.
     escaped : (n_emitters, 3) float64
         Flux that left the scene.
     cut : (n_emitters, 3) float64
-        Flux still under way after `max_bounces` events.
+        Flux of paths that were cut after `max_bounces` events.
     discarded : (n_emitters, 3) float64
-        Flux that stayed on a diffuse surface as light of a kind that was not asked for.
+        Flux that stayed on a diffuse surface as light of a kind that is not stored.
     ends : mapping of str to (n_emitters,) int64
-        For each of stored, absorbed, escaped, cut, discarded: how many paths ended so.
+        Number of paths that ended as stored, absorbed, escaped, cut and discarded.
     """
 
     emitted: Floats
@@ -69,17 +69,19 @@ class EnergyLedger:
         return float((np.abs(self.emitted - accounted) / scale).max(initial=0.0))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain lists and numbers, for JSON."""
+        """Return lists and numbers, for JSON."""
         flux = {name: getattr(self, name).tolist() for name in ("emitted", *PATH_OUTCOMES)}
         return {**flux, "ends": {name: self.ends[name].tolist() for name in PATH_OUTCOMES}}
 
 
 def ledger_arrays(ledger: EnergyLedger) -> dict[str, NDArray]:
+    """Return the arrays of a ledger in a photon map's file."""
     flux = {f"ledger_{name}": getattr(ledger, name) for name in ("emitted", *PATH_OUTCOMES)}
     return flux | {f"ledger_ends_{name}": ledger.ends[name] for name in PATH_OUTCOMES}
 
 
 def ledger_from(arrays: Mapping[str, NDArray]) -> EnergyLedger:
+    """Return the ledger in a photon map's file; raises ValueError if an array is missing."""
     columns = [f"ledger_{name}" for name in PATH_OUTCOMES] + [
         f"ledger_ends_{name}" for name in PATH_OUTCOMES
     ]

@@ -1,4 +1,4 @@
-"""Photons that may be neighbours, by emitter and by the faces they lie on, and their trees."""
+"""Groups of photons that may be neighbours, and the k-d tree of a group."""
 
 from __future__ import annotations
 
@@ -15,46 +15,47 @@ from .photon_map import PhotonMap
 # chord between unit normals, and as the cosine of the angle.
 MAX_NORMAL_CHORD = 1.0
 MIN_NORMAL_COSINE = 1.0 - 0.5 * MAX_NORMAL_CHORD**2
-# With more distinct normals than this a surface counts as curved.
-MOST_FACES = 64
+# A surface with more distinct normals than this counts as curved.
+MAX_FACES = 64
 
 
 def neighbour_groups(photons: PhotonMap) -> list[Rows]:
-    """Return rows of photons that may be neighbours: of one emitter, on faces that face alike.
+    """Return the rows of each group: photons of one emitter, on faces of similar normals.
 
-    Only surfaces of few planes are told apart by their faces here; `photon_tree` does it for
-    the others.
+    Only surfaces of few planes are separated by their normals here; range axes of `photon_tree`
+    separate the others.
     """
-    label, present = _facing_label(photons.normal)
+    label, present = _face_labels(photons.normal)
     emitter = photons.emitter_id
     if emitter is not None and (emitter != emitter[:1]).any():
-        label = label + MOST_FACES * emitter.astype(np.intp)
+        label = label + MAX_FACES * emitter.astype(np.intp)
         present = np.unique(label)
     if len(present) < 2:
         return [slice(None)]
     return [np.flatnonzero(label == one) for one in present]
 
 
-def _facing_label(normal: Floats) -> tuple[NDArray, NDArray]:
-    """Return the same number for normals (n, 3) joined by steps of up to MAX_NORMAL_CHORD, and all.
+def _face_labels(normal: Floats) -> tuple[NDArray, NDArray]:
+    """Return a label for each of the normals (n, 3), and all labels.
 
-    Zero for every normal where there are too many to compare them all.
+    Normals connected by steps of up to MAX_NORMAL_CHORD have one label; all have the same where
+    they are too many to compare.
     """
-    faces, face = group_normals(normal, MOST_FACES)
+    faces, face = group_normals(normal, MAX_FACES)
     if faces is None or len(faces) < 2:
         return np.zeros(len(normal), dtype=np.int8), np.zeros(1, dtype=np.int8)
-    joined = facing(faces)
-    # Each time the steps are twice as many.
+    connected = within_chord(faces)
+    # Squaring the matrix doubles the number of steps.
     for _ in range(len(faces).bit_length()):
-        joined = joined @ joined
-    label = joined.argmax(axis=1).astype(np.int8)
+        connected = connected @ connected
+    label = connected.argmax(axis=1).astype(np.int8)
     return label[face], np.unique(label)
 
 
-def facing(faces: Floats) -> NDArray[np.bool_]:
-    """Tell which of few normals (f, 3) are within MAX_NORMAL_CHORD of which, (f, f)."""
+def within_chord(faces: Floats) -> NDArray[np.bool_]:
+    """Return whether normals (f, 3) are within MAX_NORMAL_CHORD of each other, (f, f)."""
     chord = faces[:, np.newaxis] - faces
-    # Squared, as searches compare them.
+    # Squared, as the searches of trees compare them.
     return np.square(chord).sum(axis=2) <= MAX_NORMAL_CHORD**2
 
 
@@ -67,12 +68,11 @@ def photon_tree(
     rows: Rows = slice(None),
     n_threads: int,
 ) -> tuple[KDTree, Floats | None]:
-    """Return the tree some photons are searched in, and the radius of every photon's range.
+    """Return the tree of some photons, and the radius of every photon's range.
 
     Range axes are the emitter coordinates, if given with their ranges, and the normals, unless
-    all are the same but for roundings: photons on the other side of a plate or round a corner are
-    no neighbours.
-    Normals are scaled so that MAX_NORMAL_CHORD between two of them uses up the largest range.
+    all are equal but for rounding: photons on the other side of a plate or round a corner are
+    not neighbours. Normals are scaled so that MAX_NORMAL_CHORD becomes the largest range.
     """
     columns, scales = [position], [1.0]
     if coords is not None and ranges is not None:
@@ -88,25 +88,25 @@ def photon_tree(
 
 
 def normal_range(tree: KDTree) -> float:
-    """Return the radius of the ball over the normals of a tree, -1 if it has no axes for them."""
+    """Return the largest chord between the normals of neighbours, -1 for a tree without normals."""
     return MAX_NORMAL_CHORD if tree.n_axes > tree.n_metric else -1.0
 
 
 def hstack_rows(columns: list[Floats], scales: list[float], rows: Rows, n_threads: int) -> Floats:
-    """Return rows of arrays, each multiplied by its scale, as one array."""
-    chosen = None if isinstance(rows, slice) else rows
-    if chosen is None and len(columns) == 1:
+    """Return rows of arrays, each multiplied by its scale, side by side in one array."""
+    selected = None if isinstance(rows, slice) else rows
+    if selected is None and len(columns) == 1:
         return columns[0]
-    n = len(columns[0]) if chosen is None else len(chosen)
+    n = len(columns[0]) if selected is None else len(selected)
     points = np.empty((n, sum(column.shape[1] for column in columns)))
     first = 0
     for column, scale in zip(columns, scales, strict=True):
-        copy_scaled_rows(points, first, column, chosen, scale, n_threads)
+        copy_scaled_rows(points, first, column, selected, scale, n_threads)
         first += column.shape[1]
     return points
 
 
 def leaf_rows(tree: KDTree, rows: Rows) -> NDArray[np.intp]:
-    """Return the row of the photon at each place of a tree of photons chosen by `rows`."""
+    """Return the rows of photons in tree order, of a tree of the photons in `rows`."""
     order = np.asarray(tree.kernel.ids)
     return order if isinstance(rows, slice) else rows[order]

@@ -1,4 +1,4 @@
-"""PhotonMap: the frozen arrays every stage after tracing takes and returns.
+"""Photon maps: frozen arrays that every stage after tracing takes and returns.
 
 A map may come from any renderer: only position, normal and flux are required.
 """
@@ -29,21 +29,21 @@ class PhotonMap:
     Parameters
     ----------
     position : (n, 3) array_like
-        Where the photon landed, m.
+        On the surface the photon is stored on, m.
     normal : (n, 3) array_like
         Geometric normal of the surface on the side the light came from; stored as unit vectors.
     flux : (n, 3) or (n,) array_like
         W, already divided by the number of photons emitted; one column stands for grey.
     wi : (n, 3) array_like, optional
-        From the surface toward where the light came from; stored as unit vectors.
+        Incident direction, from the surface towards the light; stored as unit vectors.
     emitter_coords : (n, 2) or (n, 3) array_like, optional
-        Where the photon left its emitter: m on the emitter plane, or a unit vector (SJ13 §4.1).
+        Emitter coordinates: m on the emitter plane, or a unit vector (SJ13 §4.1).
     emitter_density : (n,) array_like, optional
         Photons emitted per unit of emitter area (m² or sr) around those coordinates.
     emitter_id, object_id : (n,) array_like of int, optional
         Index of the emitter in the scene, and of the object the photon lies on.
     path_signature : (n,) array_like of int, optional
-        One number for the surfaces and events of the path.
+        Hash of the surfaces and events of the path.
     n_bounces : (n,) array_like of int, optional
         Specular events before the deposit.
     path_length : (n,) array_like, optional
@@ -56,9 +56,9 @@ class PhotonMap:
     well_spaced : bool
         Photons are evenly spaced within each sheet of rays (Halton or relaxed), not independent.
     ledger : EnergyLedger, optional
-        What became of the emitted flux.
+        Balance of the emitted flux.
     seed, sampler, paths : int, str, str, optional
-        How the map was traced; see `trace_photons`.
+        Arguments of `trace_photons`.
 
     Raises
     ------
@@ -147,17 +147,13 @@ class PhotonMap:
         return replace(self, **changes)
 
     def subset(self, index: ArrayLike | slice) -> PhotonMap:
-        """Return the photons chosen by a mask, an array of indices or a slice.
+        """Return the photons selected by a mask, an array of indices or a slice.
 
         The flux of each photon, `n_emitted` and the ledger stay as they are.
         """
-        chosen = index if isinstance(index, slice) else np.asarray(index)
-        if isinstance(chosen, np.ndarray) and chosen.size == 0 and chosen.dtype != bool:
-            chosen = chosen.astype(np.intp)
-        if isinstance(chosen, np.ndarray) and chosen.dtype == bool and chosen.shape != (len(self),):
-            raise ValueError(f"index should be a mask of {len(self)}, but has shape {chosen.shape}")
+        selected = index if isinstance(index, slice) else _row_index(index, len(self))
         rows = {
-            name: getattr(self, name)[chosen]
+            name: getattr(self, name)[selected]
             for name in _ARRAY_FIELDS
             if getattr(self, name) is not None
         }
@@ -219,9 +215,19 @@ class NothingStoredError(ValueError):
         self.photons = photons
 
 
+def _row_index(index: ArrayLike, n: int) -> NDArray:
+    """Return a mask or indices of n rows as an array; an empty list has no dtype of its own."""
+    array = np.asarray(index)
+    if array.dtype == bool:
+        if array.shape != (n,):
+            raise ValueError(f"index should be a mask of {n}, but has shape {array.shape}")
+        return array
+    return array if array.size else array.astype(np.intp)
+
+
 def _directions(value: ArrayLike, name: str, n: int) -> Floats:
     array = float_array(value, name, (n, 3))
-    # Leaving unit vectors untouched keeps saving, loading and replacing bit-exact.
+    # Unit vectors are left as they are: saving, loading and replacing are exact to the bit.
     if not are_unit(array):
         array = unit_vectors(array, name, (n, 3))
     return frozen(array)

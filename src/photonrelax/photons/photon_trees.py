@@ -1,4 +1,4 @@
-"""Trees of the photons that points gather from: those on faces turned by no more than 60°."""
+"""One k-d tree for each set of face orientations that points gather photons from."""
 
 from __future__ import annotations
 
@@ -13,70 +13,70 @@ from .._util import validation
 from .._util.progress import Reporter
 from .._util.validation import Floats, Rows
 from ..spatial.kdtree import KDTree
-from .neighbourhoods import MAX_NORMAL_CHORD, MOST_FACES, facing, hstack_rows, leaf_rows
+from .neighbourhoods import MAX_FACES, MAX_NORMAL_CHORD, hstack_rows, leaf_rows, within_chord
 from .photon_map import PhotonMap
 
 Order = NDArray[np.intp]
 
-# Trees without axes for normals are made as long as photons are in no more of them, on average.
-_MOST_COPIES = 3
+# Trees of face sets are built only while a photon is in no more of them, on average.
+_MAX_COPIES = 3
 
 
 def morton_order(points: Floats, n_threads: int) -> Order:
-    """Return an order (m,) of points (m, 3) in which near ones follow each other."""
+    """Return the rows (m,) of points (m, 3) in Morton order."""
     order: Order = morton.morton_order(points, 3, n_threads)
     return order
 
 
 class PhotonTrees:
-    """Photons for points that face one way or another.
+    """Trees of photons by the orientation of the faces they lie on.
 
-    Where photons lie on few faces, every set of faces that points on one of them see has a tree
-    in space alone, and a number. Points that see yet another set, and all points where faces are
-    many, are served by one tree of all photons with their normals on range axes; its number is
-    `n_sets`. The tree of a set finds what the tree of all photons would.
+    A point gathers from faces whose normals are within 60° of its own. Where photons lie on few
+    faces, each set of faces that points on one of them gather from has a number and a tree over
+    positions. Points with another set, and all points where faces are many, use a tree of all
+    photons with normals on range axes; its number is `n_sets`. Both trees find the same photons.
     """
 
     def __init__(self, photons: PhotonMap, n_threads: int) -> None:
         self._photons = photons
         self._n_threads = n_threads
         self._trees: dict[int, tuple[KDTree, Order]] = {}
-        self._faces, face = group_normals(photons.normal, MOST_FACES)
+        self._faces, face = group_normals(photons.normal, MAX_FACES)
         self._members = np.empty((0, 0), dtype=bool)
         if self._faces is not None:
-            self._members = np.unique(facing(self._faces), axis=0)
+            self._members = np.unique(within_chord(self._faces), axis=0)
             n_photons = np.bincount(face, minlength=len(self._faces))
-            if (self._members @ n_photons).sum() > _MOST_COPIES * len(photons):
+            if (self._members @ n_photons).sum() > _MAX_COPIES * len(photons):
                 self._faces, self._members = None, self._members[:0]
-        # A single set has all faces, so that nobody asks which photon lies on which.
+        # A single set has all faces: the faces of single photons are not needed.
         self._face = face if self.n_sets > 1 else None
 
     @property
     def n_sets(self) -> int:
-        """How many sets of faces have a tree of their own."""
+        """Number of face sets with a tree of their own."""
         return len(self._members)
 
     def build(self) -> None:
-        """Make the trees that points on the photons' own faces need, if not made yet."""
+        """Build the trees that points on the photons' own faces need."""
         for number in range(max(self.n_sets, 1)):
             self.tree(number)
 
     def whole(self) -> KDTree:
         """Return the tree of all photons, normals on range axes unless all lie on one face.
 
-        Only where points can do with this one it is kept.
+        It is kept only where points use it too.
         """
         if self._faces is None or len(self._faces) == 1:
             return self.tree(0)[0]
-        return self._built(self.n_sets)[0]
+        return self._build_tree(self.n_sets)[0]
 
     def tree(self, number: int) -> tuple[KDTree, Order]:
-        """Return a tree, made if need be, and the row of the photon at each of its places."""
+        """Return a tree, built at first use, and the rows of its photons in tree order."""
         if number not in self._trees:
-            self._trees[number] = self._built(number)
+            self._trees[number] = self._build_tree(number)
         return self._trees[number]
 
-    def _built(self, number: int) -> tuple[KDTree, Order]:
+    def _build_tree(self, number: int) -> tuple[KDTree, Order]:
         position, normal = self._photons.position, self._photons.normal
         columns: list[Floats] = [position]
         rows: Rows = slice(None)
@@ -91,11 +91,10 @@ class PhotonTrees:
     def parts(
         self, points: Floats, normals: Floats, order: Order | None = None
     ) -> Iterator[tuple[int, Floats, Order]]:
-        """Divide points (m, 3) by the tree that serves them; those that see no face are left out.
+        """Divide points (m, 3) by the tree they gather from, without those that see no face.
 
-        Points that are asked about again and again may bring their `morton_order`. Yields the
-        tree's number, queries of which some rows are to be searched for, and these rows in an
-        order in which near points follow each other.
+        Yields the tree's number, queries for all points, and the rows of its own points in Morton
+        order. Callers that query the same points repeatedly can pass their `morton_order`.
 
         Raises
         ------
@@ -111,7 +110,7 @@ class PhotonTrees:
     def chunks(
         self, points: Floats, normals: Floats, report: Reporter
     ) -> Iterator[tuple[int, Floats, Order]]:
-        """Divide points as `parts` does, and these into chunks whose end is reported."""
+        """Divide points as `parts` does, and each part into chunks that are reported when done."""
         left = len(points)
         for number, queries, rows in self.parts(points, normals):
             for first, end in report.chunks(len(rows)):
@@ -121,7 +120,7 @@ class PhotonTrees:
             report.advance(left)
 
     def _numbers(self, normals: Floats) -> NDArray[np.int8]:
-        """Return the number of each point's tree, -1 for none."""
+        """Return the number of each point's tree, -1 where it sees no face."""
         if self._faces is None:
             return np.zeros(len(normals), dtype=np.int8)
         bits = np.uint64(1) << np.arange(len(self._faces), dtype=np.uint64)
@@ -139,7 +138,7 @@ class PhotonTrees:
 
 
 def _divided(number: NDArray[np.int8], order: Order) -> Iterator[tuple[int, Order]]:
-    """Yield each number there is but -1, and the rows that have it in the order given."""
+    """Yield each number but -1 that occurs, and its rows in the given order."""
     if len(number) == 0:
         return
     low, high = int(number.min()), int(number.max())

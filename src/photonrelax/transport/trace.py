@@ -1,19 +1,18 @@
-"""Tracing: follows paths through the scene and deposits photons on diffuse surfaces.
+"""Tracing: paths from the emitters through the scene, and their photons on diffuse surfaces.
 
-Paths are traced in batches, a thread each: embree finds what all rays of a batch hit, then one
-compiled pass takes every path through its surface and writes the rays that embree is given next.
-Photons, their order and the ledger are the same, to the bit, for any number of threads and any
-size of batch.
+Paths are traced in batches, a thread each: embree intersects all rays of a batch, then one
+compiled pass takes every path through its surface and writes the rays embree gets next. Photons,
+their order and the ledger are the same, to the bit, for any number of threads and any batch size.
 
-Reflection and refraction at dielectrics are chosen at random with the Fresnel reflectance; mirrors
-and absorbing media, and diffuse surfaces where paths go on, end paths by Russian roulette on the
+A dielectric reflects at random with the Fresnel reflectance and refracts otherwise. Mirrors,
+absorbing media and, for paths that continue, diffuse surfaces end paths by Russian roulette on the
 luminance. So all photons of an emitter carry the same luminance, and the same flux unless the path
-was coloured. Emitters are taken to be outside of dielectrics unless the first thing met is one from
-behind: light is not absorbed between an emitter in glass and another object in the same glass.
+was coloured. Emitters count as outside of dielectrics unless the first hit is one from behind:
+light is not absorbed between an emitter in glass and another object in the same glass.
 
-A stored photon takes 148 bytes where all emitters are collimated, else 156, 24 more where some
+A stored photon takes 148 bytes where all emitters are collimated, else 156, and 24 more where some
 carry spectra, each of which takes a fifth of a millisecond, as its neighbours are traced as well
-(see `photonrelax.estimation.frequency`); a path of the batches under way takes a few hundred.
+(see `photonrelax.estimation.frequency`). A path of the pending batches takes a few hundred bytes.
 """
 
 from __future__ import annotations
@@ -38,10 +37,11 @@ from .emission import PATHS, SAMPLERS, EmissionPlan, plan_emission
 from .frequency.spectra import ReplayBatch, SpectrumTracer, batches_by_emitter
 from .raycast import RayCaster
 
-# Far beyond any path that matters; a mirrored room would keep its light for ever.
+# Far beyond any path that matters; in a mirrored room paths would never end.
 MAX_BOUNCES = 10_000
-# Room a growing map makes, of what its paths so far let expect; memory not used is not taken.
-_MARGIN = 1.05
+# Capacity of a growing map over the number of photons expected from its paths so far; pages that
+# are not written take no memory.
+_CAPACITY_MARGIN = 1.05
 
 _DTYPES: dict[str, type] = {
     "position": np.float64,
@@ -73,34 +73,34 @@ def trace_photons(
     batch_size: int = 16384,
     caster: RayCaster | None = None,
 ) -> PhotonMap:
-    """Emit photons, follow their paths and store them where they land.
+    """Emit photons, trace their paths and store them on diffuse surfaces.
 
-    Photon i of an emitter depends on `seed` and i alone. How its path goes on at surfaces, and the
-    memory it takes, is said in `photonrelax.transport.trace`.
+    Photon i of an emitter depends on `seed` and i alone. `photonrelax.transport.trace` describes
+    the events at surfaces, and the memory photons take.
 
     Parameters
     ----------
     scene : Scene
         Objects and emitters.
     n_emitted, seed : int
-        Paths to start, shared among the emitters in proportion to the flux they send out; what
-        shifts the Halton sequence and chooses the random numbers.
+        Paths to start, apportioned to the emitters by the flux they send to the target; seed of
+        the Halton sequence's shift and of the random numbers.
     paths : {"caustic", "global", "all"}
-        Which light to store: that met specular surfaces only (L S+ D), neither that nor direct
-        light, or all that arrives on diffuse surfaces.
+        Light to store: that of specular paths (L S+ D), neither that nor direct light, or all
+        that arrives on diffuse surfaces.
     sampler : {"halton", "random"}
         Evenly spaced photons (SJ13) or independent ones.
     max_bounces : int
         Events (specular or diffuse) after which a path is cut; at most 10,000.
     frequency_share : float
-        Share of the photons, in [0, 1], that get a spectrum: those, chosen by their indices, that
-        no diffuse surface has scattered yet.
+        Share of the photons, in [0, 1], that get a spectrum: selected by their indices, of those
+        that no diffuse surface has scattered yet.
     n_threads, progress : int, callable, optional
         Threads, by default all; called as ``progress("trace", done, n_emitted)`` now and then.
     batch_size : int
         Paths traced together, rounded up to a multiple of 1024.
     caster : RayCaster, optional
-        Of the scene's objects, if it is made already: making it takes time.
+        Of the scene's objects, if there is one already: building it takes time.
 
     Returns
     -------
@@ -134,7 +134,7 @@ def _trace_all(context: TraceContext, n_threads: int, progress: Progress | None)
                 rows = first + batch.spectrum_rows
                 selected.append(ReplayBatch(batch.ledger.emitter_id, batch.spectrum_photons, rows))
             report.advance(batch.ledger.n_paths)
-            # The next batch needs the memory of its deposits.
+            # The deposits are freed before the next batch is traced.
             del batch
     photons = _photon_map(plan, settings, columns, ledgers)
     if not settings.frequency_share:
@@ -198,11 +198,12 @@ class _Columns:
         self._n_stored = 0
 
     def append(self, batch: TracedBatch) -> int:
-        """Write the photons of a batch behind those before, and return the row of the first."""
+        """Append the photons of a batch, and return the row of the first."""
         first, self._n_stored = self._n_stored, self._n_stored + len(batch.deposits)
         self._n_traced += batch.ledger.n_paths
         if self._n_stored > len(self._arrays["position"]):
-            self._resize(int(_MARGIN * self._n_stored * self._n_planned / self._n_traced) + 1)
+            expected = self._n_stored * self._n_planned / self._n_traced
+            self._resize(int(_CAPACITY_MARGIN * expected) + 1)
         emitter_id = batch.ledger.emitter_id
         Columns(**self._arrays).write(
             batch.deposits,
@@ -225,7 +226,7 @@ class _Columns:
         if len(self._arrays["position"]) == 0:
             self._arrays = self._empty(n)
             return
-        # In place, where columns joined from parts would need their memory twice.
+        # In place: concatenated columns would need their memory twice.
         for array in self._arrays.values():
             array.resize((n, *array.shape[1:]), refcheck=False)
 
