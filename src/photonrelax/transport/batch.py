@@ -1,6 +1,6 @@
 """Batches of traced paths: a function of scene, plan and indices that returns plain arrays.
 
-A batch can be traced in any thread or process: `TraceContext` is pickled by what it is made of.
+A batch can be traced in any thread or process: a `TraceContext` is pickled by its arguments.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ class TracedBatch:
 class TraceContext:
     """A scene prepared for tracing batches of up to `size` paths, from several threads at once.
 
-    What a process unpickles is prepared once for all jobs of one context, and kept until there is
-    another one.
+    It is pickled by its arguments. A process that unpickles it for job after job builds it once,
+    and keeps it until it unpickles another one.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class TraceContext:
         self._pickled: tuple[str, bytes] | None = None
 
     def acquire_paths(self) -> _kernel.Paths:
-        """Return paths that were released, for memory just used is in the cache, or new ones."""
+        """Return paths released before, whose memory may still be in the cache, or new ones."""
         try:
             return self._free_list.pop()
         except IndexError:
@@ -123,7 +123,7 @@ class TraceContext:
             )
 
     def release_paths(self, paths: _kernel.Paths) -> None:
-        """Take paths back that have ended."""
+        """Take back paths that have ended."""
         self._free_list.append(paths)
 
     def __reduce__(self) -> tuple:
@@ -133,16 +133,16 @@ class TraceContext:
         return _unpickled_context, self._pickled
 
 
-_latest_context: tuple[str, TraceContext] | None = None
+_last_context: tuple[str, TraceContext] | None = None
 
 
 def _unpickled_context(key: str, parts: bytes) -> TraceContext:
-    """Return the context of a key: the latest of this process, or a new one made of its parts."""
-    global _latest_context
-    latest = _latest_context
-    if latest is None or latest[0] != key:
-        latest = _latest_context = key, TraceContext(*pickle.loads(parts))
-    return latest[1]
+    """Return the context of a key: the last one of this process, or a new one."""
+    global _last_context
+    last = _last_context
+    if last is None or last[0] != key:
+        last = _last_context = key, TraceContext(*pickle.loads(parts))
+    return last[1]
 
 
 def trace_batch(context: TraceContext, job: Job) -> TracedBatch:

@@ -1,15 +1,14 @@
-"""Rays in, intersections out: the only file that knows embree.
+"""Ray casting: the only module that uses embree.
 
-Embree works in float32, and reads out of bounds when array lengths differ. So rays are checked
-here, moved into embree's recentred frame in float64, and what embree says they hit is resolved
-again in float64.
+Embree works in float32, and reads out of bounds where array lengths differ. So rays are checked
+here and transformed to embree's recentred frame in float64, and hits are refined in float64.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,17 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from .._ext.transport.raycast import EmbreeFrame, EmbreeHits, Triangles
 from .._util.parallel import for_each_slice, thread_count
 from .._util.validation import Floats, float_array
-from ..scene.meshes import nondegenerate_faces, release_arrays, vertices_of
+from ..scene.meshes import nondegenerate_faces, release_arrays, vertex_normals, vertices_of
 from ..scene.scene import SceneObject
 
-if TYPE_CHECKING:
-    pass
-from ..scene.meshes import vertex_normals
-
-# Rays per call of embree: bounds the float32 copies and is the grain of parallel work.
+# Rays per call of embree: limits the float32 copies and is the grain size of parallel work.
 _CHUNK = 65536
-# Step off the surface left, as a fraction of the largest coordinate in the frame: some ten
-# roundings of float32. Half of all unstepped rays would hit the triangle they start on.
+# Offset of ray origins from their surface over the largest coordinate in the frame: some ten
+# rounding errors of float32. Without it half of all rays would hit the triangle they start on.
 _STEP = 1e-6
 _NO_RAYS = np.empty((0, 3))
 _NO_LIMITS = np.empty(0)
@@ -35,7 +30,7 @@ _NO_LIMITS = np.empty(0)
 
 @dataclass(frozen=True, eq=False)
 class Intersections:
-    """What n rays hit first.
+    """First hits of n rays.
 
     Attributes
     ----------
@@ -73,9 +68,9 @@ class Intersections:
 
 
 class RayCaster:
-    """Objects, ready to be hit by rays.
+    """Objects in an acceleration structure for rays.
 
-    Safe to use from several threads at once: embree runs without the GIL.
+    Can be used from several threads at once: embree runs without the GIL.
 
     Parameters
     ----------
@@ -85,9 +80,9 @@ class RayCaster:
     Attributes
     ----------
     frame : EmbreeFrame
-        For kernels that bring their rays into embree's frame themselves.
+        Embree's frame, for kernels that transform their rays to it.
     triangles : Triangles
-        For kernels that resolve what `find` found themselves.
+        The triangles, for kernels that refine the hits of `find`.
 
     Raises
     ------
@@ -109,12 +104,12 @@ class RayCaster:
         self.triangles = Triangles(self.frame, whole.corners, whole.faces, whole.face_id, smooth)
 
     def find(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> EmbreeHits:
-        """Return what embree finds for rays (n, 3) that are in its frame already.
+        """Return embree's hits of rays (n, 3) in its own frame.
 
         Raises
         ------
         ValueError
-            If shapes, types or layout are not what embree takes for granted.
+            If shapes, types or layout are not those that embree requires without checking.
         """
         for rays in (origins, directions):
             of_type = rays.dtype == np.float32 and rays.flags.c_contiguous
@@ -134,7 +129,7 @@ class RayCaster:
         origin_normal: ArrayLike | None = None,
         n_threads: int | None = 1,
     ) -> Intersections:
-        """Return what rays hit first.
+        """Return the first hits of rays.
 
         Parameters
         ----------
@@ -142,7 +137,7 @@ class RayCaster:
             Directions need not be unit.
         origin_normal : (n, 3), optional
             The geometric normal, of either sign, of the surface each ray starts on; a row of
-            zeros or NaN where it starts in free space. Keeps rays from hitting where they start.
+            zeros or NaN where it starts in free space. Keeps rays from hitting their own surface.
         n_threads : int, optional
             Threads to use; None for every core.
 
@@ -154,12 +149,12 @@ class RayCaster:
         origins, directions, origin_normal = _check_rays(origins, directions, origin_normal)
         out = empty_intersections(len(origins))
 
-        def work(rows: slice) -> None:
+        def intersect_rows(rows: slice) -> None:
             o, d = origins[rows], directions[rows]
-            enter = self._to_embree(o, d, origin_normal[rows], _NO_LIMITS, first=rows.start)
-            self.triangles.refine_hits(o, d, self.find(*enter[:2]), out[rows])
+            rays = self._to_embree(o, d, origin_normal[rows], _NO_LIMITS, first=rows.start)
+            self.triangles.refine_hits(o, d, self.find(*rays[:2]), out[rows])
 
-        for_each_slice(work, len(origins), _CHUNK, thread_count(n_threads))
+        for_each_slice(intersect_rows, len(origins), _CHUNK, thread_count(n_threads))
         return out
 
     def occluded(
@@ -190,13 +185,13 @@ class RayCaster:
         limits = _check_limits(max_distance, len(origins))
         out = np.empty(len(origins), dtype=bool)
 
-        def work(rows: slice) -> None:
-            enter = self._to_embree(
+        def test_rows(rows: slice) -> None:
+            rays = self._to_embree(
                 origins[rows], directions[rows], origin_normal[rows], limits[rows], first=rows.start
             )
-            out[rows] = self._scene.run(*enter, query="OCCLUDED") >= 0
+            out[rows] = self._scene.run(*rays, query="OCCLUDED") >= 0
 
-        for_each_slice(work, len(origins), _CHUNK, thread_count(n_threads))
+        for_each_slice(test_rows, len(origins), _CHUNK, thread_count(n_threads))
         return out
 
     def _to_embree(
@@ -225,7 +220,7 @@ class RayCaster:
 
 @dataclass(frozen=True)
 class _Part:
-    """The part of an object that rays can hit, in numbers of its own; see `Triangles`."""
+    """Faces of an object that have an area, numbered by themselves; see `Triangles`."""
 
     corners: Floats
     faces: NDArray[np.int32]
@@ -234,7 +229,7 @@ class _Part:
 
 def _nondegenerate_part(item: SceneObject) -> _Part:
     face_id, faces = nondegenerate_faces(item.mesh)
-    # Vertices of no face would stretch the frame, at the price of precision.
+    # Vertices of no face would enlarge the frame, and with it rounding errors.
     used = vertices_of(faces, len(item.mesh.vertices))
     corners = np.zeros((np.count_nonzero(used), 6))
     corners[:, :3] = np.asarray(item.mesh.vertices)[used]
@@ -246,7 +241,7 @@ def _nondegenerate_part(item: SceneObject) -> _Part:
 
 
 def _concatenate_parts(parts: list[_Part]) -> _Part:
-    """Number the vertices of all objects through, and write each face's object beside them."""
+    """Concatenate the vertices and faces of all objects, and write the object of each face."""
     first = 0
     for object_id, part in enumerate(parts):
         part.faces[:, :3] += first
@@ -272,7 +267,7 @@ def _embree(vertices: Floats, faces: NDArray[np.int32]) -> Any:
     embree = intersector._scene
     intersector._cache.clear()
     release_arrays(mesh)
-    # The first run completes the scene, which must not happen in two threads at once.
+    # The first run builds the scene, which must not happen in two threads at once.
     one_ray = np.ones((1, 3), dtype=np.float32)
     embree.scene.run(one_ray, one_ray)
     return embree
@@ -292,7 +287,7 @@ def _frame(relative: Floats, embree: Any) -> EmbreeFrame:
 def _check_rays(
     origins: ArrayLike, directions: ArrayLike, origin_normal: ArrayLike | None
 ) -> tuple[Floats, Floats, Floats]:
-    """Return rays with their shapes checked; their values are checked on the way into embree."""
+    """Return rays of checked shapes; their values are checked when they are transformed."""
     origins = float_array(origins, "origins", (None, 3), finite=False)
     directions = float_array(directions, "directions", (len(origins), 3), finite=False)
     if origin_normal is None:
@@ -313,7 +308,7 @@ def _check_limits(max_distance: ArrayLike, n: int) -> Floats:
 
 
 def empty_intersections(n: int) -> Intersections:
-    """Return intersections of n rays, to be written."""
+    """Return uninitialised intersections of n rays."""
     return Intersections(
         object_id=np.empty(n, dtype=np.int32),
         face_id=np.empty(n, dtype=np.int32),
