@@ -118,4 +118,4 @@ def split(
         case = f"{scene}, {n:,} {sampler}"
         rows.append([case, *errors, uncertainty_cell(uncertainty_of(reference))])
         print(f"... {case}", file=sys.stderr, flush=True)
-    return markdown_table(["split map", *settings, "reference: noise, bias"], rows) + "\n"
+    return markdown_table(["split passes", *settings, "reference: noise, bias"], rows) + "\n"

@@ -234,7 +234,7 @@ def markdown(matrix: Matrix) -> str:
     for row in matrix.rows():
         print(f"... {row.label}", file=sys.stderr, flush=True)
         rows.append(row)
-    names = [f"{name}, split" if name == "progressive" else name for name in rows[0].entries]
+    names = [f"{name}, split passes" if name == "progressive" else name for name in rows[0].entries]
     errors = ["", *names, "reference: noise, bias"]
     timed = [row for row in rows if row.progressive]
     times = ["seconds", *names, "progressive, fresh photons, to the error of parameterised"]
@@ -260,8 +260,8 @@ def _note(matrix: Matrix) -> str:
         f"Relative L1 of the caustic · SSIM, {matrix.pixels} x {matrix.pixels} pixels of "
         f"{_SAMPLES} x {_SAMPLES} samples. References: the exact irradiance of shapes at the same "
         f"samples; otherwise progressive photon mapping, {matrix.references.passes} passes of "
-        f"{matrix.references.photons:,} photons in two runs. Split: the photons of the same map, "
-        "split into passes."
+        f"{matrix.references.photons:,} photons in two runs. Split passes: of the photons of "
+        "the same map."
     )
 
 
