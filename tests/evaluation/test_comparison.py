@@ -9,7 +9,7 @@ from PIL import Image as Picture
 
 import photonrelax as pr
 from photonrelax import gallery
-from photonrelax.estimation.field import Field
+from photonrelax.estimation.field import PhotonField
 from photonrelax.estimation.methods import Settings
 from photonrelax.evaluation import (
     METHODS_OF_SJ13,
@@ -38,17 +38,18 @@ def ring():
     return gallery.scene("ring", pixels=SIZE, sections=128)
 
 
-class Exact(Field):
-    """An estimate without error."""
+class Exact(PhotonField):
+    """A field without error."""
 
-    structure = None
+    def __init__(self, photons, pattern):
+        self.photons, self.seconds, self.used, self._pattern = photons, {}, {}, pattern
+        self._n_threads = 1
 
-    def __init__(self, photons, known):
-        self.photons, self.seconds, self.used, self._known = photons, {}, {}, known
+    def _lay_out(self, values, part):
+        return values
 
-    def densities(self, values):
-        width = np.shape(values)[1]
-        return lambda points, normals, **_: self._known.irradiance(points)[:, :1].repeat(width, 1)
+    def _evaluate(self, values, points, normals):
+        return self._pattern.irradiance(points)[:, :1].repeat(values.n_channels, 1)
 
 
 @pytest.fixture(scope="module")
