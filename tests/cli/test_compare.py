@@ -42,7 +42,7 @@ def test_compare_does_it_all_in_one_command(tmp_path, capsys):
     assert out.endswith(f"wrote {output / 'index.html'}\n")
     assert "SSIM" in out
     assert "two runs of 1 passes of 10,000 photons" in out
-    assert "known light: " in out
+    assert "analytic: over " in out
     first = json.loads((output / "comparison.json").read_text())
     assert first["n_threads"] >= 1
     assert first["machine"] in (output / "index.html").read_text()

@@ -9,7 +9,7 @@ from PIL import Image as Picture
 
 import photonrelax as pr
 from photonrelax import gallery
-from photonrelax.estimation.field import Field
+from photonrelax.estimation.field import PhotonField
 from photonrelax.estimation.methods import Settings
 from photonrelax.evaluation import (
     METHODS_OF_SJ13,
@@ -38,17 +38,18 @@ def ring():
     return gallery.scene("ring", pixels=SIZE, sections=128)
 
 
-class Exact(Field):
-    """An estimate without error."""
+class Exact(PhotonField):
+    """A field without error."""
 
-    structure = None
+    def __init__(self, photons, pattern):
+        self.photons, self.seconds, self.used, self._pattern = photons, {}, {}, pattern
+        self._n_threads = 1
 
-    def __init__(self, photons, known):
-        self.photons, self.seconds, self.used, self._known = photons, {}, {}, known
+    def _lay_out(self, values, part):
+        return values
 
-    def densities(self, values):
-        width = np.shape(values)[1]
-        return lambda points, normals, **_: self._known.irradiance(points)[:, :1].repeat(width, 1)
+    def _evaluate(self, values, points, normals):
+        return self._pattern.irradiance(points)[:, :1].repeat(values.n_channels, 1)
 
 
 @pytest.fixture(scope="module")
@@ -195,7 +196,7 @@ def test_the_folder_holds_what_is_promised(written):
             assert path.name == "sheet.png" or picture.size == (SIZE, SIZE)
 
 
-def test_the_contact_sheet_says_whose_photons_were_dealt_to_passes(
+def test_the_contact_sheet_says_whose_photons_were_split_into_passes(
     comparison, tmp_path, monkeypatch
 ):
     shown = []
@@ -208,7 +209,7 @@ def test_the_contact_sheet_says_whose_photons_were_dealt_to_passes(
     first, second = comparison.entries
     other = replace(second, name="progressive", method="progressive")
     folder.write(replace(comparison, entries=(first, other)), tmp_path)
-    assert shown == ["standard", "progressive, dealt"]
+    assert shown == ["standard", "progressive, split passes"]
 
 
 def test_pictures_are_written_as_they_are(written, comparison):
@@ -288,7 +289,7 @@ def test_a_picture_that_is_too_bright_is_orange_and_one_too_dark_blue(comparison
     for factor, much, little in ((0.5, 0, 2), (2.0, 2, 0)):
         scaled = pr.Image({"radiance": factor * np.asarray(entry.image.layers["radiance"])})
         measured = Reference(scaled, entry.image.layers, exposure=0.0)
-        made = images.method_pictures(replace(comparison, reference=measured))
+        made = images.method_images(replace(comparison, reference=measured))
         colour = made[entry.name]["difference"].astype(float).mean(axis=(0, 1))
         assert colour[much] > colour[little]
 
@@ -302,7 +303,7 @@ def test_path_edges_are_one_more_than_bounces(comparison):
     """Light off a ring once has come along two edges, and a few photons along more."""
     bounces = comparison.photon_layers["photons.bounces"]
     assert np.median(bounces[bounces > 0.0]) == pytest.approx(1.0)
-    about = images.photon_pictures(comparison)["path-edges"]["about"]
+    about = images.photon_images(comparison)["path-edges"].about
     assert "2 (blue) to" in about
 
 
@@ -330,7 +331,7 @@ def test_constrained_photons_are_red(comparison):
 
 def test_the_table_has_the_rows_of_sj13_and_the_errors(comparison):
     shown = tables.table(comparison)
-    assert shown.head == list(PAIR)
+    assert shown.column_titles == list(PAIR)
     assert [name for name, *_ in shown.rows] == [
         *("photons emitted", "photons absorbed", "photons per estimate", "photon cast"),
         *("feature detection", "relaxation", "render", "total"),
@@ -345,10 +346,10 @@ def test_the_table_has_the_rows_of_sj13_and_the_errors(comparison):
 
 def test_rows_of_the_table_add_up(comparison):
     for entry in comparison.entries:
-        rows = tables.by_row(entry.seconds)
+        rows = tables.seconds_by_row(entry.seconds)
         assert sum(rows.values()) == pytest.approx(sum(entry.seconds.values()))
         assert rows["photon cast"] == entry.seconds["cast"]
-    assert tables.by_row(comparison.entries[1].seconds)["relaxation"] > 0.0
+    assert tables.seconds_by_row(comparison.entries[1].seconds)["relaxation"] > 0.0
 
 
 def test_the_best_is_marked(comparison):

@@ -163,14 +163,14 @@ def test_the_run_is_the_last_column_of_the_table(comparison_request, tmp_path):
     shown = tables.table(
         compare(replace(comparison_request, methods=("standard", "progressive")), truth)
     )
-    assert shown.head == ["standard", "progressive, dealt", "reference"]
+    assert shown.column_titles == ["standard", "progressive, split passes", "reference"]
     cells = {name: cells[-1] for name, cells, _ in shown.rows}
     cost = json.loads(truth.metadata["photonrelax.reference_cost"])
     assert cells["photons emitted"] == "20,000"
     assert cells["photons absorbed"] == f"{cost['stored']:,}"
     assert cells["total"] == f"{cost['seconds']:.2f} s"
     assert cells["SSIM"] == "–"
-    assert any(note.startswith("dealt: ") for note in shown.notes)
+    assert any(note.startswith("split passes: ") for note in shown.notes)
 
 
 # --- references given ----------------------------------------------------------------------------

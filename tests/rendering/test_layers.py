@@ -106,3 +106,22 @@ def test_light_components_add_up_in_comparisons(ring, toys):
     bare = pr.Image({"radiance": image.layers["radiance"]})
     (entry,) = compare(request, bare).entries
     assert entry.errors.relative_l1 < 1e-12
+
+
+class WithFlux(pr.IrradianceField):
+    """A field that names two layers of its own."""
+
+    @property
+    def layers(self):
+        flux = self.photons.flux
+        return {**super().layers, "own.flux": flux, "own.red": flux[:, :1]}
+
+
+def test_layers_that_a_field_names_need_no_record(ring):
+    photons = pr.trace_photons(ring, 3000)
+    found = layers.photon_layers(View(ring).bands(), WithFlux(photons))
+    lit = found["caustic"].sum(axis=2) > 0.0
+    assert found["own.red"].shape == (16, 16)
+    # All photons have the same flux, and so has their mean.
+    np.testing.assert_allclose(found["own.flux"][lit], photons.flux[:1].repeat(lit.sum(), 0))
+    np.testing.assert_array_equal(found["own.red"], found["own.flux"][..., 0])

@@ -16,7 +16,7 @@ SAMPLER = "halton"
 
 
 def parser(commands: Mapping[str, Callable[..., None]]) -> argparse.ArgumentParser:
-    """Return what parses the command line; `commands` holds what each command calls."""
+    """What parses the command line; `commands` holds what each command calls."""
     parser = argparse.ArgumentParser(
         prog="photonrelax", description="Render sharp, noise-free caustics from few photons."
     )
@@ -249,7 +249,7 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
 
 
 def whole(text: str) -> int:
-    """Return a whole number of at least 0; 2e6 and 2_000_000 are fine."""
+    """Whole number of at least 0; 2e6 and 2_000_000 are fine."""
     try:
         number = int(text)
     except ValueError:
@@ -260,7 +260,7 @@ def whole(text: str) -> int:
 
 
 def _integral(text: str) -> int:
-    """Return the integer that a number like 2e6 stands for, -1 if it stands for none."""
+    """Integer that a number like 2e6 stands for, -1 if it stands for none."""
     try:
         number = float(text)
     except ValueError:
@@ -286,15 +286,14 @@ def _positive_number(text: str) -> float:
 
 
 def _stops(text: str) -> float:
-    from ..imaging.image import LARGEST_EXPOSURE
+    from ..imaging.image import MAX_EXPOSURE
 
     try:
         stops = float(text)
     except ValueError:
         stops = float("nan")
-    if not abs(stops) <= LARGEST_EXPOSURE:
+    if not abs(stops) <= MAX_EXPOSURE:
         raise argparse.ArgumentTypeError(
-            f"should be a number between -{LARGEST_EXPOSURE:g} and {LARGEST_EXPOSURE:g}, "
-            f"but is {text!r}"
+            f"should be a number between -{MAX_EXPOSURE:g} and {MAX_EXPOSURE:g}, but is {text!r}"
         )
     return stops

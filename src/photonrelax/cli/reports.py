@@ -13,7 +13,7 @@ from ..photons.photon_map import PhotonMap
 
 
 def stage_table(stages: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return a table of seconds and counts, a line for each stage and one for their sum.
+    """Table of seconds and counts, a line for each stage and one for their sum.
 
     Parameters
     ----------
@@ -38,14 +38,14 @@ def _counts(values: Mapping[str, Any]) -> str:
 
 
 def describe_image(image: Image) -> str:
-    """Return the size, layers and metadata of an image, a line each."""
+    """Size, layers and metadata of an image, a line each."""
     height, width = np.shape(next(iter(image.layers.values())))[:2]
     lines = [f"{width} x {height} pixels", f"layers: {', '.join(sorted(image.layers))}"]
     return "\n".join(lines + [f"{name}: {value}" for name, value in sorted(image.metadata.items())])
 
 
 def describe_photons(photons: PhotonMap) -> str:
-    """Return the counts, flux, extent and energy ledger of a photon map."""
+    """Counts, flux, extent and energy ledger of a photon map."""
     emitted = "an unknown number" if photons.n_emitted is None else f"{photons.n_emitted:,}"
     lines = [
         f"{len(photons):,} photons of {emitted} emitted",

@@ -16,7 +16,7 @@ Assignment = tuple[str, str, Any]
 
 
 def assignment(text: str) -> Assignment:
-    """Return stage, field and value of ``STAGE.FIELD=VALUE``; `none` stands for what is left open.
+    """Stage, field and value of ``STAGE.FIELD=VALUE``; `none` stands for what is left open.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def assignment(text: str) -> Assignment:
 
 
 def _value(text: str, kind: Any) -> Any:
-    """Return the value of a type that text stands for; raise ValueError, saying what it is."""
+    """Value of a type that text stands for; raise ValueError, saying what it is."""
     if get_origin(kind) is tuple:
         parts, kinds = text.split(","), get_args(kind)
         if len(parts) != len(kinds):
@@ -71,7 +71,7 @@ def _number(text: str, fractions: bool) -> int | float:
 def chosen(
     options: argparse.Namespace, methods: Iterable[str], stages_of_k: Iterable[str] = ("gather",)
 ) -> Settings:
-    """Return the settings that options ask for, and end with wrong usage if no method reads one.
+    """Settings that options ask for, and end with wrong usage if no method reads one.
 
     Parameters
     ----------

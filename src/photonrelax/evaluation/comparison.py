@@ -100,7 +100,7 @@ class Comparison:
     reference : Reference
         Reference of the errors.
     photon_layers : dict
-        ``caustic`` and means of photon attributes (`photonrelax.rendering.layers.PhotonEstimates`).
+        ``caustic`` and means of photon attributes (`photonrelax.rendering.layers.FieldEstimates`).
     """
 
     request: ComparisonRequest
@@ -365,7 +365,7 @@ class _Workbench:
     def _keep_photon_layers(self, field: Field, method: str) -> None:
         """Keep the layers of SJ13's method if it is run, else some with constraints if known."""
         kept = self._photon_layers
-        more = field.structure is not None and "photons.constraint" not in kept
+        more = "photons.constraint" in field.layers.keys() - kept.keys()
         if not kept or more or method == DEFAULT_METHOD:
             self._photon_layers = photon_layers(self._view.bands, field)
 

@@ -1,4 +1,4 @@
-"""Irradiance of built-in scenes that follows from geometry, without photons."""
+"""Analytic irradiance of built-in scenes, from geometry without photons."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from ..transport.optics import fresnel
 
 Bools = NDArray[np.bool_]
 AnalyticIrradiance = Callable[[Floats, Floats], tuple[Floats, Bools]]
-"""Maps points and normals, (m, 3) each, to irradiance from caustics, (m,) W/m², the same in every
-channel, and to whether it is known there, (m,)."""
+"""Maps points and normals, (m, 3) each, to the irradiance of caustics, (m,) W/m², equal in all
+channels, and to a mask (m,) of the points where it is known."""
 
-# Azimuths between which light that meets a point is looked for, points at a time, steps of Newton's
-# method, and azimuths that folds and borders are drawn with.
-_CELLS, _CHUNK, _STEPS, _DRAWN = 256, 20_000, 4, 4001
-# Orders of reflection inside a sphere, angles of incidence, and steps of the distance, m.
-_ORDERS, _ANGLES, _STEP = range(-1, 12), 100_001, 5e-4
+# Intervals of azimuth that are searched for the light at a point; points evaluated together; steps
+# of Newton's method; azimuths of the points on folds and borders.
+_N_INTERVALS, _CHUNK, _NEWTON_STEPS, _N_BORDER = 256, 20_000, 4, 4001
+# Orders of reflection inside a sphere, angles of incidence, and spacing of distances, m.
+_ORDERS, _N_ANGLES, _SPACING = range(-1, 12), 100_001, 5e-4
 
 
 def _on_floor(points: Floats, normals: Floats) -> Bools:
@@ -32,13 +32,13 @@ def _on_floor(points: Floats, normals: Floats) -> Bools:
 
 @dataclass(frozen=True)
 class RingIrradiance:
-    """Sunlight off the inner wall of `photonrelax.gallery.ring`, once, where it meets the floor.
+    """Irradiance of the floor from light that `photonrelax.gallery.ring` reflects once.
 
-    Light from azimuth a leaves the wall along -(cos 2a, sin 2a), falls tan e a metre, and has
-    ρ E₀ sin e / abs(1 - 2s / (R cos a)) after s metres over the floor. What meets the point (x, y)
-    comes from where x sin 2a - y cos 2a = R sin a. It is known inside the ring but for the rim,
-    where light arrives that met the wall twice, and for what is nearer than `margin` to the fold
-    and to borders of light, m.
+    At azimuth a of the wall light is reflected along -(cos 2a, sin 2a). It descends by tan e per
+    metre, and after s metres over the floor its irradiance is ρ E₀ sin e / abs(1 - 2s / (R cos a)).
+    It passes the point (x, y) if x sin 2a - y cos 2a = R sin a. The irradiance is known inside the
+    ring, except near its rim, where light arrives that was reflected twice, and except within
+    `margin` m of the fold and of the borders of light.
 
     Attributes are those of the scene; `elevation` in degrees.
     """
@@ -52,47 +52,47 @@ class RingIrradiance:
     margin: float = 0.01
 
     def __call__(self, points: Floats, normals: Floats) -> tuple[Floats, Bools]:
-        """Return irradiance (m,) and whether it is known (m,); see `AnalyticIrradiance`."""
+        """Irradiance (m,) and the mask (m,) of the points where it is known."""
         known = _on_floor(points, normals)
-        known &= np.linalg.norm(points[:, :2], axis=1) < self._met_once() - self.margin
+        known &= np.linalg.norm(points[:, :2], axis=1) < self._reflected_once() - self.margin
         rows = np.flatnonzero(known)
         known[rows] = self._borders.query(points[rows, :2], 1).distance[:, 0] > self.margin
         irradiance = np.zeros(len(points))
         for first in range(0, len(rows), _CHUNK):
             some = rows[first : first + _CHUNK]
-            irradiance[some] = self._arriving(points[some, :2])
+            irradiance[some] = self._irradiance(points[some, :2])
         return irradiance, known
 
     @property
     def _slope(self) -> float:
         return float(np.tan(np.radians(self.elevation)))
 
-    def _met_once(self) -> float:
-        """Return how far from the middle no light arrives that met the wall twice, m."""
+    def _reflected_once(self) -> float:
+        """Radius of the circle that light reflected twice does not reach, m."""
         half_chord = self.height / (2.0 * self._slope)
         return float(np.sqrt(max(self.radius**2 - half_chord**2, 0.0)))
 
     @cached_property
     def _borders(self) -> KDTree:
-        """Return points on the fold, and on where light from the ends of the lit wall lands."""
-        azimuth = np.linspace(-np.pi / 2, np.pi / 2, _DRAWN)
+        """Points on the fold and on the borders of light."""
+        azimuth = np.linspace(-np.pi / 2, np.pi / 2, _N_BORDER)
         chord, top = 2.0 * self.radius * np.cos(azimuth), (self.gap + self.height) / self._slope
-        runs = (chord / 4.0, np.full(_DRAWN, self.gap / self._slope), np.full(_DRAWN, top))
+        runs = (chord / 4.0, np.full(_N_BORDER, self.gap / self._slope), np.full(_N_BORDER, top))
         wall = self.radius * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
         heading = -np.column_stack([np.cos(2 * azimuth), np.sin(2 * azimuth)])
         drawn = [wall + run[:, np.newaxis] * heading for run in (*runs, top - chord)]
         return KDTree(np.concatenate(drawn), n_metric=2)
 
-    def _arriving(self, xy: Floats) -> Floats:
-        """Return the irradiance (m,) at points (m, 2) of the floor."""
-        azimuth = np.linspace(-np.pi / 2, np.pi / 2, _CELLS + 1)
+    def _irradiance(self, xy: Floats) -> Floats:
+        """Irradiance (m,) at points (m, 2) of the floor, summed over azimuths."""
+        azimuth = np.linspace(-np.pi / 2, np.pi / 2, _N_INTERVALS + 1)
         side = xy @ np.stack([np.sin(2 * azimuth), -np.cos(2 * azimuth)])
         side -= self.radius * np.sin(azimuth)
         rows, cells = np.nonzero((side[:, :-1] > 0.0) != (side[:, 1:] > 0.0))
         before, after = side[rows, cells], side[rows, cells + 1]
         found = azimuth[cells] + before / (before - after) * (azimuth[1] - azimuth[0])
         x, y = xy[rows].T
-        for _ in range(_STEPS):
+        for _ in range(_NEWTON_STEPS):
             value = x * np.sin(2 * found) - y * np.cos(2 * found) - self.radius * np.sin(found)
             slope = 2 * x * np.cos(2 * found) + 2 * y * np.sin(2 * found)
             found = found - value / (slope - self.radius * np.cos(found))
@@ -101,7 +101,7 @@ class RingIrradiance:
         return irradiance
 
     def _branch(self, x: Floats, y: Floats, azimuth: Floats) -> Floats:
-        """Return what light from azimuths of the wall adds at points, W/m²."""
+        """Irradiance (m,) at points from one azimuth of the wall each, W/m²."""
         cosine = np.cos(azimuth)
         run = -(x - self.radius * cosine) * np.cos(2 * azimuth)
         run -= (y - self.radius * np.sin(azimuth)) * np.sin(2 * azimuth)
@@ -115,12 +115,13 @@ class RingIrradiance:
 
 @dataclass(frozen=True)
 class SphereIrradiance:
-    """Light through `photonrelax.gallery.sphere`, and off it, where it meets the floor.
+    """Irradiance of the floor from light that `photonrelax.gallery.sphere` refracts and reflects.
 
-    Light that enters at the distance b from the axis with angle of incidence i, refracted to t,
-    and is reflected inside m times leaves turned by 2 (i - t) + m (π - 2t); off the outside by
-    2i - π. Where it lands at distance r it adds E₀ w b / (r |dr/db|), w being its share by Fresnel.
-    It is known but for what is nearer than `margin` to a fold or thrice that to the axis, m.
+    Light that enters at the distance b from the axis, at the angle of incidence i and of refraction
+    t, and is reflected inside m times is deflected by 2 (i - t) + m (π - 2t); reflected outside, by
+    2i - π. At the distance r where it meets the floor its irradiance is E₀ w b / (r |dr/db|), with
+    the share w by Fresnel's equations. The irradiance is known except within `margin` m of a fold
+    and three times that of the axis.
 
     Attributes are those of the scene.
     """
@@ -132,7 +133,7 @@ class SphereIrradiance:
     margin: float = 0.02
 
     def __call__(self, points: Floats, normals: Floats) -> tuple[Floats, Bools]:
-        """Return irradiance (m,) and whether it is known (m,); see `AnalyticIrradiance`."""
+        """Irradiance (m,) and the mask (m,) of the points where it is known."""
         distance = np.linalg.norm(points[:, :2], axis=1)
         at, values, folds = self._table
         known = _on_floor(points, normals) & (distance > 3.0 * self.margin) & (distance < at[-1])
@@ -143,38 +144,38 @@ class SphereIrradiance:
 
     @cached_property
     def _table(self) -> tuple[Floats, Floats, Floats]:
-        """Return distances, the irradiance there, and the distances of folds."""
-        at = np.arange(_STEP, 6.0 * self.radius, _STEP)
-        angle = np.linspace(0.0, np.pi / 2, _ANGLES)
+        """Distances from the axis, the irradiance there, and the distances of folds."""
+        at = np.arange(_SPACING, 6.0 * self.radius, _SPACING)
+        angle = np.linspace(0.0, np.pi / 2, _N_ANGLES)
         total, folds = np.zeros(at.size + 1), []
         for order in _ORDERS:
-            reach, weight = self._landing(angle, order)
+            landing, weight = self._landing(angle, order)
             flux = np.diff((self.radius * np.sin(angle)) ** 2) / 2 * (weight[1:] + weight[:-1]) / 2
-            width = np.diff(reach)
+            width = np.diff(landing)
             lands = np.isfinite(width) & (width != 0.0)
-            first = np.searchsorted(at, np.minimum(reach[:-1], reach[1:])[lands])
-            end = np.searchsorted(at, np.maximum(reach[:-1], reach[1:])[lands])
+            first = np.searchsorted(at, np.minimum(landing[:-1], landing[1:])[lands])
+            end = np.searchsorted(at, np.maximum(landing[:-1], landing[1:])[lands])
             density = flux[lands] / np.abs(width[lands])
-            # Each adds its density from one distance to the other.
+            # Each interval of incidence adds its density between two distances.
             total += np.bincount(first, density, minlength=at.size + 1)
             total -= np.bincount(end, density, minlength=at.size + 1)
             turns = np.sign(width[1:]) * np.sign(width[:-1]) < 0.0
-            folds.append(reach[1:-1][turns])
+            folds.append(landing[1:-1][turns])
         values = self.irradiance * np.maximum(np.cumsum(total)[:-1], 0.0) / at
         return at, values, np.unique(np.concatenate(folds))
 
     def _landing(self, incidence: Floats, order: int) -> tuple[Floats, Floats]:
-        """Return how far from the axis light lands, m, NaN if not, and its share of the flux."""
+        """Distance from the axis where light meets the floor, m, or NaN; its share of the flux."""
         refraction = np.arcsin(np.sin(incidence) / self.ior)
-        # Where it leaves and its heading are turned from straight up, in the plane of incidence.
+        # Angles from straight up, in the plane of incidence.
         leaves_at = incidence + (order + 1) * (np.pi - 2 * refraction)
         downward = -np.cos(leaves_at + incidence)
         height = self.radius + self.gap + self.radius * np.cos(leaves_at)
         run = np.divide(height, downward, out=np.full_like(height, np.nan), where=downward > 1e-12)
-        reach = np.abs(self.radius * np.sin(leaves_at) + run * np.sin(leaves_at + incidence))
+        landing = np.abs(self.radius * np.sin(leaves_at) + run * np.sin(leaves_at + incidence))
         reflected = fresnel(np.cos(incidence), 1.0, self.ior)
         share = reflected if order < 0 else (1 - reflected) ** 2 * reflected**order
-        return reach, share
+        return landing, share
 
 
 _BY_SCENE: dict[str, Any] = {"ring": RingIrradiance, "sphere": SphereIrradiance}

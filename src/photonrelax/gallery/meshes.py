@@ -16,22 +16,23 @@ if TYPE_CHECKING:
     import trimesh
 
 Field = Callable[[Floats], tuple[Floats, Floats]]
+"""Maps points (n, 3) to values (n,) and gradients (n, 3)."""
 
-# Newton's method doubles the digits each time once it is near.
+# Converged: Newton's method doubles the digits in every step.
 _NEWTON_STEPS = 12
 
 
 def make_mesh(
     vertices: Floats, faces: NDArray[np.intp], normals: Floats | None = None
 ) -> trimesh.Trimesh:
-    """Return a mesh as given, without trimesh's merging of vertices."""
+    """Mesh of exactly these vertices: trimesh does not merge them."""
     import trimesh
 
     return trimesh.Trimesh(vertices, faces, vertex_normals=normals, process=False)
 
 
 def floor(half_size: float, albedo: float = 0.8) -> SceneObject:
-    """Return a square diffuse floor at z = 0 around the origin."""
+    """Square diffuse floor at z = 0 around the origin."""
     s = half_size
     corners = np.array([[-s, -s, 0.0], [s, -s, 0.0], [s, s, 0.0], [-s, s, 0.0]])
     return SceneObject(
@@ -40,7 +41,7 @@ def floor(half_size: float, albedo: float = 0.8) -> SceneObject:
 
 
 def grid_faces(rows: int, columns: int) -> NDArray[np.intp]:
-    """Return the triangles of a grid of rows × columns vertices numbered row by row.
+    """Triangles of a grid of rows × columns vertices numbered row by row.
 
     They wind so that the normal is (direction of columns) × (direction of rows).
     """
@@ -51,30 +52,30 @@ def grid_faces(rows: int, columns: int) -> NDArray[np.intp]:
 
 
 def join(parts: list[tuple[Floats, Floats, NDArray[np.intp]]]) -> trimesh.Trimesh:
-    """Return one mesh of several (vertices, normals, faces), none of whose vertices are shared."""
+    """Mesh of several (vertices, normals, faces), none of whose vertices are shared."""
     vertices, normals, faces = zip(*parts, strict=True)
     first = np.cumsum([0, *(len(v) for v in vertices)])
     renumbered = [f + start for f, start in zip(faces, first, strict=False)]
     return make_mesh(np.concatenate(vertices), np.concatenate(renumbered), np.concatenate(normals))
 
 
-def level_set(field: Field, reach: Floats, subdivisions: int) -> trimesh.Trimesh:
-    """Return the closed surface field = 0 around the origin, seen whole from there.
+def level_set(field: Field, half_axes: Floats, subdivisions: int) -> trimesh.Trimesh:
+    """Closed surface field = 0, star-shaped about the origin.
 
     Parameters
     ----------
     field : callable
-        Maps points (n, 3) to values (n,), negative inside and all but convex, and gradients (n, 3).
-    reach : (3,) array
-        Half-axes of an ellipsoid outside the surface, m; vertices are spread as on it.
+        Maps points (n, 3) to values (n,), negative inside and nearly convex, and gradients (n, 3).
+    half_axes : (3,) array
+        Of an ellipsoid around the surface, m, whose vertices are moved towards the origin.
     subdivisions : int
-        Of the icosphere behind the mesh; 7 makes 327,680 faces.
+        Of the icosphere that the ellipsoid is made of; 7 makes 327,680 faces.
     """
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=subdivisions)
-    # Newton from outside along the line to the origin never overshoots a convex surface.
-    points = np.asarray(ball.vertices) * reach
+    # Newton's method on the line to the origin does not overshoot a convex surface from outside.
+    points = np.asarray(ball.vertices) * half_axes
     for _ in range(_NEWTON_STEPS):
         value, gradient = field(points)
         slope = (gradient * points).sum(axis=1)

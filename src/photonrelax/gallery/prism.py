@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     import trimesh
 
 _LIGHT = np.array([-3.0, 0.0, 2.5])
-# How the prism stands: leaning away from the light, then turned about the vertical, degrees.
-_LEAN, _TURN = 8.0, 15.0
-# Directions and phases of the ripples that polishing by hand leaves: no two alike.
+# Angles of the prism, degrees: tilt away from the light, then rotation about the vertical.
+_TILT, _ROTATION = 8.0, 15.0
+# Directions and phases of the ripples.
 _DIRECTIONS = np.array(
     [[-0.36, -0.10, 0.93], [0.37, -0.93, 0.0], [-0.36, 0.09, -0.93], [0.15, 0.15, 0.98]]
 )
@@ -38,18 +38,18 @@ def prism(
     subdivisions: int = 7,
     pixels: int = 600,
 ) -> Scene:
-    """Return an upright triangular prism and a close-up of the light it throws on the floor.
+    """Upright triangular prism, and a close-up of its caustic on the floor.
 
-    The faces are slightly rippled, so every way through the glass (two refractions, and internal
-    reflections between them) lays a folded sheet of its own on the floor. A screen with a window
-    before the prism keeps all other light away.
+    The faces are slightly rippled, so that every path through the glass (two refractions, with
+    internal reflections between them) makes a folded sheet of its own on the floor. A screen with a
+    window before the prism blocks all other light.
 
     Parameters
     ----------
     inradius, height : float
         Of the prism, m.
     bevel : float
-        Width over which faces round into one another, m.
+        Width of the rounded edges between faces, m.
     ripple, ripple_length : float
         Amplitude and wavelength of the ripples, m.
     ior : float
@@ -59,12 +59,12 @@ def prism(
     subdivisions : int
         Fineness of the mesh; each step quadruples its faces, 7 makes 327,680.
     pixels : int
-        Width and height of the picture.
+        Width and height of images.
     """
     field = _rippled_prism(inradius, height, bevel, ripple, 2 * np.pi / ripple_length)
-    # Outside the triangle, whose corners are at twice its inradius, and the two ends.
-    reach = np.array([3 * inradius, 3 * inradius, height])
-    glass = _stand(level_set(field, reach, subdivisions))
+    # Beyond the corners of the triangle, at twice its inradius, and beyond the ends.
+    half_axes = np.array([3 * inradius, 3 * inradius, height])
+    glass = _placed(level_set(field, half_axes, subdivisions))
     return Scene(
         [
             floor(20.0),
@@ -80,7 +80,7 @@ def prism(
 def _rippled_prism(
     inradius: float, height: float, bevel: float, ripple: float, wavenumber: float
 ) -> Field:
-    """Return the smooth maximum of the distances to five planes, plus plane waves."""
+    """Field of the prism: smooth maximum of the distances to five planes, plus plane waves."""
     azimuth = 2 * np.pi * np.arange(3) / 3 - np.pi / 6
     sides = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros(3)])
     normals = np.vstack([sides, [[0, 0, 1], [0, 0, -1]]])
@@ -99,20 +99,20 @@ def _rippled_prism(
     return field
 
 
-def _stand(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Return a mesh leaned, turned and set down a hair above the floor."""
+def _placed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Mesh tilted, rotated and moved to 1 mm above the floor."""
     from trimesh.transformations import rotation_matrix
 
-    lean = rotation_matrix(np.radians(_LEAN), [0, 1, 0])
-    turn = rotation_matrix(np.radians(_TURN), [0, 0, 1])
-    rotation = (turn @ lean)[:3, :3]
+    tilt = rotation_matrix(np.radians(_TILT), [0, 1, 0])
+    spin = rotation_matrix(np.radians(_ROTATION), [0, 0, 1])
+    rotation = (spin @ tilt)[:3, :3]
     vertices = mesh.vertices @ rotation.T
     vertices[:, 2] += 1e-3 - vertices[:, 2].min()
     return make_mesh(vertices, mesh.faces, mesh.vertex_normals @ rotation.T)
 
 
 def _screen(glass: trimesh.Trimesh, margin: float = 0.05) -> trimesh.Trimesh:
-    """Return an upright screen with a window just smaller than the glass seen from the light."""
+    """Upright screen with a window, slightly smaller than the glass as seen from the light."""
     x = glass.vertices[:, 0].min() - 0.1
     seen = glass.vertices - _LIGHT
     on_screen = _LIGHT[1:] + seen[:, 1:] * ((x - _LIGHT[0]) / seen[:, :1])

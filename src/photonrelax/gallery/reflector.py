@@ -1,4 +1,4 @@
-"""A bent strip of metal on the floor: FPPM Fig. 1, a caustic beside light that is smooth."""
+"""A bent strip of metal on the floor, after FPPM Fig. 1: a caustic beside smooth light."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ def reflector(
     resolution: int = 1024,
     pixels: int = 600,
 ) -> Scene:
-    """Return a strip that stands on the floor and opens towards -x, whence the light comes.
+    """Strip that stands on the floor and opens towards the light, which comes from -x.
 
-    Its middle is bent and throws a caustic; its ends are flat, and throw light of the same
-    irradiance everywhere, reflectance · irradiance · sin(elevation).
+    Its middle is bent and makes a caustic; its ends are flat and reflect light of constant
+    irradiance, reflectance · irradiance · sin(elevation).
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def reflector(
     resolution : int
         Facets along the strip; normals are those of the exact curve.
     pixels : int
-        Width and height of the picture.
+        Width and height of images.
     """
     if not 0.0 < bend_length < length:
         raise ValueError(f"bend_length should lie between 0 and length, but is {bend_length}")
@@ -77,7 +77,7 @@ def reflector(
 def _strip(
     length: float, bend: float, bend_length: float, resolution: int
 ) -> tuple[Floats, Floats]:
-    """Return the curve seen from above, its middle at the origin, and its unit normals (n, 2)."""
+    """Curve in the plane of the floor, its middle at the origin, and unit normals (n, 2)."""
     along = np.linspace(-0.5, 0.5, resolution + 1) * length
     inner = np.clip(along / bend_length, -0.5, 0.5)
     # The integral of curvature, which goes as cos².
@@ -93,9 +93,9 @@ def _strip(
 def _wall(
     curve: Floats, normal: Floats, thickness: float, heights: tuple[float, float]
 ) -> trimesh.Trimesh:
-    """Return the closed wall over a curve, of bands that share no vertices.
+    """Closed wall over a curve, of bands that share no vertices.
 
-    Its ends are chamfered, so that only the front meets the light.
+    Its ends are chamfered, so that only the front is lit.
     """
     tangent = np.column_stack([normal[:, 1], -normal[:, 0]])
     chamfer = np.linspace(-1.0, 1.0, len(curve))[:, np.newaxis] * tangent
@@ -122,5 +122,5 @@ def _at(points: Floats, height: float) -> Floats:
 
 
 def _band(first: Floats, second: Floats, normals: Floats) -> tuple[Floats, Floats, NDArray]:
-    """Return the surface between two curves, whose normal is (direction of curve) × (across)."""
+    """Surface between two curves, whose normal is (direction of curve) × (across)."""
     return np.concatenate([first, second]), np.tile(normals, (2, 1)), grid_faces(2, len(first))

@@ -30,7 +30,7 @@ def ring(
     sections: int = 1024,
     pixels: int = 600,
 ) -> Scene:
-    """Return a polished ring around the origin; light comes over its rim from -x.
+    """Polished ring around the origin, lit from -x over its rim.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def ring(
     sections : int
         Facets around the ring; normals are those of the true cylinder.
     pixels : int
-        Width and height of the picture.
+        Width and height of images.
     """
     metal = _tube(radius, radius + thickness, gap, gap + height, sections)
     down = np.radians(elevation)
@@ -64,7 +64,7 @@ def ring(
 
 
 def _tube(inner: float, outer: float, bottom: float, top: float, sections: int) -> trimesh.Trimesh:
-    """Return a tube of four bands that share no vertices, so that its edges stay sharp."""
+    """Tube of four bands that share no vertices, so that its edges stay sharp."""
     return join(
         [
             _band((inner, top), (inner, bottom), (-1.0, 0.0), sections),
@@ -78,7 +78,7 @@ def _tube(inner: float, outer: float, bottom: float, top: float, sections: int) 
 def _band(
     start: tuple[float, float], end: tuple[float, float], normal: tuple[float, float], sections: int
 ) -> tuple[Floats, Floats, NDArray[np.intp]]:
-    """Return what a segment in the plane of (distance from the axis, height) sweeps out."""
+    """Surface of revolution of a segment in the plane of (distance from the axis, height)."""
     azimuth = np.linspace(0.0, 2 * np.pi, sections + 1)
     spin = np.column_stack([np.cos(azimuth), np.sin(azimuth)])
 

@@ -39,7 +39,7 @@ def ripples(
     resolution: int = 400,
     pixels: int = 600,
 ) -> Scene:
-    """Return a wavy slab over the floor, lit straight from above, seen from under the slab.
+    """Wavy slab over the floor, lit from straight above, seen from below the slab.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def ripples(
     resolution : int
         Cells along each side of the wavy top.
     pixels : int
-        Width and height of the picture.
+        Width and height of images.
     """
     if amplitude >= thickness:
         raise ValueError(
@@ -78,7 +78,7 @@ def ripples(
 def _wavy_slab(
     half_size: float, bottom: float, top: float, amplitude: float, resolution: int
 ) -> trimesh.Trimesh:
-    """Return a closed slab whose faces share no vertices, so that only its top is curved."""
+    """Closed slab whose faces share no vertices, so that only its top is curved."""
     side = np.linspace(-half_size, half_size, resolution + 1)
     x, y = (a.ravel() for a in np.meshgrid(side, side))
     height, slope_x, slope_y = _waves(x, y, np.pi / half_size, amplitude)
@@ -101,7 +101,7 @@ def _wavy_slab(
 def _wall(
     edge: Floats, bottom: float, normal: tuple[float, float, float]
 ) -> tuple[Floats, Floats, NDArray[np.intp]]:
-    """Return the wall below an edge of the top that has the outside on its right."""
+    """Wall below an edge of the top, whose right side is outside."""
     foot = edge * [1, 1, 0] + [0, 0, bottom]
     vertices = np.concatenate([foot, edge])
     return vertices, np.tile(normal, (len(vertices), 1)), grid_faces(2, len(edge))
@@ -110,7 +110,7 @@ def _wall(
 def _waves(
     x: Floats, y: Floats, wavenumber: float, amplitude: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Return height and slopes along x and y of a sum of plane waves."""
+    """Height and slopes along x and y of a sum of plane waves."""
     kx, ky = wavenumber * _WAVES[:, :2].T
     share, shift = _WAVES[:, 2:].T
     phase = np.multiply.outer(x, kx) + np.multiply.outer(y, ky) + shift

@@ -1,7 +1,7 @@
-"""A disc, a square and three lines of equal density on black: after SSO08 Fig. 3.
+"""A disc, a square and three lines of equal density on black, after SSO08 Fig. 3.
 
-The figure gives the kinds of shapes and the number of photons; places and sizes are ours. Lines
-slant, so that pixels and range axes do not favour them, and no shape touches another or the border.
+The kinds of shapes and the number of photons are those of the figure, positions and sizes are not.
+The lines slant, so that they are aligned neither with pixels nor with range axes.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from .photon_pattern import PhotonPattern
 DISC = ((0.27, 0.76), 0.17)
 SQUARE = ((0.73, 0.76), 0.15)
 _LINES_LEFT, _LINES_RIGHT = 0.08, 0.92
-# How much a line rises from left to right, and where its middle is.
+# Rise of a line from left to right, and the heights of the middles.
 _RISE = 0.15
 LINE_MIDDLES = (0.44, 0.28, 0.12)
 LINE_WIDTHS = (0.01, 0.02, 0.04)
-# Lines any wider would leave the square.
-_WIDEST = 0.08
+# Wider lines would leave the square.
+_MAX_WIDTH = 0.08
 
 
 def shapes(
@@ -36,16 +36,16 @@ def shapes(
     irradiance: float = 1.0,
     line_widths: Sequence[float] = LINE_WIDTHS,
 ) -> PhotonPattern:
-    """Return photons as of collimated light through a stencil onto the unit square.
+    """Photons of collimated light through a stencil onto the unit square.
 
     Parameters
     ----------
     n : int
-        Photons; all are stored, as all that are emitted pass the stencil.
+        Number of photons; all that are emitted pass the stencil and are stored.
     sampler : {"random", "halton"}
         Independent photons, as in SSO08, or evenly spaced ones within each shape.
     seed : int
-        Of the random numbers, or what shifts the sequence.
+        Of the random numbers, or of the shift of the sequence.
     irradiance : float
         Within the shapes, W/m².
     line_widths : three floats
@@ -90,10 +90,7 @@ def shapes(
 
 
 def line_points(number: int, uv: Floats, width: float, margin: float = 0.1) -> Floats:
-    """Map points of the unit square evenly to a line, save for a margin at its ends, (n, 2).
-
-    For those who look at what becomes of the lines.
-    """
+    """Map points of the unit square uniformly to a line without a margin at its ends, (n, 2)."""
     line = _line(LINE_MIDDLES[number], width)
     return line.placed(uv * [1.0, 1.0 - 2 * margin] + [0.0, margin])
 
@@ -111,14 +108,14 @@ def _square(n: int, sampler: str, seed: int) -> Floats:
 
 
 def _placed(uv: Floats, parts: Sequence[_Disc | _Parallelogram], shares: Floats) -> Floats:
-    """Map the unit square to the shapes, each a strip of it as wide as its share of the area."""
+    """Map the unit square to the shapes: a vertical strip to each, in proportion to its area."""
     edges = np.cumsum(shares)
     number = np.searchsorted(edges[:-1], uv[:, 0], side="right")
     xy = np.empty_like(uv)
     for i, part in enumerate(parts):
         rows = number == i
         across = (uv[rows, 0] - (edges[i] - shares[i])) / shares[i]
-        # The share's rounding may lead out of the strip.
+        # Rounding of the shares may lead out of the strip.
         inside = np.column_stack([np.clip(across, 0.0, np.nextafter(1.0, 0.0)), uv[rows, 1]])
         xy[rows] = part.placed(inside)
     return xy
@@ -132,9 +129,9 @@ def _parts(line_widths: Floats) -> list[_Disc | _Parallelogram]:
 
 
 def _line(middle: float, width: float) -> _Parallelogram:
-    """Return a line with upright ends; its width is measured across."""
-    if not 0.0 < width <= _WIDEST:
-        raise ValueError(f"line_widths should lie in (0, {_WIDEST}], but one is {width}")
+    """Line with vertical ends; the width is perpendicular to it."""
+    if not 0.0 < width <= _MAX_WIDTH:
+        raise ValueError(f"line_widths should lie in (0, {_MAX_WIDTH}], but one is {width}")
     run = _LINES_RIGHT - _LINES_LEFT
     upright = width * np.hypot(run, _RISE) / run
     corner = (_LINES_LEFT, middle - 0.5 * (_RISE + upright))
@@ -151,14 +148,14 @@ class _Disc:
         return float(np.pi * self.radius**2)
 
     def placed(self, uv: Floats) -> Floats:
-        """Map points of the unit square to the disc, evenly."""
+        """Map points of the unit square uniformly to the disc."""
         return self.centre + self.radius * square_to_disk(uv)
 
     def holds(self, xy: Floats) -> NDArray[np.bool_]:
         return np.linalg.norm(xy - self.centre, axis=1) <= self.radius
 
     def area_below(self, x: Floats, y: Floats) -> Floats:
-        """Return the area of the part that has lesser coordinates than both x and y.
+        """Area of the part whose coordinates are less than x and y.
 
         For the unit disc: ∫ from -1 to x of min(y, s) - min(y, -s), s = √(1 - t²); the integrand
         is y + s where s > |y|, and otherwise 2s above the centre and nothing below.
@@ -173,13 +170,13 @@ class _Disc:
 
 
 def _cap(t: Floats | float) -> Floats:
-    """Return the integral of √(1 - t²)."""
+    """Integral of √(1 - t²)."""
     return 0.5 * (t * np.sqrt(1.0 - np.square(t)) + np.arcsin(t))
 
 
 @dataclass(frozen=True)
 class _Parallelogram:
-    """Spanned from a corner by two sides, one way round or the other."""
+    """Parallelogram spanned by two sides from a corner, in either orientation."""
 
     corner: tuple[float, float]
     first: tuple[float, float]
@@ -190,7 +187,7 @@ class _Parallelogram:
         return float(abs(np.linalg.det([self.first, self.second])))
 
     def placed(self, uv: Floats) -> Floats:
-        """Map points of the unit square to the parallelogram, evenly."""
+        """Map points of the unit square uniformly to the parallelogram."""
         return self.corner + uv @ np.array([self.first, self.second])
 
     def holds(self, xy: Floats) -> NDArray[np.bool_]:
@@ -198,7 +195,7 @@ class _Parallelogram:
         return (uv.min(axis=1) >= 0.0) & (uv.max(axis=1) <= 1.0)
 
     def area_below(self, x: Floats, y: Floats) -> Floats:
-        """Return the area of the part that has lesser coordinates than both x and y."""
+        """Area of the part whose coordinates are less than x and y."""
         corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) @ np.array([self.first, self.second])
         corners = corners + self.corner
         total = sum(
@@ -206,12 +203,12 @@ class _Parallelogram:
             for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True)
         )
         turns = np.sign(np.linalg.det([self.first, self.second]))
-        # Going round anticlockwise the upper sides lead to lesser x.
+        # Anticlockwise, the upper sides lead to lesser x.
         return -turns * total
 
 
 def _area_under(start: Floats, end: Floats, x: Floats, y: Floats) -> Floats:
-    """Return ∫ min(height of a side, y) over its run up to x; negative if it runs to the left."""
+    """Integral of min(height of a side, y) along it up to x; negative for sides to the left."""
     (left, low), (right, high) = sorted([tuple(start), tuple(end)])
     if right == left:
         return np.zeros(np.broadcast(x, y).shape)
@@ -226,5 +223,5 @@ def _area_under(start: Floats, end: Floats, x: Floats, y: Floats) -> Floats:
 
 
 def _ramp(t: Floats, y: Floats) -> Floats:
-    """Return the integral of min(t, y) over t."""
+    """Integral of min(t, y) over t."""
     return np.where(t <= y, 0.5 * t * t, y * t - 0.5 * y * y)

@@ -21,7 +21,7 @@ def sphere(
     subdivisions: int = 7,
     pixels: int = 600,
 ) -> Scene:
-    """Return a glass sphere over the floor, lit straight from above.
+    """Glass sphere over the floor, lit from straight above.
 
     The caustic is known by one-dimensional quadrature: a bright spot inside a fold, and faint
     rings of light reflected inside the glass, out to infinity.
@@ -41,7 +41,7 @@ def sphere(
     subdivisions : int
         Fineness of the mesh; each step quadruples its faces, 7 makes 327,680.
     pixels : int
-        Width and height of the picture.
+        Width and height of images.
     """
     import trimesh
 

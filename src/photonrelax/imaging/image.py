@@ -1,4 +1,4 @@
-"""Images of several layers, as EXR and PNG: the only file that knows OpenEXR."""
+"""Images of several layers, and their EXR and PNG files."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 from .._util.files import whole_file
 from .._util.validation import Floats, float_array
 
-# Channels of the layers with three values per pixel; of the others, the layer's name and R, G, B.
+# Channels of layers with three values per pixel that are not NAME.R, NAME.G and NAME.B.
 _CHANNELS = {"radiance": ("R", "G", "B"), "N": ("N.X", "N.Y", "N.Z")}
-# Layers in which inf is a value: a depth where nothing is seen.
+# Layers that may hold inf: the depth where nothing is seen.
 _MAY_BE_INFINITE = ("Z",)
-_LARGEST = float(np.finfo(np.float32).max)
-# Either way far beyond what any picture needs, and within what floats hold.
-LARGEST_EXPOSURE = 100.0
-# Attributes of the file format, which metadata must not overwrite.
+_MAX_FLOAT32 = float(np.finfo(np.float32).max)
+# Stops, in either direction; larger ones would overflow.
+MAX_EXPOSURE = 100.0
+# Attributes of the EXR format, which metadata must not overwrite.
 _RESERVED = frozenset(
     [
         *("channels", "chunkCount", "compression", "dataWindow", "displayWindow", "lineOrder"),
@@ -33,23 +33,23 @@ _RESERVED = frozenset(
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """Named layers of one picture.
+    """Image of named layers.
 
     Parameters
     ----------
     layers : mapping of str to (height, width) or (height, width, 3)
-        Row 0 is at the top. ``radiance`` is the picture, W/(m² sr); ``N`` holds normals; ``Z`` is
-        depth, m, inf where nothing is seen. Files written hold finite values everywhere else;
-        files read may hold any.
+        Row 0 is at the top. ``radiance`` is in W/(m² sr); ``N`` holds normals; ``Z`` is the
+        depth, m, inf where nothing is seen. Written files hold finite values otherwise; files
+        that were read may hold any.
     metadata : mapping of str to str
         Written into the header of EXR files.
     stats : dict
-        Times and counts of the stages that made the picture; not written.
+        Times and counts of the stages of a render; not written to files.
 
     Raises
     ------
     TypeError, ValueError
-        If a layer is not numbers or has another size than the others; if metadata are not text.
+        If a layer is not numeric or has another size than the others; if metadata are not text.
     """
 
     layers: Mapping[str, NDArray[Any]]
@@ -76,7 +76,7 @@ class Image:
         object.__setattr__(self, "metadata", _checked_metadata(self.metadata))
 
     def write_exr(self, path: str | os.PathLike[str]) -> None:
-        """Write all layers as one part of an EXR file: float32, ZIP, whole or not at all.
+        """Write all layers as one part of an EXR file, float32 and ZIP, atomically.
 
         ``radiance`` becomes the channels R, G, B; ``N`` becomes N.X, N.Y, N.Z; another layer
         becomes NAME.R, NAME.G, NAME.B, or the channel NAME if it has one value per pixel.
@@ -106,7 +106,7 @@ class Image:
                 raise OSError(f"cannot write {path}: {error}") from None
 
     def write_png(self, path: str | os.PathLike[str], exposure: float = 0.0) -> None:
-        """Write ``radiance`` times 2^exposure as an 8-bit sRGB picture, whole or not at all.
+        """Write ``radiance`` times 2^exposure as an 8-bit sRGB image, atomically.
 
         Raises
         ------
@@ -116,7 +116,7 @@ class Image:
         OSError
             If the file cannot be written.
         """
-        from PIL import Image as Picture
+        from PIL.Image import fromarray
 
         if "radiance" not in self.layers:
             raise ValueError(f"layers should include radiance, but are {sorted(self.layers)}")
@@ -124,7 +124,7 @@ class Image:
         _check_to_write("radiance", radiance)
         display = srgb(radiance * 2.0 ** _checked_exposure(exposure))
         with whole_file(path) as partial:
-            Picture.fromarray(np.rint(255.0 * display).astype(np.uint8)).save(partial, "PNG")
+            fromarray(np.rint(255.0 * display).astype(np.uint8)).save(partial, "PNG")
 
     def _channels(self) -> dict[str, NDArray[np.float32]]:
         channels = {}
@@ -134,16 +134,16 @@ class Image:
                 channels[name] = np.ascontiguousarray(values)
             else:
                 for i, channel in enumerate(_channel_names(name)):
-                    # OpenEXR writes other layouts wrong, and silently.
+                    # OpenEXR silently writes wrong values of other layouts.
                     channels[channel] = np.ascontiguousarray(values[..., i])
         return channels
 
 
 def read_exr(path: str | os.PathLike[str]) -> Image:
-    """Read an EXR file of one part, by the channel names of `Image.write_exr`.
+    """Read an EXR file of one part and of any program.
 
-    Any program may have written it, and its values need not be finite. Channels that do not come
-    in threes are layers by themselves.
+    Three channels as named by `Image.write_exr` are a layer, every other channel is one by itself.
+    Values need not be finite.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def read_exr(path: str | os.PathLike[str]) -> Image:
 
 
 def srgb(linear: ArrayLike) -> Floats:
-    """Return display values of linear ones clipped to [0, 1] (IEC 61966-2-1)."""
+    """Display values of linear values clipped to [0, 1] (IEC 61966-2-1)."""
     linear = np.clip(float_array(linear, "linear"), 0.0, 1.0)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
@@ -181,7 +181,7 @@ def _channel_names(layer: str) -> tuple[str, ...]:
 
 
 def _group(channels: dict[str, NDArray]) -> dict[str, NDArray]:
-    """Join channels into the layers they came from; a channel alone is a layer of its own."""
+    """Layers of channels; a channel that belongs to no other is a layer by itself."""
     layers = {}
     left = dict(channels)
     for name in _triple_names(channels):
@@ -195,7 +195,7 @@ def _triple_names(channels: Iterable[str]) -> list[str]:
     return [
         name
         for name in candidates
-        # A channel of the same name keeps it, and the three stay by themselves.
+        # If a channel has this name already, the three are layers by themselves.
         if present.issuperset(_channel_names(name)) and name not in present
     ]
 
@@ -215,7 +215,7 @@ def _checked_layer(name: str, layer: ArrayLike) -> Floats:
 def _check_to_write(name: str, values: Floats) -> None:
     if name in _CHANNELS and values.ndim == 2:
         raise ValueError(f"layer {name} should have three values per pixel, but has one")
-    bad = ~(np.abs(values) <= _LARGEST)
+    bad = ~(np.abs(values) <= _MAX_FLOAT32)
     if name in _MAY_BE_INFINITE:
         bad &= values != np.inf
     if bad.any():
@@ -228,9 +228,9 @@ def _check_to_write(name: str, values: Floats) -> None:
 
 def _checked_exposure(exposure: float) -> float:
     stops = float(float_array(exposure, "exposure", ()))
-    if abs(stops) > LARGEST_EXPOSURE:
+    if abs(stops) > MAX_EXPOSURE:
         raise ValueError(
-            f"exposure should be between -{LARGEST_EXPOSURE:g} and {LARGEST_EXPOSURE:g} stops, "
+            f"exposure should be between -{MAX_EXPOSURE:g} and {MAX_EXPOSURE:g} stops, "
             f"but is {stops:g}"
         )
     return stops

@@ -1,4 +1,4 @@
-"""How far pictures are from a reference: errors of radiance, and of what is seen on a display."""
+"""Image error metrics: of radiance, and of display values."""
 
 from __future__ import annotations
 
@@ -11,27 +11,26 @@ from numpy.typing import ArrayLike
 
 from .._util.validation import Floats, float_array
 
-# As in Wang et al. 2004: a Gaussian of 1.5 pixels, cut off at 3.5 deviations.
+# Wang et al. 2004: a Gaussian of 1.5 pixels, truncated at 3.5 standard deviations.
 _SSIM_SIGMA = 1.5
 SSIM_WINDOW = 11
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of a picture against a reference.
+    """Errors of an image against a reference.
 
     Attributes
     ----------
     relative_l1, relative_l2 : float
-        Sum of absolute differences over that of the reference; root of the sum of squared
-        differences over that of the reference. 0 is best.
+        L1 and L2 norm of the difference over that of the reference; 0 is best.
     energy_bias : float
-        Sum of the picture over that of the reference, less 1.
+        Sum of the image over that of the reference, minus 1.
     ssim : float
-        Mean structural similarity on a display (Wang et al. 2004); 1 is best.
+        Mean structural similarity of display values (Wang et al. 2004); 1 is best.
     flip : float
-        Mean FLIP on a display (Andersson et al. 2020): how much a viewer who flips between the
-        two sees change, in [0, 1].
+        Mean FLIP of display values (Andersson et al. 2020), in [0, 1]: the visible change when
+        flipping between image and reference; 0 is best.
     """
 
     relative_l1: float
@@ -41,17 +40,17 @@ class Errors:
     flip: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the errors by name."""
+        """The errors by name."""
         return asdict(self)
 
 
 def relative_l1(image: ArrayLike, reference: ArrayLike) -> float:
-    """Return Σ|image − reference| / Σ|reference|, over pixels and channels.
+    """Σ|image − reference| / Σ|reference|, over pixels and channels.
 
     Parameters
     ----------
     image, reference : (height, width, 3)
-        Linear values of one unit.
+        Linear values of the same unit.
 
     Raises
     ------
@@ -63,21 +62,21 @@ def relative_l1(image: ArrayLike, reference: ArrayLike) -> float:
 
 
 def relative_l2(image: ArrayLike, reference: ArrayLike) -> float:
-    """Return √Σ(image − reference)² / √Σreference²; arguments as in `relative_l1`."""
+    """√Σ(image − reference)² / √Σreference²; arguments as in `relative_l1`."""
     values, truth = _pair(image, reference)
     return float(np.linalg.norm(values - truth) / _not_black(float(np.linalg.norm(truth))))
 
 
 def energy_bias(image: ArrayLike, reference: ArrayLike) -> float:
-    """Return Σimage / Σreference − 1; arguments as in `relative_l1`."""
+    """Σimage / Σreference − 1; arguments as in `relative_l1`."""
     values, truth = _pair(image, reference)
     return float(values.sum() / _not_black(truth.sum()) - 1.0)
 
 
 def ssim(image: ArrayLike, reference: ArrayLike) -> float:
-    """Return the mean structural similarity of two pictures as displayed.
+    """Mean structural similarity (SSIM) of display values.
 
-    Gaussian weights of 1.5 pixels, each channel by itself (Wang et al. 2004, Eq. 13).
+    With Gaussian weights of 1.5 pixels, of each channel (Wang et al. 2004, Eq. 13).
 
     Parameters
     ----------
@@ -94,7 +93,7 @@ def ssim(image: ArrayLike, reference: ArrayLike) -> float:
     values, truth = _displayed(image, reference)
     if min(values.shape[:2]) < SSIM_WINDOW:
         raise ValueError(
-            f"pictures should have at least {SSIM_WINDOW} x {SSIM_WINDOW} pixels for SSIM, "
+            f"images should have at least {SSIM_WINDOW} x {SSIM_WINDOW} pixels for SSIM, "
             f"but have {values.shape[1]} x {values.shape[0]}"
         )
     return float(
@@ -111,9 +110,9 @@ def ssim(image: ArrayLike, reference: ArrayLike) -> float:
 
 
 def flip_map(image: ArrayLike, reference: ArrayLike) -> Floats:
-    """Return LDR-FLIP (height, width) in [0, 1] of two pictures as displayed.
+    """LDR-FLIP (height, width) of display values, in [0, 1].
 
-    Seen from where a degree holds 67 pixels, FLIP's default; FLIP as one number is the mean.
+    At 67 pixels per degree of view, FLIP's default; the mean is FLIP as one number.
 
     Parameters
     ----------
@@ -158,7 +157,7 @@ def _flip_evaluator() -> ModuleType:
 
 def _missing(package: str) -> ImportError:
     return ImportError(
-        f"comparing pictures needs {package}: pip install 'photonrelax[compare]' brings it"
+        f"comparing images needs {package}: pip install 'photonrelax[compare]' brings it"
     )
 
 

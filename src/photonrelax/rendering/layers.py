@@ -1,7 +1,8 @@
 """Output layers of images, a record each.
 
-A layer is a function of the hit points of a band and of the estimates from photons there. To add
-one, add its record to `RECORDS`: it is then rendered, merged over progressive passes and written.
+A layer is a function of the hit points of a band and of the estimates of a field there. To add one,
+add its record to `RECORDS`: it is then rendered, merged over progressive passes and written. Layers
+that a field names itself, `Field.layers`, need no record.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from ..estimation.field import Field
 from .view import Band, concatenate_bands
 
 Estimates = Mapping[str, Floats]
-"""Estimates from photons by name, (rows, width, c) each; empty where there are no photons."""
+"""Estimates of a field by name, (rows, width, c) each; empty without a field."""
 
 
 @dataclass(frozen=True)
@@ -121,12 +122,24 @@ LAYERS = {
 
 def band_layers(band: Band, estimates: Estimates | None = None) -> dict[str, Floats]:
     """Layers of a band; without estimates those that do not depend on photons."""
+    estimates = estimates or {}
     layers = {}
-    for layer in RECORDS:
-        values = layer.values(band, estimates or {})
+    for layer in _records(estimates):
+        values = layer.values(band, estimates)
         if values is not None:
             layers[layer.name] = values[..., 0] if layer.channels == 1 else values
     return layers
+
+
+def _records(estimates: Estimates) -> list[Layer]:
+    """All records, and those of estimates that have none."""
+    names = {layer.name for layer in RECORDS}
+    others = [
+        Layer(name, "mean over what was gathered", _estimate(name), channels=values.shape[2])
+        for name, values in estimates.items()
+        if name not in names
+    ]
+    return [*RECORDS, *others]
 
 
 def fixed_layers(bands: Iterable[Band]) -> dict[str, Floats]:
@@ -172,8 +185,8 @@ def _merges() -> dict[str, Merge]:
 # --- estimates from photons -----------------------------------------------------------------------
 
 
-class PhotonEstimates:
-    """Caustic of a field, and means of the attributes of its photons, in each pixel."""
+class FieldEstimates:
+    """Caustic of a field, and means of the attributes of its elements, in each pixel."""
 
     def __init__(self, field: Field) -> None:
         mean = field.flux.mean(axis=1, keepdims=True)
@@ -200,7 +213,7 @@ class PhotonEstimates:
 
 def photon_layers(bands: Iterable[Band], field: Field) -> dict[str, Floats]:
     """Layers of an image that depend on photons."""
-    estimates, parts = PhotonEstimates(field), []
+    estimates, parts = FieldEstimates(field), []
     for band in bands:
         found = estimates(band)
         parts.append({n: v for n, v in band_layers(band, found).items() if n in found})

@@ -24,7 +24,7 @@ from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
 from ..transport.emission import PATHS, plan_emission
 from ..transport.trace import trace_photons
-from .layers import PhotonEstimates, band_layers, with_radiance
+from .layers import FieldEstimates, band_layers, with_radiance
 from .metadata import ledger_values, photon_metadata
 from .view import View, concatenate_bands
 
@@ -160,7 +160,7 @@ class _Stages:
     def render(self, field: Field) -> dict[str, Floats]:
         started = perf_counter()
         report = Reporter(self._progress, "render", self._view.camera.height)
-        estimates = PhotonEstimates(field)
+        estimates = FieldEstimates(field)
         parts, n_hit_points = [], 0
         for band in self._view.bands():
             parts.append(with_radiance(band_layers(band, estimates(band))))

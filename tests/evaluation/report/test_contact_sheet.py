@@ -50,7 +50,7 @@ def words_of(drawn):
 @pytest.mark.parametrize(
     ("caption", "detail", "title"),
     [
-        ("isotropic-diffusion, dealt", DETAIL, TITLE),
+        ("isotropic-diffusion, split passes", DETAIL, TITLE),
         ("parameterised", f"{REFERENCE}; {REFERENCE}", TITLE),
         ("k = 50, " * 20, "W" * 200, TITLE * 5),
         ("name", "", ""),

@@ -135,7 +135,7 @@ def test_any_two_methods_stand_side_by_side(page):
     choose(page, "right", "reference")
     assert find(page, "#right-tag").text == "reference"
     assert find(page, "#left-tag").text.startswith("parameterised: SSIM 0.")
-    assert find(page, "#left").get_attribute("alt") == "parameterised, picture"
+    assert find(page, "#left").get_attribute("alt") == "parameterised, image"
 
 
 @pytest.mark.parametrize("kind", ["flip", "difference"])
@@ -146,7 +146,7 @@ def test_error_maps_come_and_go(page, kind):
     assert source(page, "left") != before
     assert value_of(page, "document.getElementById('left').decode().then(() => true)")
     assert find(page, "#left").get_attribute("alt") == f"standard, {kind}"
-    find(page, "[value=picture]").send_keys(" ")
+    find(page, "[value=image]").send_keys(" ")
     assert source(page, "left") == before
 
 
@@ -155,7 +155,7 @@ def test_the_reference_has_no_error_map_and_shows_itself(page):
     before = source(page, "left")
     find(page, "[value=flip]").send_keys(" ")
     assert source(page, "left") == before
-    assert find(page, "#left-tag").text == "reference: the picture itself"
+    assert find(page, "#left-tag").text == "reference: the image itself"
 
 
 def test_two_pictures_are_seen_at_first_whatever_was_compared(browser, comparison, tmp_path):
@@ -181,7 +181,7 @@ def test_words_that_look_like_the_end_of_the_data_do_no_harm(browser, comparison
 def test_the_table_is_the_one_that_is_printed(page, written):
     table = written[1]
     head = [cell.text for cell in page.find_elements("css selector", "#table thead th")]
-    assert head == table.head
+    assert head == table.column_titles
     rows = page.find_elements("css selector", "#table tbody tr")
     shown = [[cell.text for cell in row.find_elements("css selector", "th, td")] for row in rows]
     assert shown == [[name, *cells] for name, cells, _ in table.rows]

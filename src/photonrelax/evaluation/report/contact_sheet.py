@@ -1,4 +1,4 @@
-"""The contact sheet of a comparison, laid out as SJ13 Fig. 6: methods, and below what they tell."""
+"""Contact sheet of a comparison, laid out as SJ13 Fig. 6: images with captions below them."""
 
 from __future__ import annotations
 
@@ -11,74 +11,75 @@ from typing import TYPE_CHECKING
 from .images import Bytes
 
 if TYPE_CHECKING:
-    from PIL.Image import Image as Picture
+    from PIL.Image import Image as PILImage
     from PIL.ImageDraw import ImageDraw
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
-# Fewer panels are not shown any larger.
-_LEAST_COLUMNS, _MOST_COLUMNS = 4, 5
 Panel = tuple[Bytes, str, str]
-# Panels are shown this wide, whatever the size of the pictures.
+"""Image (height, width, 3), caption and detail."""
+
+_MIN_COLUMNS, _MAX_COLUMNS = 4, 5
+# Width of panels, to which images are resized, in pixels.
 _PANEL = 480
 _GAP = 12
 # Above and below the lines of a text.
 _MARGIN = 8
-_PAPER = (255, 255, 255)
+_BACKGROUND = (255, 255, 255)
 
 
 @dataclass(frozen=True)
 class _Line:
-    """One line of text, in pixels: its letters' size and the height it takes."""
+    """A line of text; font size and line height in pixels."""
 
     text: str
     size: int
     height: int
-    ink: tuple[int, int, int]
+    colour: tuple[int, int, int]
 
 
-def contact_sheet(groups: list[list[Panel]], title: str) -> Picture:
-    """Return panels of pictures, captions and details below each.
+def contact_sheet(groups: list[list[Panel]], title: str) -> PILImage:
+    """Image of panels, with a caption and a detail below each.
 
     Parameters
     ----------
-    groups : list of lists of (picture, caption, detail)
-        Panels from left to right and top to bottom, each group beginning a row; pictures are
+    groups : list of lists of (image, caption, detail)
+        Panels from left to right and top to bottom; each group begins a row. Images are
         (height, width, 3), all of one size.
     title : str
-        Below all of them.
+        Text below all panels.
     """
     from PIL import Image, ImageDraw
 
     height, width = groups[0][0][0].shape[:2]
     size = (_PANEL, max(round(_PANEL * height / width), 1))
-    columns = min(max(_LEAST_COLUMNS, *map(len, groups)), _MOST_COLUMNS)
+    columns = min(max(_MIN_COLUMNS, *map(len, groups)), _MAX_COLUMNS)
     rows = _rows(groups, columns)
     tops = [_GAP]
     for row in rows:
         tops.append(tops[-1] + size[1] + max(_height(lines) for _, lines in row))
     full = columns * (_PANEL + _GAP) + _GAP
-    foot = _details(title, full - 2 * _GAP)
-    sheet = Image.new("RGB", (full, tops[-1] + _height(foot)), _PAPER)
+    title_lines = _details(title, full - 2 * _GAP)
+    sheet = Image.new("RGB", (full, tops[-1] + _height(title_lines)), _BACKGROUND)
     draw = ImageDraw.Draw(sheet)
     for top, row in zip(tops[:-1], rows, strict=True):
-        for column, (picture, lines) in enumerate(row):
+        for column, (image, lines) in enumerate(row):
             left = _GAP + column * (_PANEL + _GAP)
-            sheet.paste(_fitted(picture, size), (left, top))
+            sheet.paste(_resized(image, size), (left, top))
             _write(draw, (left + _PANEL // 2, top + size[1]), lines)
-    _write(draw, (full // 2, tops[-1]), foot)
+    _write(draw, (full // 2, tops[-1]), title_lines)
     return sheet
 
 
 def _rows(groups: list[list[Panel]], columns: int) -> list[list[tuple[Bytes, list[_Line]]]]:
-    """Return the pictures of each row, with the lines below each."""
+    """Images of each row, with the lines below each."""
     letters = iter(ascii_lowercase)
     return [
         [
             (
-                picture,
+                image,
                 [*_captions(f"({next(letters)}) {caption}", _PANEL), *_details(detail, _PANEL)],
             )
-            for picture, caption, detail in group[i : i + columns]
+            for image, caption, detail in group[i : i + columns]
         ]
         for group in groups
         for i in range(0, len(group), columns)
@@ -94,7 +95,7 @@ def _details(text: str, width: int) -> list[_Line]:
 
 
 def _wrapped(text: str, size: int, width: int) -> list[str]:
-    """Return text in lines that are no wider than so many pixels."""
+    """Text in lines of a font size that are no wider than a number of pixels."""
     font, lines = _font(size), [text] if text else []
     for characters in range(len(text), 0, -1):
         lines = wrap(text, characters)
@@ -113,17 +114,17 @@ def _font(size: int) -> FreeTypeFont | ImageFont:
     return ImageFont.load_default(size)
 
 
-def _fitted(picture: Bytes, size: tuple[int, int]) -> Picture:
+def _resized(image: Bytes, size: tuple[int, int]) -> PILImage:
     from PIL import Image
 
-    shown = Image.fromarray(picture)
-    enlarged = shown.width < size[0]
-    return shown.resize(size, Image.Resampling.NEAREST if enlarged else Image.Resampling.LANCZOS)
+    full = Image.fromarray(image)
+    enlarged = full.width < size[0]
+    return full.resize(size, Image.Resampling.NEAREST if enlarged else Image.Resampling.LANCZOS)
 
 
-def _write(draw: ImageDraw, place: tuple[int, int], lines: Iterable[_Line]) -> None:
-    """Write lines one below the other; the place is the middle of where they begin."""
-    x, y = place[0], place[1] + _MARGIN
+def _write(draw: ImageDraw, top: tuple[int, int], lines: Iterable[_Line]) -> None:
+    """Write centred lines one below the other; `top` is the middle of their upper border."""
+    x, y = top[0], top[1] + _MARGIN
     for line in lines:
-        draw.text((x, y), line.text, fill=line.ink, font=_font(line.size), anchor="ma")
+        draw.text((x, y), line.text, fill=line.colour, font=_font(line.size), anchor="ma")
         y += line.height

@@ -1,4 +1,4 @@
-"""What a comparison leaves in a folder; its files take their places together or not at all."""
+"""Files of a comparison; they replace those of an earlier one together or not at all."""
 
 from __future__ import annotations
 
@@ -10,23 +10,22 @@ from ..._util.files import check_writable, whole_file, write_json
 from ...estimation.methods import METHODS
 from ..comparison import Comparison, Entry
 from .contact_sheet import Panel, contact_sheet
-from .images import Bytes, method_pictures, photon_pictures
+from .images import Bytes, PhotonImage, method_images, photon_images
 from .page import page
-from .table import Table, heads, table
+from .table import Table, column_titles, table
 
 PAGE, SHEET, NUMBERS, REFERENCE = "index.html", "sheet.png", "comparison.json", "reference.exr"
-# What SJ13 Fig. 6 calls its panels.
+# Captions of SJ13 Fig. 6.
 _CAPTIONS = {
     "parameter-space": "Parameter space",
     "path-edges": "Path edges",
     "constraints": "Derived constraints",
 }
-_KINDS = ("flip", "difference")
-_ENDS = (".exr", ".png", *(f"-{kind}.png" for kind in _KINDS))
+_ERROR_MAPS = ("flip", "difference")
 
 
 def prepare_folder(folder: Path, methods: tuple[str, ...]) -> None:
-    """Make a folder and see that files can be written there; better before the work than after.
+    """Make a folder and check that files can be written there, before the work.
 
     Raises
     ------
@@ -38,24 +37,21 @@ def prepare_folder(folder: Path, methods: tuple[str, ...]) -> None:
     if not folder.exists() and not folder.parent.is_dir():
         raise FileNotFoundError(f"cannot write {folder}: there is no folder {folder.parent}")
     folder.mkdir(exist_ok=True)
-    pictures = [*methods, *(f"{method}-{kind}" for method in methods for kind in _KINDS)]
-    for name in (PAGE, SHEET, NUMBERS, REFERENCE, *(f"{method}.exr" for method in methods)):
+    names = {name for method in methods for name in _method_files(method)}
+    for name in (PAGE, SHEET, NUMBERS, REFERENCE, "reference.png", *names, *_photon_files()):
         check_writable(folder / name)
-    for name in (*pictures, *_CAPTIONS, "reference"):
-        check_writable(folder / f"{name}.png")
 
 
 def write(comparison: Comparison, folder: Path) -> Table:
-    """Write a comparison's pictures, contact sheet, numbers and page; return its table.
+    """Write the images, contact sheet, numbers and page of a comparison; return its table.
 
-    Pictures of an earlier comparison that this one has none for are removed.
+    Images that only an earlier comparison has are removed.
     """
-    pictures, photons = method_pictures(comparison), photon_pictures(comparison)
-    about, shown = comparison.to_dict(), table(comparison)
-    flat = {name: made["picture"] for name, made in photons.items()}
-    for method, kinds in pictures.items():
-        flat |= {_file_name(method, kind): picture for kind, picture in kinds.items()}
-    encoded = {name: _png(picture) for name, picture in flat.items()}
+    images, photons = method_images(comparison), photon_images(comparison)
+    shown = table(comparison)
+    flat = _flat(images, photons)
+    encoded = {name: _png(image) for name, image in flat.items()}
+    html = _html(comparison, shown, photons, encoded)
     placed: set[str] = set()
     with ExitStack() as files:
 
@@ -67,59 +63,81 @@ def write(comparison: Comparison, folder: Path) -> Table:
             entry.image.write_exr(place(f"{entry.name}.exr"))
         for name, content in encoded.items():
             place(f"{name}.png").write_bytes(content)
-        sheet = contact_sheet(_panels(comparison, flat), shown.title)
-        sheet.save(place(SHEET), "PNG")
-        write_json(place(NUMBERS), about)
-        html = page(
-            about,
-            shown.to_dict(),
-            {
-                method: {kind: encoded[_file_name(method, kind)] for kind in kinds}
-                for method, kinds in pictures.items()
-            },
-            [
-                {"name": name, "picture": encoded[name], "about": made["about"]}
-                for name, made in photons.items()
-            ],
-        )
+        contact_sheet(_panels(comparison, flat), shown.title).save(place(SHEET), "PNG")
+        write_json(place(NUMBERS), comparison.to_dict())
         place(PAGE).write_text(html, encoding="utf-8")
-    for name in _known_names() - placed:
-        (folder / name).unlink(missing_ok=True)
+    _remove_others(folder, placed)
     return shown
 
 
-def _file_name(method: str, kind: str) -> str:
-    """Return what the file of a picture is called, but for its suffix."""
-    return method if kind == "picture" else f"{method}-{kind}"
+def _html(
+    comparison: Comparison,
+    shown: Table,
+    photons: dict[str, PhotonImage],
+    encoded: dict[str, bytes],
+) -> str:
+    kinds = {
+        entry.name: {kind: encoded[_stem(entry.name, kind)] for kind in ("image", *_ERROR_MAPS)}
+        for entry in comparison.entries
+    }
+    return page(
+        comparison.to_dict(),
+        shown.to_dict(),
+        {**kinds, "reference": {"image": encoded["reference"]}},
+        [
+            {"name": name, "image": encoded[name], "about": photon_image.about}
+            for name, photon_image in photons.items()
+        ],
+    )
 
 
-def _png(picture: Bytes) -> bytes:
-    """Return a picture (height, width, 3) as a PNG file."""
+def _flat(images: dict[str, dict[str, Bytes]], photons: dict[str, PhotonImage]) -> dict[str, Bytes]:
+    """All images by the stems of their file names."""
+    flat = {name: photon_image.image for name, photon_image in photons.items()}
+    for method, kinds in images.items():
+        flat |= {_stem(method, kind): image for kind, image in kinds.items()}
+    return flat
+
+
+def _stem(method: str, kind: str) -> str:
+    """Name of the file of an image, without its suffix."""
+    return method if kind == "image" else f"{method}-{kind}"
+
+
+def _method_files(method: str) -> list[str]:
+    return [f"{method}.exr", *(f"{_stem(method, kind)}.png" for kind in ("image", *_ERROR_MAPS))]
+
+
+def _photon_files() -> list[str]:
+    return [f"{name}.png" for name in _CAPTIONS]
+
+
+def _remove_others(folder: Path, placed: set[str]) -> None:
+    """Remove the images that comparisons of other methods have written."""
+    known = {name for method in METHODS for name in _method_files(method)}
+    for name in known.union(_photon_files()) - placed:
+        (folder / name).unlink(missing_ok=True)
+
+
+def _png(image: Bytes) -> bytes:
+    """An image (height, width, 3) as a PNG file."""
     from PIL import Image
 
     file = io.BytesIO()
-    Image.fromarray(picture).save(file, "PNG", optimize=True)
+    Image.fromarray(image).save(file, "PNG", optimize=True)
     return file.getvalue()
 
 
-def _known_names() -> set[str]:
-    """Return the names of all pictures that any comparison writes, but for the reference's own."""
-    of_methods = {f"{method}{end}" for method in METHODS for end in _ENDS}
-    return of_methods | {f"{name}.png" for name in _CAPTIONS}
-
-
-def _panels(comparison: Comparison, pictures: dict[str, Bytes]) -> list[list[Panel]]:
-    """Return the panels of the contact sheet: methods; what photons carry, and the reference."""
+def _panels(comparison: Comparison, images: dict[str, Bytes]) -> list[list[Panel]]:
+    """Panels of the contact sheet: methods; photon attributes and the reference."""
     entries = comparison.entries
-    of_methods = [
-        (pictures[e.name], head, _detail(e))
-        for e, head in zip(entries, heads(entries), strict=True)
+    methods = [
+        (images[entry.name], title, _detail(entry))
+        for entry, title in zip(entries, column_titles(entries), strict=True)
     ]
-    of_photons = [
-        (pictures[name], caption, "") for name, caption in _CAPTIONS.items() if name in pictures
-    ]
-    reference = (pictures["reference"], "Reference", comparison.reference.description)
-    return [of_methods, [*of_photons, reference]]
+    photons = [(images[name], text, "") for name, text in _CAPTIONS.items() if name in images]
+    reference = (images["reference"], "Reference", comparison.reference.description)
+    return [methods, [*photons, reference]]
 
 
 def _detail(entry: Entry) -> str:

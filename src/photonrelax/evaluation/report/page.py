@@ -1,4 +1,4 @@
-"""The page of a comparison: one file that needs nothing else, pictures and all."""
+"""Self-contained HTML page of a comparison."""
 
 from __future__ import annotations
 
@@ -10,43 +10,43 @@ from typing import Any
 from ...estimation.methods import DEFAULT_METHOD
 from .images import DIFFERENCE_GAIN
 
-_PLACE = "/* DATA */"
+_DATA = "/* DATA */"
 
 
 def page(
     about: dict[str, Any],
     table: dict[str, Any],
-    pictures: dict[str, dict[str, bytes]],
+    images: dict[str, dict[str, bytes]],
     photons: list[dict[str, Any]],
 ) -> str:
-    """Return the HTML of a page.
+    """HTML of the page.
 
     Parameters
     ----------
     about : dict
-        All but the pictures; see `Comparison.to_dict`.
+        `Comparison.to_dict`.
     table : dict
-        See `Table.to_dict`.
-    pictures : dict
-        For each method, and ``reference``, its kinds of pictures as PNG files.
+        `Table.to_dict`.
+    images : dict
+        Images as PNG files by kind, for each method and ``reference``.
     photons : list of dict
-        Pictures of what photons carry, each with ``name``, ``picture`` and ``about``.
+        Images of photon attributes, each with ``name``, ``image``, a PNG file, and ``about``.
     """
     data = {
         "about": about,
         "table": table,
         "gain": DIFFERENCE_GAIN,
         "default": DEFAULT_METHOD,
-        "pictures": {
-            method: {kind: _uri(picture) for kind, picture in kinds.items()}
-            for method, kinds in pictures.items()
+        "images": {
+            method: {kind: _data_uri(image) for kind, image in kinds.items()}
+            for method, kinds in images.items()
         },
-        "photons": [{**made, "picture": _uri(made["picture"])} for made in photons],
+        "photons": [{**each, "image": _data_uri(each["image"])} for each in photons],
     }
     template = files(__package__).joinpath("page.html").read_text(encoding="utf-8")
-    # Inside a script element nothing may look like its end.
-    return template.replace(_PLACE, json.dumps(data, allow_nan=False).replace("<", "\\u003c"))
+    # Escaped: a script element must not contain its end tag.
+    return template.replace(_DATA, json.dumps(data, allow_nan=False).replace("<", "\\u003c"))
 
 
-def _uri(picture: bytes) -> str:
-    return f"data:image/png;base64,{base64.b64encode(picture).decode('ascii')}"
+def _data_uri(png: bytes) -> str:
+    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"

@@ -1,17 +1,18 @@
-"""The table of a comparison, in the form of SJ13's Table I."""
+"""Table of a comparison, in the form of SJ13's Table I."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..._util.parallel import thread_count
 from ...estimation.methods import METHODS
 from ..comparison import Comparison, Entry, machine
+from ..reference import Reference
 
-# Stages by the rows of the table; every other stage of a method's own finds features.
-_ROWS_OF = {
+# Rows of the times by stage; all other stages of methods detect features.
+_ROW_OF_STAGE = {
     "cast": "photon cast",
     "spectra": "photon cast",
     "relax": "relaxation",
@@ -19,7 +20,15 @@ _ROWS_OF = {
     "gather": "render",
 }
 _FEATURES = "feature detection"
-_NOTHING = "–"
+_EMPTY = "–"
+
+
+class Row(NamedTuple):
+    """Name, cells and index of the best cell of a row, None where none is better than others."""
+
+    name: str
+    cells: list[str]
+    best: int | None = None
 
 
 @dataclass(frozen=True)
@@ -29,135 +38,144 @@ class Table:
     Attributes
     ----------
     title : str
-        What is compared.
-    head : list of str
-        Names of the columns.
-    rows : list of (str, list of str, int or None)
-        Name of a row, its cells, and which of them is the best, if that has a meaning.
+        Subject and parameters of the comparison.
+    column_titles : list of str
+        One a column of cells.
+    rows : list of Row
+        From the top down.
     notes : list of str
-        What has to be known to read it.
+        Explanations of columns and rows.
     """
 
     title: str
-    head: list[str]
-    rows: list[tuple[str, list[str], int | None]]
+    column_titles: list[str]
+    rows: list[Row]
     notes: list[str]
 
     def text(self) -> str:
-        """Return the table for a terminal."""
-        lines = [["", *self.head], *([name, *cells] for name, cells, _ in self.rows)]
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        body = [
-            "  ".join([f"{name:{widths[0]}}", *(f"{c:>{w}}" for c, w in zip(cells, widths[1:]))])  # noqa: B905
+        """The table for a terminal, columns aligned."""
+        lines = [["", *self.column_titles], *([row.name, *row.cells] for row in self.rows)]
+        name_width, *widths = (max(map(len, column)) for column in zip(*lines, strict=True))
+        aligned = [
+            "  ".join([f"{name:{name_width}}", *map(str.rjust, cells, widths)]).rstrip()
             for name, *cells in lines
         ]
-        return "\n".join([self.title, *(line.rstrip() for line in body), *self.notes])
+        return "\n".join([self.title, *aligned, *self.notes])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the table by its attributes."""
-        rows = [{"name": name, "cells": cells, "best": best} for name, cells, best in self.rows]
-        return {"title": self.title, "head": self.head, "rows": rows, "notes": self.notes}
+        """The table by its attributes."""
+        return vars(self) | {"rows": [row._asdict() for row in self.rows]}
 
 
 def table(comparison: Comparison) -> Table:
-    """Return the table of a comparison; where the reference was computed, it is the last column.
+    """Table of a comparison; a computed reference is its last column.
 
-    That run is what SJ13 calls progressive; a method that photons of one map were dealt to passes
-    for is marked so.
+    That is what SJ13 calls progressive; methods that split the photon map into passes are marked.
     """
     entries = comparison.entries
     rows = [
-        ("photons emitted", [f"{entry.n_emitted:,}" for entry in entries], None),
-        ("photons absorbed", [f"{entry.n_stored:,}" for entry in entries], None),
-        ("photons per estimate", [_photons_per_estimate(entry) for entry in entries], None),
-        *_times(entries),
-        *(_measured(entries, *row) for row in _ERRORS),
-        *_known(entries),
+        Row("photons emitted", [f"{entry.n_emitted:,}" for entry in entries]),
+        Row("photons absorbed", [f"{entry.n_stored:,}" for entry in entries]),
+        Row("photons per estimate", [_photons_per_estimate(entry) for entry in entries]),
+        *_time_rows(entries),
+        *(metric.row(entries) for metric in _METRICS),
+        *_analytic_rows(entries),
     ]
-    made = Table(_title(comparison), heads(entries), rows, _notes(comparison))
-    return _with_reference(made, comparison)
+    titles = column_titles(entries)
+    return _with_reference(
+        Table(_title(comparison), titles, rows, _notes(comparison)), comparison.reference
+    )
 
 
-def heads(entries: tuple[Entry, ...]) -> list[str]:
-    """Return what entries are called; marked are those whose photons were dealt to passes."""
-    return [f"{e.name}, dealt" if METHODS[e.method].splits_passes else e.name for e in entries]
+def column_titles(entries: Sequence[Entry]) -> list[str]:
+    """Names of entries; methods that split the photon map into passes are marked."""
+    return [
+        f"{entry.name}, split passes" if METHODS[entry.method].splits_passes else entry.name
+        for entry in entries
+    ]
 
 
-def _with_reference(shown: Table, comparison: Comparison) -> Table:
-    reference = comparison.reference
+def seconds_by_row(seconds: dict[str, float]) -> dict[str, float]:
+    """Seconds of the stages of an entry, summed by the rows of the table."""
+    rows = {"photon cast": 0.0, _FEATURES: 0.0, "relaxation": 0.0, "render": 0.0}
+    for stage, value in seconds.items():
+        rows[_ROW_OF_STAGE.get(stage, _FEATURES)] += value
+    return rows
+
+
+def _time_rows(entries: Sequence[Entry]) -> list[Row]:
+    columns = [seconds_by_row(entry.seconds) for entry in entries]
+    totals = [sum(column.values()) for column in columns]
+    return [
+        *(Row(name, [_seconds(column[name]) for column in columns]) for name in columns[0]),
+        Row("total", [_seconds(total) for total in totals], _best(totals)),
+    ]
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.2f} s" if value else _EMPTY
+
+
+@dataclass(frozen=True)
+class _Metric:
+    """An error metric, its format, and the badness of its values."""
+
+    name: str
+    attribute: str
+    form: str
+    badness: Callable[[float], float] = abs
+
+    def row(self, entries: Sequence[Entry]) -> Row:
+        return self.row_of([getattr(entry.errors, self.attribute) for entry in entries])
+
+    def row_of(self, values: list[float]) -> Row:
+        cells = [self.form.format(value) for value in values]
+        return Row(self.name, cells, _best([self.badness(value) for value in values]))
+
+
+_METRICS = (
+    _Metric("relative L1", "relative_l1", "{:.2%}"),
+    _Metric("relative L2", "relative_l2", "{:.2%}"),
+    _Metric("SSIM", "ssim", "{:.4f}", lambda value: -value),
+    _Metric("FLIP", "flip", "{:.4f}"),
+    _Metric("energy bias", "energy_bias", "{:+.2%}"),
+)
+# Those of the pixels whose irradiance is analytic.
+_ANALYTIC_METRICS = tuple(
+    replace(metric, name=f"{metric.name}, analytic")
+    for metric in _METRICS
+    if metric.attribute in ("relative_l1", "relative_l2", "energy_bias")
+)
+
+
+def _analytic_rows(entries: Sequence[Entry]) -> list[Row]:
+    if not all(entry.analytic_errors for entry in entries):
+        return []
+    return [
+        metric.row_of([entry.analytic_errors[metric.attribute] for entry in entries])
+        for metric in _ANALYTIC_METRICS
+    ]
+
+
+def _best(badness: list[float]) -> int | None:
+    return badness.index(min(badness)) if len(badness) > 1 else None
+
+
+def _with_reference(table: Table, reference: Reference) -> Table:
+    """Table with the column of a computed reference."""
     cost = reference.cost
     if not cost:
-        return shown
-    cells_of = {
+        return table
+    cells = {
         "photons emitted": f"{cost['emitted']:,}",
         "photons absorbed": f"{cost['stored']:,}",
         "total": _seconds(cost["seconds"] or 0.0),
     }
-    for name, attribute, form, _ in _KNOWN:
-        if reference.analytic_errors:
-            cells_of[name] = form.format(reference.analytic_errors[attribute])
-    rows = [
-        (name, [*cells, cells_of.get(name, _NOTHING)], best) for name, cells, best in shown.rows
-    ]
-    return replace(shown, head=[*shown.head, "reference"], rows=rows)
-
-
-def by_row(seconds: dict[str, float]) -> dict[str, float]:
-    """Return the seconds of an entry's stages by the rows of the table."""
-    rows = {"photon cast": 0.0, _FEATURES: 0.0, "relaxation": 0.0, "render": 0.0}
-    for stage, value in seconds.items():
-        rows[_ROWS_OF.get(stage, _FEATURES)] += value
-    return rows
-
-
-def _times(entries: tuple[Entry, ...]) -> list[tuple[str, list[str], int | None]]:
-    columns = [by_row(entry.seconds) for entry in entries]
-    rows: list[tuple[str, list[str], int | None]] = [
-        (name, [_seconds(column[name]) for column in columns], None) for name in columns[0]
-    ]
-    totals = [sum(column.values()) for column in columns]
-    return [*rows, ("total", [_seconds(total) for total in totals], _best(totals, abs))]
-
-
-def _seconds(value: float) -> str:
-    return f"{value:.2f} s" if value else _NOTHING
-
-
-_ERRORS: list[tuple[str, str, str, Callable[[float], float]]] = [
-    ("relative L1", "relative_l1", "{:.2%}", abs),
-    ("relative L2", "relative_l2", "{:.2%}", abs),
-    ("SSIM", "ssim", "{:.4f}", lambda value: -value),
-    ("FLIP", "flip", "{:.4f}", abs),
-    ("energy bias", "energy_bias", "{:+.2%}", abs),
-]
-
-
-def _measured(
-    entries: tuple[Entry, ...], name: str, attribute: str, form: str, badness: Callable
-) -> tuple[str, list[str], int | None]:
-    values = [getattr(entry.errors, attribute) for entry in entries]
-    return name, [form.format(value) for value in values], _best(values, badness)
-
-
-# The same errors where light is known without photons.
-_KNOWN = [
-    (f"{name}, known light", attribute, form, badness)
-    for name, attribute, form, badness in _ERRORS
-    if attribute in ("relative_l1", "relative_l2", "energy_bias")
-]
-
-
-def _known(entries: tuple[Entry, ...]) -> list[tuple[str, list[str], int | None]]:
-    rows = []
-    for name, attribute, form, badness in _KNOWN:
-        values = [entry.analytic_errors[attribute] for entry in entries if entry.analytic_errors]
-        if values:
-            rows.append((name, [form.format(value) for value in values], _best(values, badness)))
-    return rows
-
-
-def _best(values: list[float], badness: Callable[[float], float]) -> int | None:
-    return min(range(len(values)), key=lambda i: badness(values[i])) if len(values) > 1 else None
+    if reference.analytic_errors:
+        for metric in _ANALYTIC_METRICS:
+            cells[metric.name] = metric.form.format(reference.analytic_errors[metric.attribute])
+    rows = [row._replace(cells=[*row.cells, cells.get(row.name, _EMPTY)]) for row in table.rows]
+    return replace(table, column_titles=[*table.column_titles, "reference"], rows=rows)
 
 
 def _photons_per_estimate(entry: Entry) -> str:
@@ -177,20 +195,20 @@ def _title(comparison: Comparison) -> str:
 
 def _notes(comparison: Comparison) -> list[str]:
     reference = comparison.reference
+    threads = thread_count(comparison.request.n_threads)
     notes = [
         f"reference: {reference.description}",
-        "L1, L2 and energy bias are of the caustic alone, SSIM and FLIP of the picture as shown; "
+        "L1, L2 and energy bias are of the caustic alone, SSIM and FLIP of the image on a display; "
         "photons and camera rays were traced for all methods and count in every total.",
-        f"SSIM and FLIP see nothing of what a display cuts off: {reference.clipped:.1%} of the "
-        "reference's pixels.",
+        f"SSIM and FLIP see nothing beyond the range of the display: {reference.clipped:.1%} of "
+        "the reference's pixels.",
+        f"times are of {threads} threads; {machine()}.",
     ]
-    threads = thread_count(comparison.request.n_threads)
-    notes.append(f"times are of {threads} threads; {machine()}.")
     if any(METHODS[entry.method].splits_passes for entry in comparison.entries):
-        notes.append("dealt: the photons of the same map, not fresh ones in every pass.")
+        notes.append("split passes: of the same photon map, not of new photons in every pass.")
     if reference.analytic_errors:
         notes.append(
-            f"known light: {reference.analytic_share:.0%} of the pixels, whose irradiance follows "
-            "from geometry, without photons."
+            f"analytic: over {reference.analytic_share:.0%} of the pixels, whose irradiance "
+            "follows from geometry, without photons."
         )
     return notes
