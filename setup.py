@@ -1,6 +1,6 @@
 """Build of the compiled kernels; everything else is in pyproject.toml.
 
-Two environment variables change the build:
+The compiler has to be GCC or Clang. Two environment variables change the build:
 
 PHOTONRELAX_BOUNDSCHECK=1
     Kernels check every array access (slow; for tests).
@@ -16,69 +16,101 @@ from Cython.Build import cythonize
 from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 from setuptools.errors import CompileError, LinkError
+from setuptools.modified import newer_group
 
 BOUNDS_CHECK = os.environ.get("PHOTONRELAX_BOUNDSCHECK", "0") == "1"
 WANT_OPENMP = os.environ.get("PHOTONRELAX_OPENMP", "1") != "0"
-# Kinds of build keep apart: each would take the other's objects for its own, up to date.
+# One folder per kind of build, as objects of the other kinds would count as up to date.
 BUILD_DIR = "build/" + ("checked" if BOUNDS_CHECK else "plain") + ("" if WANT_OPENMP else "-serial")
-OPENMP_FLAGS = {
-    "msvc": (["/openmp"], []),
-    "unix": (["-fopenmp"], ["-fopenmp"]),
-}
 # Contraction into fused multiply-adds would make results depend on the processor. Debug symbols
 # would make wheels five times as large.
-UNIX_FLAGS = ["-O3", "-ffp-contract=off", "-g0"]
-PROBE = "#include <omp.h>\nint main(void) { return omp_get_max_threads() < 1; }\n"
+FLAGS = ["-O3", "-ffp-contract=off", "-g0"]
+OPENMP = ["-fopenmp"]
+OPENMP_PROBE = "#include <omp.h>\nint main(void) { return omp_get_max_threads() < 1; }\n"
+
+EXT = Path("src/photonrelax/_ext")
+SIMD = EXT / "spatial" / "simd"
+SIMD_HEADERS = [str(path) for path in SIMD.glob("*.h")]
+SIMD_SOURCES = [*SIMD_HEADERS, *(str(path) for path in SIMD.glob("*.c"))]
+# kernels.c is compiled once without and once for each of these sets that the compiler has: a macro
+# that it then defines, and flags.
+INSTRUCTION_SETS = {
+    "AVX2": ("__AVX2__", ["-mavx2", "-mpopcnt", "-mbmi"]),
+    "AVX512": (
+        "__AVX512VL__",
+        ["-mavx512f", "-mavx512bw", "-mavx512dq", "-mavx512vl", "-mpopcnt", "-mbmi"],
+    ),
+}
+SIMD_PROBE = "#if !defined(__x86_64__) || !defined({})\n#error\n#endif\n"
 
 
 class BuildKernels(build_ext):
-    """Compile with OpenMP where the compiler has it, and say so where it has not."""
+    """Build with OpenMP and with the instruction sets that the compiler has."""
 
     def build_extensions(self):
-        kind = self.compiler.compiler_type
-        compile_flags, link_flags = self._openmp_flags(kind)
+        openmp = self._openmp_flags()
         for extension in self.extensions:
-            extension.extra_compile_args = compile_flags + (UNIX_FLAGS if kind == "unix" else [])
-            extension.extra_link_args = link_flags
+            extension.extra_compile_args = openmp + FLAGS
+            extension.extra_link_args = openmp
         super().build_extensions()
 
-    def _openmp_flags(self, kind):
-        flags = OPENMP_FLAGS.get(kind, ([], []))
-        if WANT_OPENMP and self._can_link(*flags):
-            return flags
+    def build_extension(self, ext):
+        if ext.name.endswith(".spatial.tree"):
+            ext.depends = SIMD_SOURCES
+            ext.extra_objects.append(self._simd_object("PORTABLE", []))
+            for name, (macro, flags) in INSTRUCTION_SETS.items():
+                if self._can_build(SIMD_PROBE.format(macro), flags):
+                    ext.extra_objects.append(self._simd_object(name, flags))
+                    ext.define_macros.append((f"HAVE_{name}", None))
+        super().build_extension(ext)
+
+    def _openmp_flags(self):
+        if WANT_OPENMP and self._can_build(OPENMP_PROBE, OPENMP, link=True):
+            return OPENMP
         why = "the compiler cannot link it" if WANT_OPENMP else "PHOTONRELAX_OPENMP=0"
         self.warn(f"photonrelax is built WITHOUT OpenMP ({why}): kernels will use one thread")
-        return [], []
+        return []
 
-    def _can_link(self, compile_flags, link_flags):
+    def _can_build(self, source, flags, *, link=False):
         with tempfile.TemporaryDirectory() as folder:
-            source = Path(folder, "probe.c")
-            source.write_text(PROBE)
+            probe = Path(folder, "probe.c")
+            probe.write_text(source)
             try:
                 objects = self.compiler.compile(
-                    [str(source)], output_dir=folder, extra_postargs=compile_flags
+                    [str(probe)], output_dir=folder, extra_postargs=flags
                 )
-                self.compiler.link_executable(
-                    objects, str(Path(folder, "probe")), extra_postargs=link_flags
-                )
+                if link:
+                    self.compiler.link_executable(
+                        objects, str(Path(folder, "probe")), extra_postargs=flags
+                    )
             except (CompileError, LinkError):
                 return False
         return True
 
+    def _simd_object(self, name, flags):
+        """Compile kernels.c with the flags of an instruction set; return the object's path."""
+        source, folder = SIMD / "kernels.c", Path(self.build_temp, name.lower())
+        target = folder / source.with_suffix(".o")
+        if self.force or newer_group(SIMD_SOURCES, str(target)):
+            self.compiler.compile(
+                [str(source)],
+                output_dir=str(folder),
+                macros=[(f"SIMD_{name}", None)],
+                extra_postargs=FLAGS + flags,
+            )
+        return str(target)
+
 
 def kernels():
     """One extension per ``.pyx`` below ``_ext``."""
-    source = Path("src")
-    folder = source / "photonrelax" / "_ext"
-    simd = folder / "spatial" / "simd"
     return [
         Extension(
-            ".".join(kernel.relative_to(source).with_suffix("").parts),
+            ".".join(kernel.relative_to("src").with_suffix("").parts),
             [str(kernel)],
-            include_dirs=[str(simd)],
-            depends=[str(header) for header in simd.glob("*.h")],
+            include_dirs=[str(SIMD)],
+            depends=SIMD_HEADERS,
         )
-        for kernel in sorted(folder.rglob("*.pyx"))
+        for kernel in sorted(EXT.rglob("*.pyx"))
     ]
 
 

@@ -1,36 +1,34 @@
 # distutils: language = c++
-"""Order of the tree's leaves.
+"""Build of the k-d tree: the order of its leaves, by median splits.
 
-The tree is split on keys of 30 bits, not on coordinates: rows of keys and ids take less than the
-points do, so that they can be moved at every level and lower levels run in the cache. A key is
-the scaled distance from the node's lowest point, cut to a whole number. Keys are in the order of
-their coordinates; where they cannot tell (equal keys on both sides of a split, extents a few
-units apart), the coordinates themselves decide.
+Nodes are split by keys of 30 bits, not by coordinates. Rows of an id and its keys are smaller than
+points: they are moved at every level, which makes all passes sequential, and lower levels run in
+the cache. A key is the scaled distance from the lower bound of the node, rounded down. Keys are
+monotone in the coordinates; where they are ambiguous (equal keys on both sides of a split, extents
+a few units apart), coordinates are compared.
 
-Halves keep the order their points had, so ids ascend in every node. Hence the first of equal
-coordinates have the lowest ids, and no split has to compare ids.
+Partitions are stable, so ids ascend in every node. Hence the first of equal coordinates have the
+lowest ids, and no split has to compare ids.
 """
 
 from cython.parallel cimport prange
 from libc.math cimport INFINITY
-from libc.stdint cimport INT32_MAX, INT32_MIN, int32_t, uint32_t
+from libc.stdint cimport INT32_MAX, INT32_MIN, int32_t
 from libc.string cimport memcpy, memset
 
 from .simd.kernels cimport BLOCK
 from .build_node cimport (
-    COARSE, MAX_AXES, MAX_WORDS, Job, Node, bound_keys, bound_points, divide,
-    divide_tied, keys_of, keys_per_extent, renew_keys, widest, widest_extent, write_keys,
+    COARSE, MAX_AXES, MAX_WORDS, Job, Node, bound_keys, bound_points, divide, divide_tied, keys_of,
+    keys_per_extent, renew_keys, widest, widest_extent, write_keys,
 )
-from .build_rows cimport (
-    N_BUCKETS, QUAD, Cut, Keys, bucket_shift, count_keys, enter_bucket, find_key, take_keys,
-)
+from .build_rows cimport QUAD, Cut, Keys, count_less, find_key, gather_keys
 
 import numpy as np
 
 cdef enum:
-    # Threads go on by subtrees when there are so many a thread, for an even load,
+    # Subtrees per thread, for an even load; nodes of fewer points are not split any further before
+    # threads take subtrees.
     SUBTREES = 4
-    # or when nodes have fewer points.
     MIN_POINTS = 1 << 14
 
 
@@ -40,8 +38,6 @@ cdef struct ThreadPartial:
     double[MAX_AXES] most
     int32_t[MAX_WORDS] low
     int32_t[MAX_WORDS] high
-    uint32_t[N_BUCKETS] sizes
-    Py_ssize_t n_taken
     Py_ssize_t n_lower
 
 
@@ -55,7 +51,7 @@ cdef struct Workers:
 def median_order(const double[:, ::1] points, const double[::1] axis_scale, int n_threads):
     """Order points as the leaves of a tree of median splits.
 
-    Points come in blocks of 16, the last of which may hold fewer. Node j of level l has the
+    Leaves are blocks of 16 points, the last of which may hold fewer. Node j of level l has the
     blocks from ``(j * n_blocks) >> l`` to ``((j + 1) * n_blocks) >> l``; its first half is that of
     node 2j of the next level. That half has the least points by (coordinate, id) on the axis
     where the extent of the node's points times `axis_scale` is greatest, the first of several
@@ -66,16 +62,16 @@ def median_order(const double[:, ::1] points, const double[::1] axis_scale, int 
     points : (n, d) float array
         Coordinates, finite; n < 2**31.
     axis_scale : (d,) float array
-        What makes extents comparable, finite and not negative; on axes of scale zero nothing is
-        split. At most 255 may be positive, and scaled extents have to be finite.
+        Factors that make extents comparable, finite and not negative; on axes of scale zero
+        nothing is split. At most 255 may be positive, and scaled extents have to be finite.
     n_threads : int
         Threads; the order does not depend on it.
 
     Returns
     -------
     (n,) intp array
-        Ids, the rows of `points`, in the order of the leaves. Behind them is room for as many as
-        the last block lacks, so that ids can be read several at a time.
+        Ids, the rows of `points`, in the order of the leaves. The memory behind them extends to
+        a whole block, so that ids can be read in vectors.
 
     Raises
     ------
@@ -152,7 +148,7 @@ cdef void split_serial(const Job* job, int level, Py_ssize_t index) noexcept nog
 
 
 cdef void copy_node(const Job* job, const Node* node) noexcept nogil:
-    """Put coincident points where the halves belong, to be split in vain again."""
+    """Copy coincident points, whose ids ascend already, as the halves."""
     memcpy(node.halves, node.rows, node.count * job.words * sizeof(int32_t))
 
 
@@ -187,7 +183,7 @@ cdef void write_ids(const Job* job, const Node* node) noexcept nogil:
 
 
 cdef bint split(const Job* job, const Node* node) noexcept nogil:
-    """Move the halves to where they belong; return False if all points coincide."""
+    """Write the halves of a node; return False, and write nothing, if all points coincide."""
     cdef int32_t[MAX_WORDS] low
     cdef int32_t[MAX_WORDS] high
     cdef Cut cut
@@ -210,14 +206,14 @@ cdef bint split(const Job* job, const Node* node) noexcept nogil:
 # All threads at one node
 
 cdef Node thread_range(const Workers* workers, const Node* node, int thread) noexcept nogil:
-    """Return a thread's part of a node's rows, and room for as many."""
-    cdef Node share = node[0]
+    """A thread's range of a node's rows."""
+    cdef Node part = node[0]
     cdef Py_ssize_t first = thread * node.count // workers.n_threads
-    share.first += first
-    share.count = (thread + 1) * node.count // workers.n_threads - first
-    share.rows += first * workers.job.words
-    share.halves += first * workers.job.words
-    return share
+    part.first += first
+    part.count = (thread + 1) * node.count // workers.n_threads - first
+    part.rows += first * workers.job.words
+    part.halves += first * workers.job.words
+    return part
 
 
 cdef void write_root(const Workers* workers) noexcept nogil:
@@ -227,7 +223,7 @@ cdef void write_root(const Workers* workers) noexcept nogil:
     cdef double unit
     cdef int thread, axis
     for thread in prange(workers.n_threads, num_threads=workers.n_threads):
-        number_share(workers, &root, thread)
+        number_range(workers, &root, thread)
     for axis in range(workers.job.n_keys):
         least[axis] = INFINITY
         most[axis] = -INFINITY
@@ -236,31 +232,33 @@ cdef void write_root(const Workers* workers) noexcept nogil:
             most[axis] = max(most[axis], workers.partials[thread].most[axis])
     unit = keys_per_extent(workers.job, least, most)
     for thread in prange(workers.n_threads, num_threads=workers.n_threads):
-        write_share(workers, &root, thread, least, unit)
+        write_range(workers, &root, thread, least, unit)
 
 
-cdef void number_share(const Workers* workers, const Node* root, int thread) noexcept nogil:
-    cdef Node share = thread_range(workers, root, thread)
+cdef void number_range(const Workers* workers, const Node* root, int thread) noexcept nogil:
+    cdef Node part = thread_range(workers, root, thread)
     cdef Py_ssize_t i
-    memset(share.rows, 0, share.count * workers.job.words * sizeof(int32_t))
-    for i in range(share.count):
-        share.rows[i * workers.job.words] = <int32_t> (share.first + i)
-    bound_points(workers.job, &share, workers.partials[thread].least, workers.partials[thread].most)
+    memset(part.rows, 0, part.count * workers.job.words * sizeof(int32_t))
+    for i in range(part.count):
+        part.rows[i * workers.job.words] = <int32_t> (part.first + i)
+    bound_points(workers.job, &part, workers.partials[thread].least, workers.partials[thread].most)
 
 
-cdef void write_share(
+cdef void write_range(
     const Workers* workers, const Node* root, int thread, const double* least, double unit
 ) noexcept nogil:
-    cdef Node share = thread_range(workers, root, thread)
-    write_keys(workers.job, &share, least, unit)
+    cdef Node part = thread_range(workers, root, thread)
+    write_keys(workers.job, &part, least, unit)
 
 
 cdef void split_parallel(const Workers* workers, int level, Py_ssize_t index) noexcept nogil:
+    """Split a node as `split` does, all threads together but for the selection of the key."""
     cdef Node node = node_at(workers.job, level, index)
     cdef int32_t[MAX_WORDS] low
     cdef int32_t[MAX_WORDS] high
     cdef Cut cut
     cdef Keys keys
+    cdef int thread
     bound_parallel(workers, &node, low, high)
     if widest_extent(workers.job, low, high) < COARSE:
         if not renew_keys(workers.job, &node):
@@ -268,8 +266,12 @@ cdef void split_parallel(const Workers* workers, int level, Py_ssize_t index) no
             return
         bound_parallel(workers, &node, low, high)
     cut.word = widest(workers.job, &node, low, high)
+    for thread in prange(workers.n_threads, num_threads=workers.n_threads):
+        gather_range(workers, &node, thread, cut.word)
     keys = keys_of(workers.job, &node, cut.word, low, high)
-    find_key_parallel(workers, &node, keys, &cut)
+    keys.first = node.halves
+    keys.step = 1
+    find_key(keys, node.halves, &cut)
     if cut.n_tied:
         divide_tied(workers.job, &node, &cut)
     else:
@@ -281,7 +283,7 @@ cdef void bound_parallel(
 ) noexcept nogil:
     cdef int thread, word
     for thread in prange(workers.n_threads, num_threads=workers.n_threads):
-        bound_share(workers, node, thread)
+        bound_range(workers, node, thread)
     for word in range(workers.job.words):
         low[word] = INT32_MAX
         high[word] = INT32_MIN
@@ -290,102 +292,46 @@ cdef void bound_parallel(
             high[word] = max(high[word], workers.partials[thread].high[word])
 
 
-cdef void bound_share(const Workers* workers, const Node* node, int thread) noexcept nogil:
-    cdef Node share = thread_range(workers, node, thread)
-    bound_keys(workers.job, &share, workers.partials[thread].low, workers.partials[thread].high)
+cdef void bound_range(const Workers* workers, const Node* node, int thread) noexcept nogil:
+    cdef Node part = thread_range(workers, node, thread)
+    bound_keys(workers.job, &part, workers.partials[thread].low, workers.partials[thread].high)
 
 
-cdef void find_key_parallel(
-    const Workers* workers, const Node* node, Keys keys, Cut* cut
+cdef void gather_range(
+    const Workers* workers, const Node* node, int thread, int word
 ) noexcept nogil:
-    # The order of these points is not known before their last split.
-    cdef int32_t* scratch = <int32_t*> (workers.job.order + node.first)
-    cdef int shift = bucket_shift(&keys)
-    cdef int thread, bucket
-    for thread in prange(workers.n_threads, num_threads=workers.n_threads):
-        count_share(workers, node, thread, keys, cut.word, shift)
-    bucket = enter_common_bucket(workers, &keys, shift)
-    for thread in prange(workers.n_threads, num_threads=workers.n_threads):
-        take_share(workers, node, thread, keys, cut.word)
-    gather_taken(workers, node, &keys, scratch)
-    find_key(keys, scratch, cut)
-    for thread in range(workers.n_threads):
-        count_lower(
-            &workers.partials[thread], bucket, thread_range(workers, node, thread).halves, cut.key
-        )
-
-
-cdef int enter_common_bucket(const Workers* workers, Keys* keys, int shift) noexcept nogil:
-    cdef uint32_t[N_BUCKETS] sizes
-    cdef int thread, bucket
-    for bucket in range(N_BUCKETS):
-        sizes[bucket] = 0
-        for thread in range(workers.n_threads):
-            sizes[bucket] += workers.partials[thread].sizes[bucket]
-    return enter_bucket(keys, shift, sizes)
-
-
-cdef void count_share(
-    const Workers* workers, const Node* node, int thread, Keys keys, int word, int shift
-) noexcept nogil:
-    cdef Node share = thread_range(workers, node, thread)
-    keys.first = share.rows + word
-    keys.count = share.count
-    count_keys(&keys, shift, workers.partials[thread].sizes)
-
-
-cdef void take_share(
-    const Workers* workers, const Node* node, int thread, Keys keys, int word
-) noexcept nogil:
-    cdef Node share = thread_range(workers, node, thread)
-    keys.first = share.rows + word
-    keys.count = share.count
-    workers.partials[thread].n_taken = take_keys(&keys, share.halves)
-
-
-cdef void gather_taken(
-    const Workers* workers, const Node* node, Keys* keys, int32_t* target
-) noexcept nogil:
-    """Put together what the threads took."""
-    cdef int thread
-    keys.first = target
-    keys.step = 1
-    keys.count = 0
-    for thread in range(workers.n_threads):
-        memcpy(
-            target + keys.count, thread_range(workers, node, thread).halves,
-            workers.partials[thread].n_taken * sizeof(int32_t)
-        )
-        keys.count += workers.partials[thread].n_taken
-
-
-cdef void count_lower(
-    ThreadPartial* found, int bucket, const int32_t* taken, int32_t key
-) noexcept nogil:
-    """Count a thread's keys in the buckets before and the less ones of those it took."""
-    cdef Py_ssize_t i
-    found.n_lower = 0
-    for i in range(bucket):
-        found.n_lower += found.sizes[i]
-    for i in range(found.n_taken):
-        found.n_lower += taken[i] < key
+    cdef Node part = thread_range(workers, node, thread)
+    gather_keys(
+        part.rows, part.count, workers.job.words, word, node.halves + part.first - node.first
+    )
 
 
 cdef void divide_parallel(const Workers* workers, const Node* node, const Cut* cut) noexcept nogil:
     cdef int thread
     for thread in prange(workers.n_threads, num_threads=workers.n_threads):
-        divide_share(workers, node, thread, cut)
+        count_range(workers, node, thread, cut)
+    for thread in prange(workers.n_threads, num_threads=workers.n_threads):
+        divide_range(workers, node, thread, cut)
 
 
-cdef void divide_share(
+cdef void count_range(
     const Workers* workers, const Node* node, int thread, const Cut* cut
 ) noexcept nogil:
-    cdef Node share = thread_range(workers, node, thread)
+    cdef Node part = thread_range(workers, node, thread)
+    workers.partials[thread].n_lower = count_less(
+        part.rows, part.count, workers.job.words, cut
+    )
+
+
+cdef void divide_range(
+    const Workers* workers, const Node* node, int thread, const Cut* cut
+) noexcept nogil:
+    cdef Node part = thread_range(workers, node, thread)
     cdef Py_ssize_t lower = 0
     cdef int before
     for before in range(thread):
         lower += workers.partials[before].n_lower
-    share.halves = node.halves
+    part.halves = node.halves
     divide(
-        workers.job, &share, cut, lower, node.n_lower + share.first - node.first - lower
+        workers.job, &part, cut, lower, node.n_lower + part.first - node.first - lower
     )

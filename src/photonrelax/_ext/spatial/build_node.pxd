@@ -1,4 +1,4 @@
-"""Splitting one node of the tree that `order` builds."""
+"""Split of one node; see build.pyx."""
 
 from libc.float cimport DBL_MAX
 from libc.math cimport INFINITY
@@ -9,9 +9,9 @@ from .build_rows cimport QUAD, Cut, Keys, bound_rows, divide_marked, divide_rows
 cdef enum:
     FIRST_KEY = 1 << 23
     KEY_RANGE = 1 << 30
-    # Nodes of less extent, in units of the keys, get new keys.
+    # Extent, in units of the keys, below which a node gets new keys.
     COARSE = 1 << 12
-    # Extents that differ by no more are compared exactly; they are off by less than two.
+    # Difference of extents, whose error is below two, up to which they are compared exactly.
     CLOSE = 4
     MAX_AXES = 255
     MAX_WORDS = 256
@@ -22,25 +22,25 @@ cdef extern from "<algorithm>" namespace "std" nogil:
 
 
 cdef struct Job:
-    # What all nodes share.
+    # Data of all nodes.
     const double* points
     Py_ssize_t n_points
     Py_ssize_t n_axes
     Py_ssize_t n_blocks
-    # The axes to split on, and what makes their extents comparable.
+    # The axes to split on, and the factors of their extents.
     const Py_ssize_t* axes
     const double* scale
     int n_keys
     # Words of a row.
     int words
-    # Where the nodes of even and of odd levels are.
+    # Rows of the nodes of even and of odd levels.
     int32_t* rows[2]
     Py_ssize_t* order
 
 
 cdef struct Node:
     int32_t* rows
-    # Room for as many rows: first scratch, then the halves.
+    # Rows of the halves; scratch before these are written.
     int32_t* halves
     Py_ssize_t first
     Py_ssize_t count
@@ -64,7 +64,7 @@ cdef inline Keys keys_of(
 cdef inline void bound_keys(
     const Job* job, const Node* node, int32_t* low, int32_t* high
 ) noexcept nogil:
-    # With the number of words known to the compiler, passes are twice as fast.
+    # With a constant number of words passes are twice as fast.
     if job.words == QUAD:
         bound_rows(node.rows, node.count, QUAD, low, high)
     elif job.words == 2 * QUAD:
@@ -103,7 +103,7 @@ cdef inline uint32_t widest_extent(
 cdef inline int widest(
     const Job* job, const Node* node, const int32_t* low, const int32_t* high
 ) noexcept nogil:
-    """Return the word of the axis of greatest scaled extent."""
+    """Word of the axis of greatest scaled extent."""
     cdef uint32_t most = widest_extent(job, low, high)
     cdef int word, n_close = 0, close = 0
     for word in range(1, job.n_keys + 1):
@@ -151,7 +151,7 @@ cdef inline double coordinate(const Job* job, const int32_t* row, int word) noex
 # The keys
 
 cdef inline bint renew_keys(const Job* job, const Node* node) noexcept nogil:
-    """Spread the node's keys over their range; return False if all points coincide."""
+    """Compute keys relative to the node's bounds; return False if all points coincide."""
     cdef double[MAX_AXES] least
     cdef double[MAX_AXES] most
     bound_points(job, node, least, most)
@@ -210,7 +210,7 @@ cdef inline void write_keys(
 
 
 cdef inline int32_t key_of(double position) noexcept nogil:
-    # Written so that even NaN comes to lie in the range: keys are used to index.
+    # Clamps NaN as well: keys are indices.
     position = position if position > 0.0 else 0.0
     return FIRST_KEY + <int32_t> (position if position < KEY_RANGE else <double> KEY_RANGE)
 
@@ -218,7 +218,7 @@ cdef inline int32_t key_of(double position) noexcept nogil:
 # Equal keys
 
 cdef inline void divide_tied(const Job* job, const Node* node, const Cut* cut) noexcept nogil:
-    """Divide where coordinates have to tell which of the equal keys belong to the lower half."""
+    """Divide where only some of the rows whose key is that of the cut belong to the lower half."""
     cdef int32_t* tied = node.halves
     cdef Py_ssize_t n = list_equal(
         node.rows, node.count, job.words, cut.word, cut.key, cut.key, tied

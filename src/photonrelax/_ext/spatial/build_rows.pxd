@@ -1,6 +1,6 @@
-"""Passes over the rows that `order` moves: an id, then a key an axis, then padding.
+"""Passes over rows, an id, one key per axis, and padding; see build.pyx.
 
-A row has a whole number of quads, which are loaded, compared and stored at once.
+A row is a whole number of quads, 16-byte vectors.
 """
 
 from libc.stdint cimport int32_t, uint32_t
@@ -8,11 +8,15 @@ from libc.stdint cimport int32_t, uint32_t
 cdef enum:
     # Words of a quad.
     QUAD = 4
-    MOST_BUCKET_BITS = 11
-    LEAST_BUCKET_BITS = 5
-    N_BUCKETS = 1 << MOST_BUCKET_BITS
-    # So few keys are sorted.
+    MAX_BUCKET_BITS = 11
+    MIN_BUCKET_BITS = 5
+    MAX_BUCKETS = 1 << MAX_BUCKET_BITS
+    # Number of keys left to nth_element.
     FEW = 16
+
+
+cdef extern from "<algorithm>" namespace "std" nogil:
+    void nth_element(int32_t* first, int32_t* nth, int32_t* last)
 
 
 cdef extern from *:
@@ -30,15 +34,15 @@ cdef extern from *:
 
 
 cdef struct Cut:
-    # Rows with less than `key` in this word belong to the lower half,
+    # The lower half has the rows whose key, in this word, is less, and the least `n_tied` of those
+    # whose key is equal.
     int word
     int32_t key
-    # and so do the least `n_tied` of the rows that have just this key.
     Py_ssize_t n_tied
 
 
 cdef struct Keys:
-    # Keys from `low` to `high`, every `step` words, and the rank of the one looked for.
+    # Keys from `low` to `high`, every `step` words, and the rank of the key to find.
     const int32_t* first
     Py_ssize_t step
     Py_ssize_t count
@@ -50,7 +54,7 @@ cdef struct Keys:
 cdef inline void bound_rows(
     const int32_t* rows, Py_ssize_t count, int words, int32_t* low, int32_t* high
 ) noexcept nogil:
-    """Write the least and the greatest of each word."""
+    """Bounds of each word."""
     cdef const Quad* quads
     cdef Quad least, most, a, b
     cdef Py_ssize_t i
@@ -68,37 +72,53 @@ cdef inline void bound_rows(
         (<Quad*> high)[quad] = most
 
 
+cdef inline void gather_keys(
+    const int32_t* rows, Py_ssize_t count, int words, int word, int32_t* keys
+) noexcept nogil:
+    cdef Py_ssize_t i
+    for i in range(count):
+        keys[i] = rows[i * words + word]
+
+
+cdef inline Py_ssize_t count_less(
+    const int32_t* rows, Py_ssize_t count, int words, const Cut* cut
+) noexcept nogil:
+    """Number of rows whose key is less than that of a cut."""
+    cdef Py_ssize_t i, n = 0
+    for i in range(count):
+        n += rows[i * words + cut.word] < cut.key
+    return n
+
+
 cdef inline int bucket_shift(const Keys* keys) noexcept nogil:
-    """Return how many low bits to drop, so that there is about a bucket a key."""
+    """Number of low bits to drop, so that there is about one bucket per key."""
     cdef int bits = bit_length(<uint32_t> keys.count) - 1
-    bits = min(max(bits, <int> LEAST_BUCKET_BITS), <int> MOST_BUCKET_BITS)
+    bits = min(max(bits, <int> MIN_BUCKET_BITS), <int> MAX_BUCKET_BITS)
     return max(bit_length(<uint32_t> keys.high - <uint32_t> keys.low) - bits, 0)
 
 
-cdef inline int count_keys(const Keys* keys, int shift, uint32_t* sizes) noexcept nogil:
-    """Count the keys of each bucket; return how many buckets there are."""
+cdef inline void count_keys(const Keys* keys, int shift, uint32_t* sizes) noexcept nogil:
+    """Count the keys of each bucket."""
     cdef int n_buckets = ((<uint32_t> keys.high - <uint32_t> keys.low) >> shift) + 1
     cdef Py_ssize_t i
     for i in range(n_buckets):
         sizes[i] = 0
     for i in range(keys.count):
         sizes[(<uint32_t> keys.first[i * keys.step] - <uint32_t> keys.low) >> shift] += 1
-    return n_buckets
 
 
-cdef inline int enter_bucket(Keys* keys, int shift, const uint32_t* sizes) noexcept nogil:
-    """Narrow the bounds to the bucket that has the rank; return which it is."""
+cdef inline void enter_bucket(Keys* keys, int shift, const uint32_t* sizes) noexcept nogil:
+    """Narrow the bounds to the bucket that holds the rank."""
     cdef int bucket = 0
     while keys.rank >= sizes[bucket]:
         keys.rank -= sizes[bucket]
         bucket += 1
     keys.low += bucket << shift
     keys.high = keys.low + (1 << shift) - 1
-    return bucket
 
 
 cdef inline Py_ssize_t take_keys(const Keys* keys, int32_t* taken) noexcept nogil:
-    """Copy the keys within the bounds, to the same place if need be; return how many."""
+    """Copy the keys within the bounds, possibly in place; return how many."""
     cdef uint32_t width = <uint32_t> keys.high - <uint32_t> keys.low
     cdef Py_ssize_t i, n_taken = 0
     cdef int32_t key
@@ -109,22 +129,11 @@ cdef inline Py_ssize_t take_keys(const Keys* keys, int32_t* taken) noexcept nogi
     return n_taken
 
 
-cdef inline void sort_keys(int32_t* keys, Py_ssize_t count) noexcept nogil:
-    cdef Py_ssize_t i, place
-    cdef int32_t key
-    for i in range(1, count):
-        key = keys[i]
-        place = i
-        while place > 0 and keys[place - 1] > key:
-            keys[place] = keys[place - 1]
-            place -= 1
-        keys[place] = key
-
-
 cdef inline void find_key(Keys keys, int32_t* scratch, Cut* cut) noexcept nogil:
-    """Set the cut's key to the one looked for; scratch has room for all."""
-    cdef uint32_t[N_BUCKETS] sizes
+    """Set the key of the cut by radix selection; `scratch` has room for all keys."""
+    cdef uint32_t[MAX_BUCKETS] sizes
     cdef int shift
+    cdef Py_ssize_t i
     while keys.count > FEW and keys.low < keys.high:
         shift = bucket_shift(&keys)
         count_keys(&keys, shift, sizes)
@@ -132,19 +141,14 @@ cdef inline void find_key(Keys keys, int32_t* scratch, Cut* cut) noexcept nogil:
         keys.count = take_keys(&keys, scratch)
         keys.first = scratch
         keys.step = 1
-    cut.n_tied = keys.rank
     cut.key = keys.low
+    cut.n_tied = keys.rank
     if keys.low < keys.high:
-        find_among_few(keys, scratch, cut)
-
-
-cdef inline void find_among_few(Keys keys, int32_t* scratch, Cut* cut) noexcept nogil:
-    take_keys(&keys, scratch)
-    sort_keys(scratch, keys.count)
-    cut.key = scratch[keys.rank]
-    cut.n_tied = 0
-    while cut.n_tied < keys.rank and scratch[keys.rank - cut.n_tied - 1] == cut.key:
-        cut.n_tied += 1
+        take_keys(&keys, scratch)
+        nth_element(scratch, scratch + keys.rank, scratch + keys.count)
+        cut.key = scratch[keys.rank]
+        for i in range(keys.rank):
+            cut.n_tied -= scratch[i] < cut.key
 
 
 cdef inline void copy_row(int32_t* target, const int32_t* row, int words) noexcept nogil:
@@ -157,11 +161,11 @@ cdef inline void divide_rows(
     const int32_t* rows, Py_ssize_t count, int words, const Cut* cut, int32_t* halves,
     Py_ssize_t lower, Py_ssize_t upper
 ) noexcept nogil:
-    """Move rows to their half, the next free place of which is `lower` or `upper`."""
+    """Move rows to the halves, the next free places of which are `lower` and `upper`."""
     cdef Py_ssize_t i, place, is_lower
     for i in range(count):
         is_lower = rows[i * words + cut.word] < cut.key
-        # Halves are hard to foresee: a branch would cost more than all else here.
+        # Halves are hard to predict: a branch would cost more than all else here.
         place = upper + ((lower - upper) & -is_lower)
         copy_row(halves + place * words, rows + i * words, words)
         lower += is_lower
@@ -172,7 +176,7 @@ cdef inline Py_ssize_t list_equal(
     const int32_t* rows, Py_ssize_t count, int words, int word, int32_t key, int32_t other,
     int32_t* places
 ) noexcept nogil:
-    """List the rows that have one of two keys; return how many."""
+    """List the rows whose key is one of two; return how many."""
     cdef Py_ssize_t i, n = 0
     for i in range(count):
         places[n] = <int32_t> i

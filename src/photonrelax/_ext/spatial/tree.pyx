@@ -1,4 +1,4 @@
-# distutils: sources = src/photonrelax/_ext/spatial/simd/kernels.c
+# distutils: sources = src/photonrelax/_ext/spatial/simd/dispatch.c
 """k-d tree: blocks of points and their bounding boxes; see tree.pxd."""
 
 import math
