@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from photonrelax._ext.estimation.progressive import kth_distance
 
 import photonrelax as pr
 from photonrelax.estimation.progressive import initial_radius
 from photonrelax.estimation.split_passes import assign_passes
-from photonrelax.spatial.kdtree import KDTree
 from tests.helpers.photon_maps import flat_map, plane, uniform_map
 
 CENTRE = plane([[0.5, 0.5]])
@@ -156,18 +154,6 @@ def test_discs_start_just_short_of_the_kth_photon():
     assert (ninth[~reached] >= radius.max()).all()
     given = pr.ProgressiveSettings(radius=0.25)
     np.testing.assert_array_equal(initial_radius(photons, *plane(points), given), 0.25)
-
-
-def test_distances_are_written_where_they_belong_alone():
-    tree = KDTree(np.random.default_rng(0).random((40, 3)))
-    queries, out = np.zeros((5, 3)), np.full(5, -1.0)
-    how = {"radius": 9.0, "normal_range": -1.0, "n_threads": 1}
-    kth_distance(tree.kernel, queries, np.array([3, 1]), 4, out=out, **how)
-    np.testing.assert_array_equal(out[[0, 2, 4]], -1.0)
-    assert (out[[1, 3]] > 0.0).all()
-    for bad in ((queries[:, :2].copy(), out), (queries, out[:4]), (queries[:1], out[:1])):
-        with pytest.raises(ValueError, match="do not fit one another"):
-            kth_distance(tree.kernel, bad[0], np.array([3, 1]), 4, out=bad[1], **how)
 
 
 def test_discs_have_a_size_where_photons_lie_on_their_centre():

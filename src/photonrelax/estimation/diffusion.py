@@ -27,7 +27,6 @@ along the normal of the plane; those that came from below their own surface, alo
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from time import perf_counter
 
@@ -43,8 +42,8 @@ from .._util.validation import Floats
 from ..photons.neighbourhoods import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
-from .field import Densities, PhotonField, checked_points, fill_in_chunks
-from .kernels import Rows, Scale, automatic_gather_radius, evaluation_points
+from .field import Densities, Points, TreeField, check_points
+from .kernels import Scale, automatic_gather_radius, bandwidths
 
 NORMALISATIONS = ("maximum", "local")
 # The noise scale over the integration scale, unless it is given: SSO08 §6.4 wants it lower.
@@ -126,7 +125,7 @@ class DiffusionSettings:
         object.__setattr__(self, name, value)
 
 
-class DiffusionField(PhotonField):
+class DiffusionField(TreeField):
     """Irradiance by kernels that follow structure: a `photonrelax.estimation.field.Field`.
 
     Parameters
@@ -174,9 +173,9 @@ class DiffusionField(PhotonField):
         started = perf_counter()
         self._unit = validation.power_of_two(self.settings.bandwidth or 1.0)
         flux, self._flux_unit = validation.in_units(photons.flux.mean(axis=1, keepdims=True))
-        self._carried = np.column_stack([flux, self._slopes(flux, progress)])
+        self._columns = np.column_stack([flux, self._slopes(flux, progress)])
         self.seconds = {"gradient": perf_counter() - started}
-        self._photons: dict[int, _tangent.Photons] = {}
+        self._with_gradients: dict[int, _tangent.TangentPhotons] = {}
         self._largest: float | None = None
         if self.settings.normalisation == "maximum":
             started = perf_counter()
@@ -187,7 +186,7 @@ class DiffusionField(PhotonField):
     @property
     def gradient(self) -> Floats:
         """Of irradiance at the photons (n, 3), W/m³, in their tangent planes (Eq. 13)."""
-        return self._in_watts(self._carried[:, 1:])
+        return self._in_watts(self._columns[:, 1:])
 
     @property
     def largest_eigenvalue(self) -> float | None:
@@ -219,32 +218,20 @@ class DiffusionField(PhotonField):
         TypeError, ValueError
             If a shape is wrong, a value is not finite or a normal is zero.
         """
-        points, normals = checked_points(points, normals)
-        axes = np.empty((len(points), 2, 3))
-        report = Reporter(None, "axes", len(points))
-        fill_in_chunks(axes, self._half_axes, points, normals, report, self._n_threads)
-        return axes
-
-    def _half_axes(self, points: Floats, normals: Floats) -> Floats:
-        axes, shape = np.zeros((len(points), 2, 3)), self._kernel_shape()
-        for part, sites, rows in self._points(points, normals, self._integration_scale()):
-            photons = self._tangent_photons(part)
-            _diffusion.half_axes(photons, sites, shape, rows, axes, n_threads=self._n_threads)
-        return axes
-
-    def _evaluate(self, values: Densities, points: Floats, normals: Floats) -> Floats:
-        out = np.zeros((len(points), values.n_channels))
-        shape = self._kernel_shape()
-        for part, sites, rows in self._points(points, normals, self._integration_scale()):
-            _diffusion.densities(
-                *(self._tangent_photons(part), values.laid_out(part), sites, shape, rows),
-                out=out,
-                n_threads=self._n_threads,
-            )
+        points, normals = check_points(points, normals)
+        out = np.zeros((len(points), 2, 3))
+        shape, report = self._kernel_shape(), Reporter(None, "axes", len(points))
+        for chunk in self._chunks(points, normals, report):
+            around = self._evaluation_points(chunk)
+            photons = self._photons_with_gradients(chunk.part)
+            _diffusion.half_axes(photons, around, shape, out, self._n_threads)
         return out
 
-    def _lay_out(self, values: Floats, part: int) -> _diffusion.Values:
-        return _diffusion.Values(values, self._trees.tree(part)[1], self._n_threads)
+    def _fill(self, out: Floats, values: Densities, points: Points) -> None:
+        around = self._evaluation_points(points)
+        photons, laid_out = self._photons_with_gradients(points.part), values.laid_out(points.part)
+        shape = self._kernel_shape()
+        _diffusion.densities(photons, laid_out, around, shape, out, n_threads=self._n_threads)
 
     def _with_bandwidth(self, settings: DiffusionSettings) -> DiffusionSettings:
         """Return settings with the largest bandwidth taken from the map, if left open."""
@@ -261,41 +248,31 @@ class DiffusionField(PhotonField):
         return replace(settings, bandwidth=radius)
 
     def _slopes(self, flux: Floats, progress: Progress | None) -> Floats:
-        """Gradients at all photons, in the units of flux and length.
+        """Gradients (n, 3) at all photons, in the units of flux and length.
 
         They keep squares of gradients within the range of floats.
         """
-        photons, slopes = self.photons, np.empty((len(self.photons), 3))
-        with_flux: dict[int, _tangent.Photons] = {}
-
-        def evaluate(points: Floats, normals: Floats) -> Floats:
-            out = np.zeros((len(points), 3))
-            for part, sites, rows in self._points(points, normals, self._noise_scale()):
-                if part not in with_flux:
-                    with_flux[part] = self._laid_out_photons(part, flux)
-                _diffusion.gradients(with_flux[part], sites, rows, out, self._n_threads)
-            return out
-
+        photons, scale = self.photons, self._noise_scale()
+        laid_out: dict[int, _tangent.TangentPhotons] = {}
+        out = np.zeros((len(photons), 3))
         report = Reporter(progress, "gradient", len(photons))
-        fill_in_chunks(slopes, evaluate, photons.position, photons.normal, report, self._n_threads)
-        return slopes
+        for chunk in self._chunks(photons.position, photons.normal, report):
+            around = self._around(chunk, scale)
+            if chunk.part not in laid_out:
+                laid_out[chunk.part] = self._tangent_photons(chunk.part, flux)
+            _diffusion.gradients(laid_out[chunk.part], around, out, self._n_threads)
+        return out
 
     def _largest_slope(self, progress: Progress | None) -> float | None:
         """Largest eigenvalue of the structure tensors at all photons, in these units."""
-        photons, eigenvalues = self.photons, np.empty(len(self.photons))
-
-        def evaluate(points: Floats, normals: Floats) -> Floats:
-            out = np.zeros(len(points))
-            for part, sites, rows in self._points(points, normals, self._integration_scale()):
-                photons = self._tangent_photons(part)
-                _diffusion.eigenvalues(photons, sites, rows, out, self._n_threads)
-            return out
-
+        photons, scale = self.photons, self._integration_scale()
+        out = np.zeros(len(photons))
         report = Reporter(progress, "normalise", len(photons))
-        fill_in_chunks(
-            eigenvalues, evaluate, photons.position, photons.normal, report, self._n_threads
-        )
-        return float(eigenvalues.max(initial=0.0)) or None
+        for chunk in self._chunks(photons.position, photons.normal, report):
+            around = self._around(chunk, scale)
+            laid_out = self._photons_with_gradients(chunk.part)
+            _diffusion.eigenvalues(laid_out, around, out, self._n_threads)
+        return float(out.max(initial=0.0)) or None
 
     def _integration_scale(self) -> Scale:
         # Only an empty map leaves it open, and there it does not matter.
@@ -307,34 +284,39 @@ class DiffusionField(PhotonField):
         largest, k = self._integration_scale()
         return _NOISE_RATIO * largest, None if k is None else max(round(_NOISE_RATIO**2 * k), 2)
 
-    def _points(
-        self, points: Floats, normals: Floats, scale: Scale
-    ) -> Iterator[tuple[int, _tangent.Sites, Rows]]:
-        """Divide points as `evaluation_points` does; an empty map has no tree to serve any."""
-        if len(self.photons):
-            normals = validation.unit_vectors(normals, "normals", normals.shape, self._n_threads)
-            yield from evaluation_points(
-                self._trees, points, normals, scale=scale, n_threads=self._n_threads
-            )
+    def _evaluation_points(self, points: Points) -> _tangent.EvaluationPoints:
+        """Points of a chunk, whose normals may have any length."""
+        normals = points.normals[points.rows]
+        normals = validation.unit_vectors(normals, "normals", normals.shape, self._n_threads)
+        return self._around(points, self._integration_scale(), normals)
 
-    def _tangent_photons(self, part: int) -> _tangent.Photons:
-        """Photons of a tree with their flux and gradients."""
-        if part not in self._photons:
-            self._photons[part] = self._laid_out_photons(part, self._carried)
-        return self._photons[part]
+    def _around(
+        self, points: Points, scale: Scale, normals: Floats | None = None
+    ) -> _tangent.EvaluationPoints:
+        """Points of a chunk with the bandwidths of their kernels; normals are unit vectors."""
+        tree = self._trees.tree(points.part)[0]
+        widths = bandwidths(tree, points.queries, points.rows, scale, n_threads=self._n_threads)
+        normals = points.normals[points.rows] if normals is None else normals
+        return _tangent.EvaluationPoints(points.queries, points.rows, normals, widths)
 
-    def _laid_out_photons(self, part: int, carried: Floats) -> _tangent.Photons:
+    def _photons_with_gradients(self, part: int) -> _tangent.TangentPhotons:
+        """Photons of a tree with their mean flux and its gradients."""
+        if part not in self._with_gradients:
+            self._with_gradients[part] = self._tangent_photons(part, self._columns)
+        return self._with_gradients[part]
+
+    def _tangent_photons(self, part: int, columns: Floats) -> _tangent.TangentPhotons:
         tree, rows = self._trees.tree(part)
-        return _tangent.Photons(
-            *(tree.kernel, rows, self._towards, carried),
-            normal_range=normal_range(tree),
+        return _tangent.TangentPhotons(
+            *(tree.kernel, rows, self._towards, columns),
+            range_radius=normal_range(tree),
             unit=self._unit,
             n_threads=self._n_threads,
         )
 
-    def _kernel_shape(self) -> _diffusion.Shaping:
+    def _kernel_shape(self) -> _diffusion.KernelShape:
         settings = self.settings
-        return _diffusion.Shaping(
+        return _diffusion.KernelShape(
             edge_threshold=settings.edge_threshold,
             exponent=1.0 + settings.edge_steepness,
             least_eigenvalue=settings.least_eigenvalue,

@@ -3,26 +3,51 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from functools import cached_property, partial
-from typing import Any
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from .._ext.spatial.blocks import to_soa_blocks
 from .._util import validation
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
 from ..photons.photon_map import PhotonMap
-from ..photons.photon_trees import morton_order
+from ..photons.photon_trees import PhotonTrees, morton_order
 from ..relaxation.structure import Structure
+
+Rows = NDArray[np.intp]
+
+
+class Points(NamedTuple):
+    """A chunk of the points that a field is evaluated at, served by one part of its elements.
+
+    Attributes
+    ----------
+    part : int
+        Number of the part.
+    queries : (m, d) float array
+        All points as the kernel of the part reads them.
+    normals : (m, 3) float array
+        All normals, of any length.
+    rows : (r,) intp array
+        Rows of the points of the chunk, those close to one another in sequence.
+    """
+
+    part: int
+    queries: Floats
+    normals: Floats
+    rows: Rows
 
 
 class Field(ABC):
     """Irradiance at any points, of elements (photons, say) that are prepared once.
 
-    A method derives its field and implements `flux`, `_lay_out` and `_evaluate`. Shapes and
-    values are checked here, and points are divided into chunks.
+    A method derives its field and implements `flux`, `_lay_out` and `_fill`, and `_parts` where
+    points are served by one or another part of the elements. Shapes and values are checked here,
+    and points are divided into chunks.
 
     Attributes
     ----------
@@ -93,14 +118,38 @@ class Field(ABC):
 
     @abstractmethod
     def _lay_out(self, values: Floats, part: int) -> Any:
-        """Values (n, c) as the kernel reads them of one part of the elements, a tree say."""
+        """Values (n, c) as the kernel reads those of one part of the elements."""
 
     @abstractmethod
-    def _evaluate(self, values: Densities, points: Floats, normals: Floats) -> Floats:
-        """Densities (m, c) at points that are close to one another in sequence.
+    def _fill(self, out: Floats, values: Densities, points: Points) -> None:
+        """Write the densities at a chunk of points to their rows of `out` (m, c)."""
 
-        Normals (m, 3) are finite and of any length but zero.
+    def _parts(self, points: Floats, normals: Floats) -> Iterator[tuple[int, Floats, Rows]]:
+        """Divide points by the part of the elements that serves them: one for all by default.
+
+        Yields
+        ------
+        int, (m, d) float array, (r,) intp array
+            Number of the part; all points as its kernel reads them; rows of the points that it
+            serves, those close to one another in sequence. Densities are zero elsewhere.
+
+        Raises
+        ------
+        ValueError
+            If a normal is not finite or zero.
         """
+        validation.unit_vectors(normals, "normals", normals.shape, self._n_threads)
+        yield 0, points, morton_order(points, self._n_threads)
+
+    def _chunks(self, points: Floats, normals: Floats, report: Reporter) -> Iterator[Points]:
+        """Divide points into chunks, each served by one part; their progress is reported."""
+        n_dark = len(points)
+        for part, queries, rows in self._parts(points, normals):
+            for first, end in report.chunks(len(rows)):
+                yield Points(part, queries, normals, rows[first:end])
+            n_dark -= len(rows)
+        if n_dark:
+            report.advance(n_dark)
 
     @cached_property
     def _laid_out_flux(self) -> dict[int, Any]:
@@ -141,6 +190,20 @@ class PhotonField(Field):
         return layers
 
 
+class TreeField(PhotonField):
+    """A photon field whose parts are the trees of its photons; see `PhotonTrees`."""
+
+    _trees: PhotonTrees
+
+    def _parts(self, points: Floats, normals: Floats) -> Iterator[tuple[int, Floats, Rows]]:
+        return self._trees.parts(points, normals)
+
+    def _lay_out(self, values: Floats, part: int) -> Floats:
+        """Values in tree order, as blocks (n_blocks, c, 16)."""
+        blocks: Floats = to_soa_blocks(values, self._trees.tree(part)[1], self._n_threads)
+        return blocks
+
+
 class Densities:
     """Estimator of the densities, per m², of values of a field's elements.
 
@@ -164,11 +227,11 @@ class Densities:
         self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
     ) -> Floats:
         """Densities (m, c) at points (m, 3) on surfaces; arguments and errors as of `Field`."""
-        points, normals = checked_points(points, normals)
-        out = np.empty((len(points), self.n_channels))
+        points, normals = check_points(points, normals)
+        out = np.zeros((len(points), self.n_channels))
         report = Reporter(progress, "estimate", len(points))
-        evaluate = partial(self._field._evaluate, self)
-        fill_in_chunks(out, evaluate, points, normals, report, self._field._n_threads)
+        for chunk in self._field._chunks(points, normals, report):
+            self._field._fill(out, self, chunk)
         return out
 
     @property
@@ -183,37 +246,16 @@ class Densities:
         return self._laid_out[part]
 
 
-def checked_points(points: ArrayLike, normals: ArrayLike) -> tuple[Floats, Floats]:
-    """Points and normals (m, 3) as float arrays.
+def check_points(points: ArrayLike, normals: ArrayLike) -> tuple[Floats, Floats]:
+    """Points and normals (m, 3) as float arrays; normals may still be zero or not finite.
 
     Raises
     ------
     TypeError, ValueError
-        If a shape is wrong, a value is not finite or a normal is zero.
+        If a shape is wrong or a point is not finite.
     """
     points = validation.float_array(points, "points", (None, 3))
-    normals = validation.float_array(normals, "normals", points.shape)
-    if not normals.any(axis=1).all():
-        validation.unit_vectors(normals, "normals", normals.shape)
-    return points, normals
-
-
-def fill_in_chunks(
-    out: Floats,
-    evaluate: Callable[[Floats, Floats], Floats],
-    points: Floats,
-    normals: Floats,
-    report: Reporter,
-    n_threads: int,
-) -> None:
-    """Fill rows of `out` with ``evaluate(points, normals)`` of chunks of points.
-
-    The points of a chunk are close to one another in sequence, which makes searches fast.
-    """
-    order = morton_order(points, n_threads)
-    for first, end in report.chunks(len(points)):
-        rows = order[first:end]
-        out[rows] = evaluate(points[rows], normals[rows])
+    return points, validation.float_array(normals, "normals", points.shape, finite=False)
 
 
 def emitter_colours(emitter_coords: Floats) -> Floats:

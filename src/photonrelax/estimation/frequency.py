@@ -29,7 +29,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from .._ext.estimation.frequency import Bounds
+from .._ext.estimation.frequency import MaxInRadius
+from .._ext.spatial.blocks import to_soa_blocks
 from .._util import validation
 from .._util.validation import Floats
 from ..photons.neighbourhoods import normal_range
@@ -110,14 +111,14 @@ class FrequencyField(ProgressiveField):
         self._trees = PhotonTrees(carriers, self._n_threads)
         # Variance of all light that diffuse surfaces reflect.
         self._variance = np.ascontiguousarray(operators.diffused(carriers.spectrum)[:, :1])
-        self._maxima: dict[int, Bounds] = {}
+        self._maxima: dict[int, MaxInRadius] = {}
 
     def least_radius(self, points: Floats, normals: Floats, radius: Floats) -> Floats:
         """Radii (m,), m, that spectra in and around the discs allow; zero where there are none."""
         variance = np.full((len(points), 1), -np.inf)
         reach = self.frequency.reach * radius
         for part, queries, rows in self._trees.parts(points, normals, np.arange(len(points))):
-            self._maximum(part).raise_to(
+            self._maximum(part).update(
                 queries, rows, reach, out=variance, n_threads=self._n_threads
             )
         known = variance[:, 0] >= 0.0
@@ -125,14 +126,12 @@ class FrequencyField(ProgressiveField):
         # Finite where the variance is zero: no radius grows.
         return np.where(known, np.minimum(allowed, radius), 0.0)
 
-    def _maximum(self, part: int) -> Bounds:
+    def _maximum(self, part: int) -> MaxInRadius:
+        """The largest variance within a radius, among the photons of a tree."""
         if part not in self._maxima:
             tree, rows = self._trees.tree(part)
-            self._maxima[part] = Bounds(
-                *(tree.kernel, self._variance, rows),
-                normal_range=normal_range(tree),
-                n_threads=self._n_threads,
-            )
+            values = to_soa_blocks(self._variance, rows, self._n_threads)
+            self._maxima[part] = MaxInRadius(tree.kernel, values, range_radius=normal_range(tree))
         return self._maxima[part]
 
 

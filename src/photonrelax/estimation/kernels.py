@@ -1,56 +1,30 @@
-"""Points with the photons around them: which tree serves them, and how far each looks."""
+"""Kernels of density estimates: their shapes, and the bandwidth at each point."""
 
 from __future__ import annotations
-
-from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._ext.estimation import nearest as _estimate
-from .._ext.estimation import tangent_plane as _tangent
+from .._ext.estimation import nearest as _nearest
+from .._ext.spatial import kth_distance as _kth_distance
 from .._util.parallel import thread_count
 from .._util.validation import Floats
 from ..photons.neighbourhoods import normal_range
-from ..photons.photon_trees import PhotonTrees
 from ..spatial.kdtree import KDTree
 
 Rows = NDArray[np.intp]
-# The largest bandwidth, m, and of how many photons the distance is it where that is less.
+# The largest bandwidth, m; the number of photons whose distance it is elsewhere, None for a fixed
+# bandwidth.
 Scale = tuple[float, int | None]
-
-
-def evaluation_points(
-    trees: PhotonTrees, points: Floats, normals: Floats, *, scale: Scale, n_threads: int
-) -> Iterator[tuple[int, _tangent.Sites, Rows]]:
-    """Divide points by the tree that serves them, with the kernel bandwidth of each.
-
-    Points are close to one another in sequence, and their normals are unit vectors.
-
-    Yields
-    ------
-    int, Sites, (r,) intp array
-        Number of the tree, evaluation points, and the rows of those it serves. No tree serves
-        points that face no photon.
-    """
-    largest, k = scale
-    bandwidth = np.full(len(points), largest)
-    for number, queries, rows in trees.parts(points, normals, np.arange(len(points))):
-        if k is not None:
-            tree = trees.tree(number)[0]
-            _tangent.bandwidths(
-                *(tree.kernel, queries, rows, bandwidth),
-                k=k,
-                normal_range=normal_range(tree),
-                n_threads=n_threads,
-            )
-        yield number, _tangent.Sites(queries, normals, bandwidth), rows
+# Factor of the distance to the k-th photon: whether that photon itself, on the rim, lies within the
+# bandwidth must not depend on rounding, and an estimate of those within is unbiased without it.
+JUST_SHORT = 1.0 - 1e-9
 
 
 KERNELS = {
-    "constant": _estimate.CONSTANT,
-    "cone": _estimate.CONE,
-    "epanechnikov": _estimate.EPANECHNIKOV,
+    "constant": _nearest.CONSTANT,
+    "cone": _nearest.CONE,
+    "epanechnikov": _nearest.EPANECHNIKOV,
 }
 WELL_SPACED_BIAS = {"constant": (0.43, -1.0), "cone": (0.45, -1.5), "epanechnikov": (0.57, -1.5)}
 # What the automatic gather radius looks at: no more photons than this, these two quantiles.
@@ -96,8 +70,12 @@ def automatic_gather_radius(tree: KDTree, k: int, *, n_threads: int | None = Non
     points = tree.sample(_SAMPLE)
     threads = thread_count(n_threads)
     distance = np.sort(
-        _tangent.farthest(
-            tree.kernel, points, k, normal_range=normal_range(tree), n_threads=threads
+        _kth_distance.of_queries(
+            *(tree.kernel, points, np.arange(len(points))),
+            k=k,
+            range_radius=normal_range(tree),
+            of_fewer=True,
+            n_threads=threads,
         )
     )
     area = np.cumsum(distance**2)
@@ -112,3 +90,37 @@ def automatic_gather_radius(tree: KDTree, k: int, *, n_threads: int | None = Non
             "follows: give GatherSettings(gather_radius=…)"
         )
     return radius
+
+
+def kth_distance(
+    tree: KDTree, queries: Floats, rows: Rows, k: int, *, radius: float, n_threads: int
+) -> Floats:
+    """Distances (r,) to the k-th photon around the queries named by `rows`, m.
+
+    Infinite where fewer than k photons, on faces turned by no more than 60°, are within `radius`.
+    """
+    distance: Floats = _kth_distance.of_queries(
+        *(tree.kernel, queries, rows),
+        k=k,
+        radius=radius,
+        range_radius=normal_range(tree),
+        n_threads=n_threads,
+    )
+    return distance
+
+
+def bandwidths(
+    tree: KDTree, queries: Floats, rows: Rows, scale: Scale, *, n_threads: int
+) -> Floats:
+    """Kernel bandwidths (r,) of the queries named by `rows`, m, just short of their k-th photon.
+
+    The largest where fewer than k photons are within that, or all of them are at the query.
+    """
+    largest, k = scale
+    if k is None:
+        return np.full(len(rows), largest)
+    distance = kth_distance(tree, queries, rows, k, radius=largest, n_threads=n_threads)
+    unknown = (distance == 0.0) | (distance == np.inf)
+    distance *= JUST_SHORT
+    distance[unknown] = largest
+    return distance

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._ext.estimation import nearest as _nearest
 from .._ext.estimation import refinement as _refinement
@@ -18,8 +18,7 @@ from ..photons.neighbourhoods import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
 from ..relaxation.structure import Structure
-from ..spatial.kdtree import KDTree
-from .field import Densities, PhotonField
+from .field import Densities, Points, TreeField
 from .kernels import KERNELS, WELL_SPACED_BIAS, automatic_gather_radius, well_spaced_mean
 from .refinement import REFINEMENTS
 
@@ -80,7 +79,7 @@ class GatherSettings:
         return self.k if self.refinement == "none" else 2 * self.k_min
 
 
-class IrradianceField(PhotonField):
+class IrradianceField(TreeField):
     """Irradiance from the k nearest photons (Jensen's estimate).
 
     Parameters
@@ -128,51 +127,41 @@ class IrradianceField(PhotonField):
             settings = replace(settings, gather_radius=radius)
             del tree
         self._trees.build()
+        self._mean_flux: dict[int, Floats] = {}
         self.settings = settings
         self.used = {"gather": asdict(settings), **(used or {})}
 
-    def _evaluate(self, values: Densities, points: Floats, normals: Floats) -> Floats:
-        out = np.zeros((len(points), values.n_channels))
-        for part, queries, rows in self._trees.parts(points, normals, np.arange(len(points))):
-            values.laid_out(part).densities(queries, rows, out, self._n_threads)
-        return out
-
-    def _lay_out(self, values: Floats, part: int) -> _nearest.Gather | _refinement.Gather:
-        tree, rows = self._trees.tree(part)
-        radius = self.settings.gather_radius
-        limits = {
+    def _fill(self, out: Floats, values: Densities, points: Points) -> None:
+        settings, well_spaced = self.settings, self.photons.well_spaced
+        tree = self._trees.tree(points.part)[0]
+        radius = settings.gather_radius
+        where = tree.kernel, values.laid_out(points.part), points.queries, points.rows, out
+        how: dict[str, Any] = {
+            "k": settings.k,
+            "kernel": KERNELS[settings.kernel],
             "radius": np.inf if radius is None else radius,
-            "normal_range": normal_range(tree),
+            "range_radius": normal_range(tree),
             "n_threads": self._n_threads,
         }
-        if self.settings.refinement == "none":
-            return self._gather(tree, values, rows, limits)
-        return self._refined_gather(tree, values, rows, limits)
+        if settings.refinement == "none":
+            mean = well_spaced_mean(settings.k, settings.kernel) if well_spaced else 1.0
+            _nearest.gather(*where, kth_scale=1.0 / mean, **how)
+        else:
+            _refinement.gather(
+                *where,
+                flux=self._flux_of(points.part),
+                k_min=settings.k_min,
+                rule=REFINEMENTS[settings.refinement],
+                bias=WELL_SPACED_BIAS[settings.kernel] if well_spaced else (0.0, 0.0),
+                **how,
+            )
 
-    def _gather(
-        self, tree: KDTree, values: Floats, rows: NDArray[np.intp], limits: dict[str, Any]
-    ) -> _nearest.Gather:
-        settings = self.settings
-        mean = well_spaced_mean(settings.k, settings.kernel) if self.photons.well_spaced else 1.0
-        return _nearest.Gather(
-            *(tree.kernel, values, rows, settings.k, KERNELS[settings.kernel]),
-            nearest_scale=1.0 / mean,
-            **limits,
-        )
-
-    def _refined_gather(
-        self, tree: KDTree, values: Floats, rows: NDArray[np.intp], limits: dict[str, Any]
-    ) -> _refinement.Gather:
-        settings = self.settings
-        return _refinement.Gather(
-            *(tree.kernel, values, validation.in_units(self.photons.flux.mean(axis=1))[0], rows),
-            k_min=settings.k_min,
-            k=settings.k,
-            rule=REFINEMENTS[settings.refinement],
-            kernel=KERNELS[settings.kernel],
-            bias=WELL_SPACED_BIAS[settings.kernel] if self.photons.well_spaced else (0.0, 0.0),
-            **limits,
-        )
+    def _flux_of(self, part: int) -> Floats:
+        """Mean flux of the photons of a tree, in its order and in a unit near the largest."""
+        if part not in self._mean_flux:
+            flux, _ = validation.in_units(self.photons.flux.mean(axis=1))
+            self._mean_flux[part] = flux[self._trees.tree(part)[1]]
+        return self._mean_flux[part]
 
 
 def estimate_irradiance(

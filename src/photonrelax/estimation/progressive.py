@@ -27,7 +27,7 @@ from .._util.validation import Floats
 from ..photons.neighbourhoods import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import Order, PhotonTrees
-from .kernels import KERNELS, automatic_gather_radius
+from .kernels import JUST_SHORT, KERNELS, automatic_gather_radius, kth_distance
 
 # Radii are at least this fraction of the largest, also where k photons are at the hit point.
 _LEAST_RADIUS = 1e-6
@@ -349,20 +349,14 @@ class InitialRadius:
         radius = np.full(len(positions), self.largest)
         if self._settings.radius is not None:
             return radius
-        for number, queries, rows in self._trees.parts(positions, normals):
-            tree = self._trees.tree(number)[0]
-            _kernel.kth_distance(
-                tree.kernel,
-                queries,
-                rows,
-                self._settings.k,
+        for part, queries, rows in self._trees.parts(positions, normals):
+            distance = kth_distance(
+                *(self._trees.tree(part)[0], queries, rows, self._settings.k),
                 radius=self.largest,
-                normal_range=normal_range(tree),
-                out=radius,
                 n_threads=self._n_threads,
             )
-        # A hair short of the k-th.
-        np.multiply(radius, 1.0 - 1e-9, out=radius, where=radius < self.largest)
+            radius[rows] = np.where(distance < np.inf, distance, self.largest)
+        np.multiply(radius, JUST_SHORT, out=radius, where=radius < self.largest)
         return np.maximum(radius, _LEAST_RADIUS * self.largest)
 
 

@@ -11,18 +11,17 @@ from collections.abc import Iterator
 from dataclasses import asdict, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._util import validation
 from .._util.parallel import thread_count
 from .._util.validation import Floats
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
-from .field import Densities, PhotonField
+from .field import Densities, PhotonField, Points, Rows
 from .progressive import HitPointStatistics, InitialRadius, PhotonPass, ProgressiveSettings
 
 
-def assign_passes(photons: PhotonMap, n_passes: int) -> NDArray[np.intp]:
+def assign_passes(photons: PhotonMap, n_passes: int) -> Rows:
     """Pass (n,) that each photon of a map belongs to, from 0.
 
     Photons are assigned to the passes in turn, in the order of their distance from their centroid.
@@ -32,7 +31,7 @@ def assign_passes(photons: PhotonMap, n_passes: int) -> NDArray[np.intp]:
     """
     centroid = photons.position.mean(axis=0) if len(photons) else 0.0
     distance = np.linalg.norm(photons.position - centroid, axis=1)
-    number = np.empty(len(photons), dtype=np.intp)
+    number: Rows = np.empty(len(photons), dtype=np.intp)
     number[np.argsort(distance, kind="stable")] = np.arange(len(photons)) % n_passes
     return number
 
@@ -80,7 +79,7 @@ class ProgressiveField(PhotonField):
         rows, trees = self._passes[0]
         self._initial_radius = InitialRadius(photons.subset(rows), settings, self._n_threads, trees)
 
-    def _split(self) -> Iterator[tuple[NDArray[np.intp], PhotonTrees]]:
+    def _split(self) -> Iterator[tuple[Rows, PhotonTrees]]:
         """Rows and trees of the photons of each pass."""
         number = assign_passes(self.photons, self.settings.n_passes)
         for one in range(self.settings.n_passes):
@@ -98,18 +97,19 @@ class ProgressiveField(PhotonField):
         rows, trees = self._passes[part]
         return PhotonPass(trees, values[rows], self._n_threads)
 
-    def _evaluate(self, values: Densities, points: Floats, normals: Floats) -> Floats:
-        normals = validation.unit_vectors(normals, "normals", points.shape, self._n_threads)
+    def _fill(self, out: Floats, values: Densities, points: Points) -> None:
+        position, normal = points.queries[points.rows], points.normals[points.rows]
+        normal = validation.unit_vectors(normal, "normals", normal.shape, self._n_threads)
         hits = HitPointStatistics(
-            self._initial_radius(points, normals),
+            self._initial_radius(position, normal),
             values.n_channels,
             alpha=self.settings.alpha,
             n_threads=self._n_threads,
         )
-        order = np.arange(len(points))
+        order = np.arange(len(position))
         for number in range(len(self._passes)):
-            counts, sums = values.laid_out(number).within((points, normals), hits.radius, order)
-            least = self.least_radius(points, normals, hits.radius)
+            counts, sums = values.laid_out(number).within((position, normal), hits.radius, order)
+            least = self.least_radius(position, normal, hits.radius)
             # Fluxes are divided by the number of photons emitted in all passes already.
             hits.update(counts, sums, 1.0, least)
-        return hits.n_passes * hits.densities()
+        out[points.rows] = hits.n_passes * hits.densities()

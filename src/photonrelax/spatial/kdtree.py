@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._ext.spatial import kth_distance as _kth_distance
 from .._ext.spatial import query as _neighbours
 from .._ext.spatial import tree as _kdtree
 from .._ext.spatial.blocks import bounds
@@ -185,12 +186,15 @@ class KDTree:
         -------
         (n,) float array
         """
-        return _neighbours.farthest(
+        if range_radius is not None:
+            self._check_range_axes()
+        distance: Floats = _kth_distance.of_points(
             self.kernel,
-            validation.count(k, "k"),
-            ranges=self._ranges(self.n_points, None, range_radius),
+            k=validation.count(k, "k"),
+            range_radii=_ranges(range_radius, "range_radius", (self.n_points,)),
             n_threads=thread_count(n_threads),
         )
+        return distance
 
     def sample(self, n: int) -> Floats:
         """Return the coordinates of about n of the points, spread evenly over the tree."""
@@ -208,20 +212,21 @@ class KDTree:
     def _ranges(
         self, n_queries: int, half_range: ArrayLike | None, range_radius: ArrayLike | None
     ) -> _neighbours.Ranges:
-        if self.n_axes == self.n_metric and (half_range is not None or range_radius is not None):
-            raise ValueError(self._no_range_axes())
+        if half_range is not None or range_radius is not None:
+            self._check_range_axes()
         shape = (n_queries, self.n_axes - self.n_metric)
         return _neighbours.Ranges(
             _ranges(half_range, "half_range", shape),
             _ranges(range_radius, "range_radius", shape[:1]),
         )
 
-    def _no_range_axes(self) -> str:
-        return f"the tree has no range axes: all its {self.n_axes} carry the metric"
+    def _check_range_axes(self) -> None:
+        if self.n_axes == self.n_metric:
+            raise ValueError(f"the tree has no range axes: all its {self.n_axes} carry the metric")
 
     def _check_queries(self, queries: Floats, ranged: bool) -> Floats:
-        if ranged and self.n_axes == self.n_metric:
-            raise ValueError(self._no_range_axes())
+        if ranged:
+            self._check_range_axes()
         if queries.shape[1] == self.n_axes:
             return queries
         if queries.shape[1] == self.n_metric and not ranged:

@@ -1,24 +1,24 @@
-"""Gradients of irradiance at photons, and estimates whose kernel follows the structure (SSO08 §6).
+"""Gradients of irradiance at photons, and estimates whose kernels follow structure (SSO08 §6).
 
-Everything around a point happens in its tangent plane, where photons are put by projecting them
-along the direction they came from (SSO08 Appendix A). Their offsets there are in bandwidths, and
-flux and gradients in units of the photons, so that squares stay in range whatever the scene's.
+All sums around a point are over photons projected onto its tangent plane along their light (SSO08
+Appendix A). Offsets there are in bandwidths, and flux and gradients in units of the photons, so
+that squares stay within the range of floats in any scene.
 """
 
 from cython.parallel cimport prange
 from libc.math cimport M_PI, pow, sqrt
 
-from ..spatial.tree cimport Tree
-from ..spatial.simd.kernels cimport BLOCK, lowest_bit
 from ..relaxation.structure cimport Components, decompose
-from .tangent_plane cimport Photons, Plane, Sites, along, fit, open_plane, project
 from ..spatial.radius cimport visit_radius
+from ..spatial.simd.kernels cimport BLOCK, lowest_bit
+from ..spatial.tree cimport Tree
+from .tangent_plane cimport (
+    EvaluationPoints, Plane, TangentPhotons, along, fit, open_plane, project,
+)
 
-from ..spatial.blocks import to_soa_blocks
 
-
-cdef class Shaping:
-    """How the structure around a point shapes the kernel there (SSO08 Eq. 16).
+cdef class KernelShape:
+    """The shape of a kernel from the structure tensor at its point (SSO08 Eq. 15–16).
 
     Parameters
     ----------
@@ -27,12 +27,12 @@ cdef class Shaping:
     exponent : float
         1 + α.
     least_eigenvalue : float
-        Of the diffusion tensor.
+        Least eigenvalue of the diffusion tensor.
     largest : float
-        What eigenvalues of structure tensors are divided by, in their unit; zero for the square of
+        Divisor of the eigenvalues of structure tensors, in their unit; zero for the square of
         irradiance over bandwidth at the point.
     isotropic : bool
-        Shrink the kernel in both directions.
+        Both eigenvalues of the diffusion tensor are the one across the structure (§7.3).
     """
 
     cdef double edge_threshold
@@ -54,39 +54,37 @@ cdef class Shaping:
 
 cdef struct Slope:
     Plane plane
-    # Mean flux, first of the columns of (n_blocks, c, 16), and how many these are.
+    # Mean flux, first of the columns of (n_blocks, n_columns, 16).
     const double* flux
     Py_ssize_t n_columns
     double u
     double v
 
 
-def gradients(
-    Photons photons, Sites sites, const Py_ssize_t[::1] order, double[:, ::1] out, int n_threads
-):
-    """Write the gradients of irradiance (m, 3), unit of flux / unit³, at sites named by `order`."""
+def gradients(TangentPhotons photons, EvaluationPoints points, double[:, ::1] out, int n_threads):
+    """Write the gradients of irradiance (m, 3), unit of flux / unit³, at the points evaluated."""
     cdef Py_ssize_t i
-    if out.shape[0] != sites.queries.shape[0] or out.shape[1] != 3 or not fit(photons, sites, 1):
-        raise ValueError("gradients do not fit the sites")
+    if out.shape[0] != points.queries.shape[0] or out.shape[1] != 3 or not fit(photons, points, 1):
+        raise ValueError("gradients do not fit the points")
     for i in prange(
-        order.shape[0], nogil=True, schedule="dynamic", chunksize=64, num_threads=n_threads
+        points.rows.shape[0], nogil=True, schedule="dynamic", chunksize=64, num_threads=n_threads
     ):
-        write_gradient(photons, sites, order[i], &out[order[i], 0])
+        write_gradient(photons, points, i, &out[points.rows[i], 0])
 
 
 cdef void write_gradient(
-    Photons photons, Sites sites, Py_ssize_t row, double* out
+    TangentPhotons photons, EvaluationPoints points, Py_ssize_t i, double* out
 ) noexcept nogil:
-    """Differentiate the Epanechnikov estimate at one site (SSO08 Eq. 13); write its row only.
+    """Write the gradient of the Epanechnikov estimate at one point (SSO08 Eq. 13).
 
     ∂/∂x of 2/(π h²) Σ (1 - |x - xᵢ|²/h²) Φᵢ is 4/(π h³) Σ (xᵢ - x)/h Φᵢ.
     """
     cdef Slope slope
     cdef double scale, units
     cdef Py_ssize_t axis
-    open_plane(&slope.plane, photons, sites, row)
-    slope.flux = &photons.carried[0, 0, 0]
-    slope.n_columns = photons.carried.shape[1]
+    open_plane(&slope.plane, photons, points, i)
+    slope.flux = &photons.columns[0, 0, 0]
+    slope.n_columns = photons.columns.shape[1]
     slope.u = slope.v = 0.0
     visit_radius(photons.tree, &slope.plane.bounds, add_slope, &slope)
     units = photons.unit / slope.plane.bandwidth
@@ -119,14 +117,15 @@ cdef void add_slope(
 cdef struct Tensor:
     Plane plane
     # Mean flux and gradient, (n_blocks, 4, 16).
-    const double* carried
+    const double* columns
     # Sums of the weights, of weighted flux, and of the weighted products of gradients.
     double weight
     double flux
     double uu
     double uv
     double vv
-    # Across the structure, and the eigenvalues of the structure tensor and the diffusion tensor.
+    # Direction across the structure; λ₁ of the structure tensor; eigenvalues of the diffusion
+    # tensor along the structure and across.
     double cosine
     double sine
     double edge
@@ -134,11 +133,13 @@ cdef struct Tensor:
     double width
 
 
-cdef void measure(Tensor* tensor, Photons photons, Sites sites, Py_ssize_t row) noexcept nogil:
-    """Average the structure tensors around a site (SSO08 Eq. 14) and decompose the mean."""
+cdef void measure(
+    Tensor* tensor, TangentPhotons photons, EvaluationPoints points, Py_ssize_t i
+) noexcept nogil:
+    """Set the mean structure tensor around a point (SSO08 Eq. 14), and decompose it."""
     cdef Components components
-    open_plane(&tensor.plane, photons, sites, row)
-    tensor.carried = &photons.carried[0, 0, 0]
+    open_plane(&tensor.plane, photons, points, i)
+    tensor.columns = &photons.columns[0, 0, 0]
     tensor.weight = tensor.flux = tensor.uu = tensor.uv = tensor.vv = 0.0
     visit_radius(photons.tree, &tensor.plane.bounds, add_tensor, tensor)
     tensor.cosine = 1.0
@@ -156,7 +157,7 @@ cdef void add_tensor(
     void* state, Tree tree, Py_ssize_t block, unsigned int lanes
 ) noexcept nogil:
     cdef Tensor* tensor = <Tensor*> state
-    cdef const double* carried = tensor.carried + 4 * BLOCK * block
+    cdef const double* columns = tensor.columns + 4 * BLOCK * block
     cdef double[2] offset
     cdef double weight, u, v
     cdef int lane
@@ -168,95 +169,93 @@ cdef void add_tensor(
         weight = 1.0 - (offset[0] * offset[0] + offset[1] * offset[1])
         if weight <= 0.0:
             continue
-        u = along(tensor.plane.frame, carried + BLOCK + lane)
-        v = along(tensor.plane.frame + 3, carried + BLOCK + lane)
+        u = along(tensor.plane.frame, columns + BLOCK + lane)
+        v = along(tensor.plane.frame + 3, columns + BLOCK + lane)
         tensor.weight += weight
-        tensor.flux += weight * carried[lane]
+        tensor.flux += weight * columns[lane]
         tensor.uu += weight * u * u
         tensor.uv += weight * u * v
         tensor.vv += weight * v * v
 
 
-cdef void shape(Tensor* tensor, Photons photons, Shaping shaping) noexcept nogil:
+cdef void shape(Tensor* tensor, TangentPhotons photons, KernelShape kernel_shape) noexcept nogil:
     """Set the eigenvalues of the diffusion tensor (SSO08 Eq. 15–16).
 
-    The edge is measured against the map's largest, or against what it would be if irradiance
-    changed by as much as it is over the bandwidth: |∇E|·h/E squared, where E is 2 ΣwΦ / (π h²).
+    λ₁ is divided by the largest of the map, or by what it would be if irradiance changed by
+    its own value over the bandwidth: |∇E|·h/E squared, where E is 2 ΣwΦ / (π h²).
     """
     cdef double edge = tensor.edge, units
     tensor.length = tensor.width = 1.0
     if edge <= 0.0 or tensor.flux <= 0.0:
         return
-    if shaping.largest > 0.0:
-        edge /= shaping.largest
+    if kernel_shape.largest > 0.0:
+        edge /= kernel_shape.largest
     else:
         units = tensor.plane.bandwidth / photons.unit
         units *= units * units * M_PI / (2.0 * tensor.flux)
         edge *= units * units
-    tensor.width = 1.0 / (1.0 + pow(edge / shaping.edge_threshold, shaping.exponent))
-    tensor.width = max(tensor.width, shaping.least_eigenvalue)
-    if shaping.isotropic:
+    tensor.width = 1.0 / (1.0 + pow(edge / kernel_shape.edge_threshold, kernel_shape.exponent))
+    tensor.width = max(tensor.width, kernel_shape.least_eigenvalue)
+    if kernel_shape.isotropic:
         tensor.length = tensor.width
 
 
-def eigenvalues(
-    Photons photons, Sites sites, const Py_ssize_t[::1] order, double[::1] out, int n_threads
-):
-    """Write the first eigenvalues of the structure tensors at the sites named by `order`.
+def eigenvalues(TangentPhotons photons, EvaluationPoints points, double[::1] out, int n_threads):
+    """Write λ₁ of the structure tensors (m,) at the points evaluated.
 
     In the square of the unit of gradients.
     """
     cdef Py_ssize_t i
-    if out.shape[0] != sites.queries.shape[0] or not fit(photons, sites, 4):
-        raise ValueError("eigenvalues do not fit the sites")
+    if out.shape[0] != points.queries.shape[0] or not fit(photons, points, 4):
+        raise ValueError("eigenvalues do not fit the points")
     for i in prange(
-        order.shape[0], nogil=True, schedule="dynamic", chunksize=64, num_threads=n_threads
+        points.rows.shape[0], nogil=True, schedule="dynamic", chunksize=64, num_threads=n_threads
     ):
-        write_eigenvalue(photons, sites, order[i], out)
+        out[points.rows[i]] = first_eigenvalue(photons, points, i)
 
 
-cdef void write_eigenvalue(
-    Photons photons, Sites sites, Py_ssize_t row, double[::1] out
+cdef double first_eigenvalue(
+    TangentPhotons photons, EvaluationPoints points, Py_ssize_t i
 ) noexcept nogil:
-    """Measure the edge at one site; write its row only."""
     cdef Tensor tensor
-    measure(&tensor, photons, sites, row)
-    out[row] = tensor.edge
+    measure(&tensor, photons, points, i)
+    return tensor.edge
 
 
 def half_axes(
-    Photons photons, Sites sites, Shaping shaping, const Py_ssize_t[::1] order,
-    double[:, :, ::1] out, *, int n_threads
+    TangentPhotons photons, EvaluationPoints points, KernelShape kernel_shape,
+    double[:, :, ::1] out, int n_threads
 ):
     """Write the half-axes of the kernels' ellipses (m, 2, 3), m, along the structure and across."""
     cdef Py_ssize_t i
     if not (
-        out.shape[0] == sites.queries.shape[0] and out.shape[1] == 2 and out.shape[2] == 3
-        and fit(photons, sites, 4)
+        out.shape[0] == points.queries.shape[0] and out.shape[1] == 2 and out.shape[2] == 3
+        and fit(photons, points, 4)
     ):
-        raise ValueError("axes do not fit the sites")
+        raise ValueError("axes do not fit the points")
     for i in prange(
-        order.shape[0], nogil=True, schedule="dynamic", chunksize=64, num_threads=n_threads
+        points.rows.shape[0], nogil=True, schedule="dynamic", chunksize=64, num_threads=n_threads
     ):
-        write_axes(photons, sites, shaping, order[i], out)
+        write_axes(photons, points, kernel_shape, i, &out[points.rows[i], 0, 0])
 
 
 cdef void write_axes(
-    Photons photons, Sites sites, Shaping shaping, Py_ssize_t row, double[:, :, ::1] out
+    TangentPhotons photons, EvaluationPoints points, KernelShape kernel_shape, Py_ssize_t i,
+    double* out
 ) noexcept nogil:
-    """Find the kernel's shape at one site; write its row only."""
+    """Write the half-axes at one point."""
     cdef Tensor tensor
     cdef double length, width
     cdef Py_ssize_t axis
-    measure(&tensor, photons, sites, row)
-    shape(&tensor, photons, shaping)
-    length = sites.bandwidth[row] * sqrt(tensor.length)
-    width = sites.bandwidth[row] * sqrt(tensor.width)
+    measure(&tensor, photons, points, i)
+    shape(&tensor, photons, kernel_shape)
+    length = points.bandwidth[i] * sqrt(tensor.length)
+    width = points.bandwidth[i] * sqrt(tensor.width)
     for axis in range(3):
-        out[row, 0, axis] = length * (
+        out[axis] = length * (
             tensor.cosine * tensor.plane.frame[3 + axis] - tensor.sine * tensor.plane.frame[axis]
         )
-        out[row, 1, axis] = width * (
+        out[3 + axis] = width * (
             tensor.cosine * tensor.plane.frame[axis] + tensor.sine * tensor.plane.frame[3 + axis]
         )
 
@@ -264,77 +263,67 @@ cdef void write_axes(
 # --- estimates ---------------------------------------------------------------------------------
 
 
-cdef class Values:
-    """What is summed of photons, in the order of their tree.
-
-    Parameters
-    ----------
-    values : (m, c) float64 array
-    rows : (n,) intp array
-        Row of the photon at each place.
-    """
-
-    cdef const double[:, :, ::1] blocks
-
-    def __init__(self, values, rows, n_threads):
-        self.blocks = to_soa_blocks(values, rows, n_threads)
-
-
-cdef struct Gathered:
+cdef struct Estimate:
     const Tensor* tensor
+    # (n_blocks, n_channels, 16).
     const double* values
     Py_ssize_t n_channels
     double* out
 
 
 def densities(
-    Photons photons, Values values, Sites sites, Shaping shaping, const Py_ssize_t[::1] order, *,
-    double[:, ::1] out, int n_threads
+    TangentPhotons photons, const double[:, :, ::1] values, EvaluationPoints points,
+    KernelShape kernel_shape, double[:, ::1] out, *, int n_threads
 ):
-    """Write the values per area at the sites named by `order` to their rows of `out`."""
+    """Write the densities at the points evaluated to their rows of `out` (m, c).
+
+    `values` (n_blocks, c, 16) are those of the photons at each place.
+    """
     cdef Py_ssize_t i
     if not (
-        out.shape[0] == sites.queries.shape[0] and out.shape[1] == values.blocks.shape[1]
-        and values.blocks.shape[0] == photons.carried.shape[0] and fit(photons, sites, 4)
+        out.shape[0] == points.queries.shape[0] and out.shape[1] == values.shape[1]
+        and values.shape[0] == photons.columns.shape[0] and fit(photons, points, 4)
     ):
-        raise ValueError("photons, values, sites and densities do not fit one another")
+        raise ValueError("photons, values, points and densities do not fit one another")
     for i in prange(
-        order.shape[0], nogil=True, schedule="dynamic", chunksize=64, num_threads=n_threads
+        points.rows.shape[0], nogil=True, schedule="dynamic", chunksize=64, num_threads=n_threads
     ):
-        gather_one(photons, values, sites, shaping, order[i], out)
+        write_densities(photons, values, points, kernel_shape, i, &out[points.rows[i], 0])
 
 
-cdef void gather_one(
-    Photons photons, Values values, Sites sites, Shaping shaping, Py_ssize_t row,
-    double[:, ::1] out
+cdef void write_densities(
+    TangentPhotons photons, const double[:, :, ::1] values, EvaluationPoints points,
+    KernelShape kernel_shape, Py_ssize_t i, double* out
 ) noexcept nogil:
-    """Estimate the densities at one site with a kernel of its own; write its row only.
+    """Write the densities at one point (SSO08 Eq. 20, with D inverted as in Eq. 19).
 
-    With d the way from the site to a photon, the sum of 2/(π h² √det D) (1 - dᵀD⁻¹d/h²)₊ Φ.
+    With d the offset of a photon, the sum of 2/(π h² √det D) (1 - dᵀD⁻¹d/h²)₊ Φ.
     """
     cdef Tensor tensor
-    cdef Gathered gathered
+    cdef Estimate estimate
     cdef double area
     cdef Py_ssize_t channel
-    gathered.tensor = &tensor
-    gathered.values = &values.blocks[0, 0, 0]
-    gathered.n_channels = values.blocks.shape[1]
-    gathered.out = &out[row, 0]
-    for channel in range(gathered.n_channels):
-        gathered.out[channel] = 0.0
-    measure(&tensor, photons, sites, row)
-    shape(&tensor, photons, shaping)
-    visit_radius(photons.tree, &tensor.plane.bounds, gather, &gathered)
+    estimate.tensor = &tensor
+    estimate.values = &values[0, 0, 0]
+    estimate.n_channels = values.shape[1]
+    estimate.out = out
+    for channel in range(estimate.n_channels):
+        out[channel] = 0.0
+    measure(&tensor, photons, points, i)
+    shape(&tensor, photons, kernel_shape)
+    visit_radius(photons.tree, &tensor.plane.bounds, add_weighted, &estimate)
     area = M_PI * tensor.plane.bandwidth * tensor.plane.bandwidth
     area *= sqrt(tensor.length * tensor.width)
-    for channel in range(gathered.n_channels):
-        gathered.out[channel] *= 2.0 / area
+    for channel in range(estimate.n_channels):
+        out[channel] *= 2.0 / area
 
 
-cdef void gather(void* state, Tree tree, Py_ssize_t block, unsigned int lanes) noexcept nogil:
-    cdef Gathered* gathered = <Gathered*> state
-    cdef const Tensor* tensor = gathered.tensor
-    cdef const double* values = gathered.values + BLOCK * gathered.n_channels * block
+cdef void add_weighted(
+    void* state, Tree tree, Py_ssize_t block, unsigned int lanes
+) noexcept nogil:
+    cdef Estimate* estimate = <Estimate*> state
+    cdef const Tensor* tensor = estimate.tensor
+    cdef const double* values = estimate.values + BLOCK * estimate.n_channels * block
     cdef double[2] offset
     cdef double weight, across, forth
     cdef Py_ssize_t channel
@@ -348,5 +337,5 @@ cdef void gather(void* state, Tree tree, Py_ssize_t block, unsigned int lanes) n
         forth = tensor.cosine * offset[1] - tensor.sine * offset[0]
         weight = 1.0 - (across * across / tensor.width + forth * forth / tensor.length)
         if weight > 0.0:
-            for channel in range(gathered.n_channels):
-                gathered.out[channel] += weight * values[BLOCK * channel + lane]
+            for channel in range(estimate.n_channels):
+                estimate.out[channel] += weight * values[BLOCK * channel + lane]

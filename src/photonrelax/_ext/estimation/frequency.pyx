@@ -1,4 +1,4 @@
-"""The largest of what photons carry within a radius: the loop body writes row i only."""
+"""Maxima of photon values within a radius."""
 
 from cython.parallel cimport prange
 
@@ -6,11 +6,9 @@ from ..spatial.tree cimport Tree
 from ..spatial.simd.kernels cimport BLOCK, SearchBounds, lowest_bit
 from ..spatial.radius cimport visit_radius
 
-from ..spatial.blocks import to_soa_blocks
-
 
 cdef struct Largest:
-    # What is compared, (n_blocks, n_channels, 16), and the largest so far.
+    # (n_blocks, n_channels, 16), and the maxima so far.
     const double* values
     Py_ssize_t n_channels
     double* out
@@ -28,17 +26,15 @@ cdef void compare(void* state, Tree tree, Py_ssize_t block, unsigned int lanes) 
             largest.out[channel] = max(largest.out[channel], values[BLOCK * channel + lane])
 
 
-cdef class Bounds:
-    """Photons and what is bounded of them around points.
+cdef class MaxInRadius:
+    """Maxima of photon values within a radius of points.
 
     Parameters
     ----------
     tree : Tree
-    values : (m, c) float64 array
-        What is compared.
-    rows : (n,) intp array
-        Row of the photon at each place of the tree.
-    normal_range : float
+    values : (n_blocks, c, 16) float64 array
+        Values of the photons at each place.
+    range_radius : float
         Radius of the ball over the tree's range axes; negative for none.
     """
 
@@ -46,19 +42,16 @@ cdef class Bounds:
     cdef const double[:, :, ::1] values
     cdef double squared_range
 
-    def __init__(self, tree, values, rows, *, normal_range, n_threads):
+    def __init__(self, tree, values, *, range_radius):
         self.tree = tree
-        self.values = to_soa_blocks(values, rows, n_threads)
-        self.squared_range = normal_range * normal_range if normal_range >= 0.0 else -1.0
+        self.values = values
+        self.squared_range = range_radius * range_radius if range_radius >= 0.0 else -1.0
 
-    def raise_to(
-        self, const double[:, ::1] queries, const Py_ssize_t[::1] order, const double[::1] radius,
+    def update(
+        self, const double[:, ::1] queries, const Py_ssize_t[::1] rows, const double[::1] radius,
         *, double[:, ::1] out, int n_threads
     ):
-        """Raise `out` to the largest values within `radius` of the queries named by `order`.
-
-        `radius` and `out` have a row for each of all queries.
-        """
+        """Raise `out` (m, c) to the maxima within `radius` (m,) of the queries named by `rows`."""
         cdef Py_ssize_t i
         if not (
             queries.shape[0] == radius.shape[0] == out.shape[0]
@@ -66,18 +59,18 @@ cdef class Bounds:
             and (self.squared_range < 0.0 or queries.shape[1] == self.tree.n_axes)
             and out.shape[1] == self.values.shape[1]
         ):
-            raise ValueError("queries, radii and bounds do not fit one another")
+            raise ValueError("queries, radii and maxima do not fit one another")
         for i in prange(
-            order.shape[0], nogil=True, schedule="dynamic", chunksize=256, num_threads=n_threads
+            rows.shape[0], nogil=True, schedule="dynamic", chunksize=256, num_threads=n_threads
         ):
-            raise_one(self, queries, order[i], radius, out)
+            update_one(self, queries, rows[i], radius, out)
 
 
-cdef void raise_one(
-    Bounds photons, const double[:, ::1] queries, Py_ssize_t row, const double[::1] radius,
+cdef void update_one(
+    MaxInRadius photons, const double[:, ::1] queries, Py_ssize_t row, const double[::1] radius,
     double[:, ::1] out
 ) noexcept nogil:
-    """Raise the bounds around one query; write its row only."""
+    """Raise the maxima around one query; write its row only."""
     cdef Largest largest
     cdef SearchBounds bounds
     bounds.low = bounds.high = &queries[row, 0]
@@ -86,7 +79,7 @@ cdef void raise_one(
     bounds.half_range = NULL
     bounds.n_metric = photons.tree.n_metric
     bounds.n_axes = photons.tree.n_axes
-    # Of no points there are no values.
+    # An empty tree has no values.
     largest.values = &photons.values[0, 0, 0] if photons.values.shape[0] > 0 else NULL
     largest.n_channels = photons.values.shape[1]
     largest.out = &out[row, 0]

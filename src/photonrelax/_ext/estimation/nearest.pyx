@@ -1,142 +1,101 @@
-"""Kernel estimates of densities on surfaces from the k nearest photons."""
+"""Density estimates from the k nearest photons (Jensen; SJ13 §5)."""
 
-from cython.parallel cimport prange, threadid
+from cython cimport final
 from libc.math cimport M_PI
 
-from ..spatial.batch cimport Batch, Query, allocate_batches, limit_radius, limit_range, open_query
-from ..spatial.tree cimport Tree
+from ..spatial.batch cimport Batch, Query
+from ..spatial.query_loop cimport BatchWork, search_queries
 from ..spatial.simd.kernels cimport (
-    BLOCK, CONE_WEIGHTS, CONSTANT_WEIGHTS, EPANECHNIKOV_WEIGHTS, OUTSIDE_KEY, Weights,
+    CONE_WEIGHTS, CONSTANT_WEIGHTS, EPANECHNIKOV_WEIGHTS, OUTSIDE_KEY, Weights,
     farthest_candidate, prefetch_row,
 )
-from ..spatial.knn cimport query_batch
-
-from ..spatial.blocks import to_soa_blocks
+from ..spatial.tree cimport Tree
 
 CONSTANT = CONSTANT_WEIGHTS
 CONE = CONE_WEIGHTS
 EPANECHNIKOV = EPANECHNIKOV_WEIGHTS
 
 
-cdef class Gather:
-    """Photons to gather from and how.
+@final
+cdef class NearestGather(BatchWork):
+    """Weighted sums over the k nearest photons of each query."""
+
+    # (n_blocks, c, 16), zero in lanes without a photon.
+    cdef const double[:, :, ::1] values
+    cdef int kernel
+    cdef double kth_scale
+    cdef const Py_ssize_t[::1] rows
+    cdef double[:, ::1] out
+
+    cdef void finish(self, Batch* batch, Py_ssize_t first, int thread) noexcept nogil:
+        """Write the densities at the queries of a batch."""
+        cdef Py_ssize_t i
+        for i in range(first, first + batch.n_queries):
+            prefetch_row(&self.out[self.rows[i], 0], 8 * self.out.shape[1])
+        for i in range(batch.n_queries):
+            self.write_densities(&batch.queries[i], &self.out[self.rows[first + i], 0])
+
+    cdef void write_densities(self, Query* query, double* out) noexcept nogil:
+        """Write the densities at one query from its neighbours.
+
+        With k photons within the radius the bandwidth is the distance to the k-th, whose own
+        weight is zero: the estimate is unbiased for independent photons, as the mean of 1/r² is
+        π ρ/(k − 1). With fewer, or k at the query itself, the bandwidth is the radius and all
+        neighbours count: of coincident photons no more than k are found, however many there are.
+        """
+        cdef Py_ssize_t farthest, channel, n_channels = self.values.shape[1]
+        cdef double scale = 1.0
+        cdef Weights weights
+        weights.shape = self.kernel
+        weights.squared_bandwidth = self.squared_radius
+        if query.candidates.count == self.k and query.candidates.squared_radius > 0.0:
+            farthest = farthest_candidate(&query.candidates, &self.tree.ids[0])
+            query.candidates.rank_keys[farthest] = OUTSIDE_KEY
+            weights.squared_bandwidth = query.candidates.squared_radius
+            scale = self.kth_scale
+        self.tree.simd.weighted_sum(
+            &self.tree.coords[0, 0, 0], &query.bounds, &query.candidates, &weights,
+            &self.values[0, 0, 0], n_channels, out
+        )
+        for channel in range(n_channels):
+            out[channel] *= scale / (M_PI * weights.squared_bandwidth)
+
+
+def gather(
+    Tree tree, const double[:, :, ::1] values, const double[:, ::1] queries,
+    const Py_ssize_t[::1] rows, double[:, ::1] out, *, Py_ssize_t k, int kernel, double radius,
+    double range_radius, double kth_scale, int n_threads
+):
+    """Write densities around the queries named by `rows`, close ones in sequence, to `out`.
 
     Parameters
     ----------
     tree : Tree
-    values : (m, c) float64 array
-        What is summed.
-    rows : (n,) intp array
-        Row of the photon at each place of the tree.
+    values : (n_blocks, c, 16) float64 array
+        Values of the photons at each place, zero in lanes without a photon.
+    queries : (m, axes) float64 array
+    rows : (r,) intp array
+    out : (m, c) float64 array
+        Rows of these queries are written.
     k : int
     kernel : int
         CONSTANT, CONE or EPANECHNIKOV.
     radius : float
-        Photons farther away are not gathered; may be infinite.
-    normal_range : float
+        Largest distance of a photon; may be infinite.
+    range_radius : float
         Radius of the ball over the tree's range axes; negative for none.
-    nearest_scale : float
-        What estimates are multiplied by whose bandwidth is the distance to the k-th photon.
-    n_threads : int
-        Threads that lay out the values.
+    kth_scale : float
+        Factor of estimates whose bandwidth is the distance to the k-th photon.
     """
-
-    cdef Tree tree
-    # (n_blocks, c, 16), zero in lanes without a photon.
-    cdef const double[:, :, ::1] values
-    cdef readonly Py_ssize_t k
-    cdef readonly int kernel
-    cdef double nearest_scale
-    cdef double radius
-    cdef double normal_range
-
-    def __init__(
-        self, tree, values, rows, k, kernel, *, radius, normal_range, nearest_scale, n_threads
+    if not (
+        queries.shape[0] == out.shape[0] and queries.shape[1] >= tree.n_axes
+        and values.shape[0] == tree.n_blocks and values.shape[1] == out.shape[1]
     ):
-        if len(rows) != tree.n_points:
-            raise ValueError("photons should have a row for each point of the tree")
-        self.tree = tree
-        self.values = to_soa_blocks(values, rows, n_threads)
-        self.k = k
-        self.kernel = kernel
-        self.nearest_scale = nearest_scale
-        self.radius = radius
-        self.normal_range = normal_range
-
-    def densities(
-        self, const double[:, ::1] queries, const Py_ssize_t[::1] order, double[:, ::1] out,
-        int n_threads
-    ):
-        """Write the values per area around the queries named by `order` to their rows of `out`.
-
-        Queries that follow each other there should be near each other.
-        """
-        cdef Py_ssize_t n_batches = (order.shape[0] + BLOCK - 1) // BLOCK
-        cdef unsigned char[:, ::1] batches = allocate_batches(self.tree, self.k, n_threads)
-        cdef Py_ssize_t i
-        if not (
-            queries.shape[0] == out.shape[0] and queries.shape[1] >= self.tree.n_axes
-            and out.shape[1] == self.values.shape[1]
-        ):
-            raise ValueError("queries, densities and what photons carry do not fit one another")
-        for i in prange(
-            n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
-        ):
-            gather_batch(self, <Batch*> &batches[threadid(), 0], queries, order, i, out)
-
-
-cdef void gather_batch(
-    Gather photons, Batch* batch, const double[:, ::1] queries, const Py_ssize_t[::1] order,
-    Py_ssize_t number, double[:, ::1] out
-) noexcept nogil:
-    """Estimate the densities at 16 queries that follow each other; write their rows only."""
-    cdef Py_ssize_t i
-    cdef Query* query
-    batch.n_queries = 0
-    for i in range(BLOCK * number, min(BLOCK * number + BLOCK, order.shape[0])):
-        query = &batch.queries[batch.n_queries]
-        open_query(photons.tree, batch, &queries[order[i], 0])
-        limit_radius(query, photons.radius * photons.radius)
-        if photons.normal_range >= 0.0:
-            limit_range(query, photons.normal_range)
-    prefetch_queries(queries, order, BLOCK * number + BLOCK)
-    query_batch(photons.tree, batch)
-    for i in range(batch.n_queries):
-        prefetch_row(&out[order[BLOCK * number + i], 0], 8 * out.shape[1])
-    for i in range(batch.n_queries):
-        gather_one(photons, &batch.queries[i], &out[order[BLOCK * number + i], 0])
-
-
-cdef inline void prefetch_queries(
-    const double[:, ::1] queries, const Py_ssize_t[::1] order, Py_ssize_t first
-) noexcept nogil:
-    """Have the queries of the next batch brought into the cache."""
-    cdef Py_ssize_t i
-    for i in range(first, min(first + BLOCK, order.shape[0])):
-        prefetch_row(&queries[order[i], 0], 8 * queries.shape[1])
-
-
-cdef void gather_one(Gather photons, Query* query, double* out) noexcept nogil:
-    """Estimate the densities at one query from its neighbours.
-
-    With k photons in reach the bandwidth is the distance to the k-th, whose own weight is zero;
-    that makes the estimate unbiased for independent photons, as the mean of 1/r² is π ρ/(k − 1).
-    With fewer, or k at the query itself, the bandwidth is the gather radius and all found count:
-    of photons that share a place more are not looked for, as there may be any number.
-    """
-    cdef Py_ssize_t farthest, channel, n_channels = photons.values.shape[1]
-    cdef double scale = 1.0
-    cdef Weights weights
-    weights.shape = photons.kernel
-    weights.squared_bandwidth = photons.radius * photons.radius
-    if query.candidates.count == photons.k and query.candidates.squared_radius > 0.0:
-        farthest = farthest_candidate(&query.candidates, &photons.tree.ids[0])
-        query.candidates.rank_keys[farthest] = OUTSIDE_KEY
-        weights.squared_bandwidth = query.candidates.squared_radius
-        scale = photons.nearest_scale
-    photons.tree.simd.weighted_sum(
-        &photons.tree.coords[0, 0, 0], &query.bounds, &query.candidates, &weights,
-        &photons.values[0, 0, 0], n_channels, out
-    )
-    for channel in range(n_channels):
-        out[channel] *= scale / (M_PI * weights.squared_bandwidth)
+        raise ValueError("queries, densities and photon values do not fit one another")
+    cdef NearestGather work = NearestGather(tree, k=k, radius=radius, range_radius=range_radius)
+    work.values = values
+    work.kernel = kernel
+    work.kth_scale = kth_scale
+    work.rows = rows
+    work.out = out
+    search_queries(work, queries, rows, n_threads)

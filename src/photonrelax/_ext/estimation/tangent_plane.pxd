@@ -1,57 +1,60 @@
-"""Photons around sites, seen in the tangent planes there."""
+"""Tangent planes at evaluation points, and photons projected onto them (SSO08 Appendix A)."""
 
 from ..common.vec3 cimport dot
 from ..spatial.tree cimport Tree
 from ..spatial.simd.kernels cimport BLOCK, SearchBounds
 
 cdef enum:
-    # Photons that come in flatter than at 6° to the plane, whose sine is one over this, are moved
-    # no farther than if they came so.
-    STEEPEST = 10
+    # Inverse sine of the least angle of light to the plane, 6°: light that comes in flatter is
+    # projected no farther.
+    MAX_SLOPE = 10
 
 
-cdef class Sites:
+cdef class EvaluationPoints:
     cdef const double[:, ::1] queries
+    cdef const Py_ssize_t[::1] rows
     cdef const double[:, ::1] normals
     cdef const double[::1] bandwidth
 
 
-cdef class Photons:
+cdef class TangentPhotons:
     cdef Tree tree
     cdef const double[:, :, ::1] towards
-    cdef const double[:, :, ::1] carried
-    cdef double normal_range
+    cdef const double[:, :, ::1] columns
+    cdef double range_radius
     cdef double unit
 
 
 cdef struct Plane:
-    # A tangent plane: a point of it, two axes and the normal.
+    # The evaluation point; two axes and the normal.
     const double* at
     double[9] frame
-    # How far, m, and one over it.
+    # Bandwidth, m, and its inverse.
     double bandwidth
     double scale
-    # Of the photons, NULL if they are projected along the normal.
+    # Directions of the photons, NULL if they are projected along the normal.
     const double* towards
     SearchBounds bounds
 
 
-cdef bint fit(Photons photons, Sites sites, Py_ssize_t n_columns)
-cdef void open_plane(Plane* plane, Photons photons, Sites sites, Py_ssize_t row) noexcept nogil
+cdef bint fit(TangentPhotons photons, EvaluationPoints points, Py_ssize_t n_columns)
+cdef void open_plane(
+    Plane* plane, TangentPhotons photons, EvaluationPoints points, Py_ssize_t i
+) noexcept nogil
 
 
 cdef inline double along(const double* axis, const double* lane) noexcept nogil:
-    """Return the product of a vector with that of one lane of a block."""
+    """Dot product of a vector with that of one lane of a block."""
     return axis[0] * lane[0] + axis[1] * lane[BLOCK] + axis[2] * lane[2 * BLOCK]
 
 
 cdef inline bint project(
     const Plane* plane, Tree tree, Py_ssize_t block, int lane, double* offset
 ) noexcept nogil:
-    """Write where on the plane the light of a photon would have landed (SSO08 Eq. A1–A2).
+    """Write the offset of a photon, projected onto the plane along its light (SSO08 Eq. A1–A2).
 
-    In bandwidths, so that no square of it leaves the range of floats. Return whether it would land:
-    light from behind the plane would not.
+    In bandwidths, so that no square of it leaves the range of floats. Returns False for light from
+    behind the plane, which does not reach it.
     """
     cdef const double* x = &tree.coords[block, 0, lane]
     cdef const double* towards
@@ -68,7 +71,7 @@ cdef inline bint project(
     cosine = along(plane.frame + 6, towards)
     if cosine <= 0.0:
         return False
-    height = dot(plane.frame + 6, apart) / max(cosine, 1.0 / STEEPEST)
+    height = dot(plane.frame + 6, apart) / max(cosine, 1.0 / MAX_SLOPE)
     offset[0] -= height * along(plane.frame, towards)
     offset[1] -= height * along(plane.frame + 3, towards)
     return True

@@ -1,26 +1,23 @@
 """One simultaneous move of every photon by the repulsion of its neighbours (SJ13 §4.4)."""
 
-from cython cimport view
-from cython.parallel cimport prange, threadid
+from cython cimport final, view
 from libc.math cimport INFINITY, sqrt
 
 import numpy as np
 
 from ..common.vec3 cimport cross, dot
-from ..spatial.batch cimport (
-    Batch, Query, allocate_batches, gather_points, limit_radius, limit_range, open_block,
-)
-from ..spatial.tree cimport Tree
+from ..spatial.batch cimport Batch, Query, gather_points, limit_radius, limit_range
+from ..spatial.query_loop cimport BatchWork, search_points
 from ..spatial.simd.kernels cimport BLOCK, prefetch_row
-from ..spatial.knn cimport query_batch
+from ..spatial.tree cimport Tree
 
-# A photon with fewer photons in range than this has no neighbourhood to spread out in.
 cdef enum:
+    # Least number of photons in range that repel one of them.
     MIN_NEIGHBOURS = 4
 
 
 cdef class RelaxInputs:
-    """What a move reads of each photon: by place in the tree, or by row of the structure.
+    """The photons of a tree by place, and their structure by row.
 
     Parameters
     ----------
@@ -31,15 +28,15 @@ cdef class RelaxInputs:
     largest_step : (n,) float64 array
         By place.
     squared_radius : (n,) float64 array
-        Squared distance to the farthest neighbour, or a guess of it, -1 for none; by place and
-        set by moves.
+        Squared distance to the farthest neighbour, or an estimate of it, -1 for none; by place
+        and updated by moves.
     too_few : (n,) bool array, optional
-        Whether fewer than k photons are in range, as a guess: such photons look as far as they may
-        at once; by place and set by moves.
+        Whether fewer than k photons are expected in range, so that the whole range is searched at
+        once; by place and updated by moves.
     basis : (m, 2, 3) float64 array
         Directions along the structure, in which the photon is free, and across, by row.
     constraint : (m,) float64 array
-        Of the direction across, by row.
+        Constraint of the direction across, by row.
     range_radius, reach : (m,) float64 arrays or None
         Limits over the range axes and in space, by row; None for none.
     """
@@ -71,80 +68,78 @@ cdef class RelaxInputs:
         self.too_few = too_few.view(np.uint8)
 
 
+@final
+cdef class Move(BatchWork):
+    """One move of a tree's photons by the repulsion of their neighbours (SJ13 Eq. 8–9)."""
+
+    cdef RelaxInputs inputs
+    cdef double step
+    cdef double[:, ::1] moved
+
+    cdef void limit(self, Batch* batch, Query* query, Py_ssize_t place) noexcept nogil:
+        cdef Py_ssize_t row = self.inputs.rows[place]
+        self.prefetch(row, place + BLOCK)
+        query.squared_guess = self.inputs.squared_radius[place]
+        if self.inputs.too_few[place]:
+            query.squared_guess = INFINITY
+        if self.inputs.range_radius is not None:
+            limit_range(query, self.inputs.range_radius[row])
+        if self.inputs.reach is not None:
+            limit_radius(query, self.inputs.reach[row] * self.inputs.reach[row])
+
+    cdef void prefetch(self, Py_ssize_t row, Py_ssize_t next_place) noexcept nogil:
+        """Prefetch the constraint of a photon, and the limits at a place of the next block."""
+        prefetch_row(&self.inputs.basis[row, 0, 0], 3 * sizeof(double))
+        prefetch_row(&self.inputs.constraint[row], sizeof(double))
+        if next_place < self.tree.n_points:
+            row = self.inputs.rows[next_place]
+            if self.inputs.range_radius is not None:
+                prefetch_row(&self.inputs.range_radius[row], sizeof(double))
+            if self.inputs.reach is not None:
+                prefetch_row(&self.inputs.reach[row], sizeof(double))
+
+    cdef void finish(self, Batch* batch, Py_ssize_t first, int thread) noexcept nogil:
+        """Move the photons of a block; write their places only."""
+        cdef Py_ssize_t lane
+        gather_points(self.tree, batch)
+        for lane in range(batch.n_queries):
+            self.move_one(batch, lane, first + lane)
+
+    cdef void move_one(self, Batch* batch, Py_ssize_t lane, Py_ssize_t place) noexcept nogil:
+        """Move one photon by the repulsion of its neighbours; write its place only."""
+        cdef const Query* query = &batch.queries[lane]
+        cdef Py_ssize_t axis, row = self.inputs.rows[place]
+        cdef double[3] f
+        f[0] = f[1] = f[2] = 0.0
+        if query.candidates.count >= MIN_NEIGHBOURS and query.candidates.squared_radius > 0.0:
+            self.tree.simd.repulsion(
+                batch.points + 3 * lane * batch.stride, query.candidates.count,
+                query.candidates.squared_radius, query.bounds.low, f
+            )
+            project(
+                f, &self.inputs.normal[place, 0], &self.inputs.basis[row, 0, 0],
+                self.inputs.constraint[row]
+            )
+            shorten(f, self.step, self.inputs.largest_step[place])
+        self.inputs.squared_radius[place] = query.candidates.squared_radius
+        self.inputs.too_few[place] = query.candidates.count < batch.k
+        for axis in range(3):
+            self.moved[place, axis] = query.bounds.low[axis] + f[axis]
+
+
 def move(
     Tree tree, Py_ssize_t first, Py_ssize_t end, RelaxInputs inputs, Py_ssize_t k, double step,
     double[:, ::1] moved, int n_threads
 ):
     """Write the new positions of the photons at places first … end, whole blocks, of the tree.
 
-    All positions read are the tree's, so the update is simultaneous: no order among inputs.
+    All positions read are the tree's: photons move simultaneously, in no order.
     """
-    cdef unsigned char[:, ::1] batches = allocate_batches(tree, k, n_threads)
-    cdef Py_ssize_t block
-    for block in prange(
-        first // BLOCK, (end + BLOCK - 1) // BLOCK, nogil=True, schedule="dynamic", chunksize=16,
-        num_threads=n_threads
-    ):
-        move_block(tree, <Batch*> &batches[threadid(), 0], block, inputs, step, moved)
-
-
-cdef void move_block(
-    Tree tree, Batch* batch, Py_ssize_t block, RelaxInputs inputs, double step,
-    double[:, ::1] moved
-) noexcept nogil:
-    """Move the photons of a block; write their places only."""
-    cdef Py_ssize_t lane, place, row
-    cdef Query* query
-    open_block(tree, batch, block)
-    prefetch_limits(tree, block + 1, inputs)
-    for lane in range(batch.n_queries):
-        query = &batch.queries[lane]
-        place = BLOCK * block + lane
-        row = inputs.rows[place]
-        prefetch_row(&inputs.basis[row, 0, 0], 3 * sizeof(double))
-        prefetch_row(&inputs.constraint[row], sizeof(double))
-        query.squared_guess = INFINITY if inputs.too_few[place] else inputs.squared_radius[place]
-        if inputs.range_radius is not None:
-            limit_range(query, inputs.range_radius[row])
-        if inputs.reach is not None:
-            limit_radius(query, inputs.reach[row] * inputs.reach[row])
-    query_batch(tree, batch)
-    gather_points(tree, batch)
-    for lane in range(batch.n_queries):
-        move_one(tree, batch, lane, BLOCK * block + lane, inputs, step, moved)
-
-
-cdef inline void prefetch_limits(Tree tree, Py_ssize_t block, RelaxInputs inputs) noexcept nogil:
-    """Have the limits that the next block reads brought into the cache."""
-    cdef Py_ssize_t place
-    for place in range(BLOCK * block, min(BLOCK * block + BLOCK, tree.n_points)):
-        if inputs.range_radius is not None:
-            prefetch_row(&inputs.range_radius[inputs.rows[place]], sizeof(double))
-        if inputs.reach is not None:
-            prefetch_row(&inputs.reach[inputs.rows[place]], sizeof(double))
-
-
-cdef void move_one(
-    Tree tree, Batch* batch, Py_ssize_t lane, Py_ssize_t place, RelaxInputs inputs, double step,
-    double[:, ::1] moved
-) noexcept nogil:
-    """Move one photon by the repulsion of its neighbours; write its place only."""
-    cdef const Query* query = &batch.queries[lane]
-    cdef Py_ssize_t axis
-    cdef Py_ssize_t row = inputs.rows[place]
-    cdef double[3] f
-    f[0] = f[1] = f[2] = 0.0
-    if query.candidates.count >= MIN_NEIGHBOURS and query.candidates.squared_radius > 0.0:
-        tree.simd.repulsion(
-            batch.points + 3 * lane * batch.stride, query.candidates.count,
-            query.candidates.squared_radius, query.bounds.low, f
-        )
-        project(f, &inputs.normal[place, 0], &inputs.basis[row, 0, 0], inputs.constraint[row])
-        shorten(f, step, inputs.largest_step[place])
-    inputs.squared_radius[place] = query.candidates.squared_radius
-    inputs.too_few[place] = query.candidates.count < batch.k
-    for axis in range(3):
-        moved[place, axis] = query.bounds.low[axis] + f[axis]
+    cdef Move work = Move(tree, k=k, radius=INFINITY, range_radius=-1.0)
+    work.inputs = inputs
+    work.step = step
+    work.moved = moved
+    search_points(work, first, end, n_threads)
 
 
 cdef void project(
@@ -152,8 +147,8 @@ cdef void project(
 ) noexcept nogil:
     """Constrain f to the basis (SJ13 Eq. 9): u (u · f) + (1 − constraint) v (v · f).
 
-    The basis was found where the photon landed; on a curved surface it is turned into the tangent
-    plane of where the photon is now.
+    The basis is of the point where the photon landed; on a curved surface it is turned into the
+    tangent plane of its present position.
     """
     cdef double[3] u
     cdef double[3] v
@@ -164,7 +159,7 @@ cdef void project(
         u[axis] = basis[axis] - tilt * normal[axis]
     length = sqrt(dot(u, u))
     if length < 1e-6:
-        # The surface has turned so far that the direction found says nothing any more.
+        # The surface has turned by a right angle: the basis has no direction here.
         f[0] = f[1] = f[2] = 0.0
         return
     for axis in range(3):

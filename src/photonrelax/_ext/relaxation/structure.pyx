@@ -1,21 +1,23 @@
-"""Constraints from photon neighbourhoods: from principal components (SJ13 §4.3) or gradients."""
+"""Structure around photons: principal components and constraints (SJ13 §4.3), or gradients."""
 
-from cython.parallel cimport prange, threadid
+from cython cimport final
+from cython.parallel cimport prange
 from libc.math cimport INFINITY, M_PI, erf, fabs, sqrt
 
 import numpy as np
 
 from ..common.vec3 cimport orthonormal_frame
-from ..spatial.batch cimport Batch, Query, allocate_batches, limit_radius, limit_range, open_block
-from ..spatial.tree cimport Tree
+from ..spatial.batch cimport Batch, Query, limit_radius, limit_range
+from ..spatial.query_loop cimport BatchWork, search_points
 from ..spatial.simd.kernels cimport BLOCK, prefetch_row
-from ..spatial.knn cimport query_batch
+from ..spatial.tree cimport Tree
 
-# Below this many photons in range a neighbourhood says nothing about structure.
 cdef enum:
+    # Least number of photons whose neighbourhood has a structure.
     MIN_NEIGHBOURS = 4
 
 
+# Factor of the search radius that the last block suggests; it differs where a sheet ends.
 cdef double MARGIN = 1.6
 # The squares of squares of numbers in between are normal.
 cdef double SMALLEST = 1e-75
@@ -23,7 +25,7 @@ cdef double LARGEST = 1e75
 
 
 cpdef double anisotropy_to_gradient(double eigenvalue) noexcept nogil:
-    """Return M of SJ13 Eq. 2, the pressure in the gradient direction, for a λ₂.
+    """Pressure M in the gradient direction from an eigenvalue λ₂ (SJ13 Eq. 2).
 
     λ₂ is clamped to [1/4 − 16/(9π²), 1/4]: from a neighbourhood cut in half by an edge, where
     M = 4/(3π), to an isotropic one, where M = 0.
@@ -33,29 +35,29 @@ cpdef double anisotropy_to_gradient(double eigenvalue) noexcept nogil:
 
 
 cpdef double isotropic_mean(double k) noexcept nogil:
-    """Return the mean µ_N of λ₂ for k independent, uniform photons in a disc.
+    """Mean µ_N of λ₂ for k independent, uniform photons in a disc (SJ13 Eq. 5).
 
-    The paper prints 0.25 − 0.2809/√k (SJ13 Eq. 5), fitted at k = 100 alone. This is the exact
-    expansion: 1/(4k) for centring on the mean, and the mean splitting of two equal eigenvalues.
+    The paper prints 0.25 − 0.2809/√k, fitted at k = 100 alone. This is the exact expansion:
+    1/(4k) for centring on the mean, and the mean splitting of two equal eigenvalues.
     """
     return 0.25 - 0.25 / k - sqrt(M_PI / 48.0) / sqrt(k)
 
 
 cpdef double isotropic_sd(double k) noexcept nogil:
-    """Return the standard deviation σ_N of λ₂ for k independent, uniform photons in a disc.
+    """Standard deviation σ_N of λ₂ for k independent, uniform photons in a disc (SJ13 Eq. 4).
 
-    The paper prints 0.188/√k (SJ13 Eq. 4), fitted at k = 100 alone.
+    The paper prints 0.188/√k, fitted at k = 100 alone.
     """
     return 0.1968 / sqrt(k) - 0.087 / k
 
 
 cpdef double noise_attenuation(double eigenvalue, double k) noexcept nogil:
-    """Return Φ of SJ13 Eq. 6: the chance that k isotropic photons have a greater λ₂."""
+    """Probability Φ that k isotropic photons have a greater λ₂ (SJ13 Eq. 6)."""
     return attenuation(eigenvalue, isotropic_mean(k), isotropic_scale(k))
 
 
 cpdef double constraint(double eigenvalue, double k) noexcept nogil:
-    """Return 3π/4 · M(λ₂) · Φ(λ₂) in [0, 1]: one minus the length of v_b in SJ13 Eq. 7."""
+    """Constraint 3π/4 · M(λ₂) · Φ(λ₂) in [0, 1], one minus the length of v_b (SJ13 Eq. 7)."""
     return constraint_among(eigenvalue, isotropic_mean(k), isotropic_scale(k))
 
 
@@ -73,12 +75,12 @@ cdef inline double constraint_among(double eigenvalue, double mean, double scale
 
 
 cpdef double gradient_constraint(double shift, double gain) noexcept nogil:
-    """Return min(1, gain · 3π/4 · shift), for the length of a mean offset over the radius."""
+    """Constraint min(1, gain · 3π/4 · shift), for the length of a mean offset over the radius."""
     return min(gain * 0.75 * M_PI * shift, 1.0)
 
 
 cdef class StructureInputs:
-    """What is read of inputs.
+    """The photons of a tree, and the limits of their neighbourhoods.
 
     Parameters
     ----------
@@ -102,15 +104,14 @@ cdef class StructureInputs:
         self.reach = reach
 
 
-cdef class Targets:
-    """Views of the arrays that will make a `photonrelax.Structure`, and how they are made.
+@final
+cdef class Detection(BatchWork):
+    """Detection of the structure around a tree's photons, into the columns of a `Structure`."""
 
-    Photons are constrained along the gradient, times `gain`; if that is negative, as their
-    principal components tell.
-    """
-
+    cdef StructureInputs inputs
+    # Factor of constraints along the gradient; negative for those of principal components.
     cdef double gain
-    # By the number of photons, the isotropic mean of λ₂ and what deviations from it are scaled by.
+    # Mean of λ₂ of isotropic photons, and scale of deviations from it, by their number.
     cdef double[:, ::1] isotropic
     cdef double[:, ::1] eigenvalues
     cdef double[::1] constraint
@@ -118,24 +119,145 @@ cdef class Targets:
     cdef double[::1] radius
     cdef int[::1] n_found
 
-    def __init__(
-        self, Py_ssize_t most_found, double gain, *, eigenvalues, constraint, basis, radius, n_found
-    ):
-        cdef Py_ssize_t count
-        self.gain = gain
-        self.isotropic = np.empty((most_found + 1, 2))
-        for count in range(MIN_NEIGHBOURS, most_found + 1):
-            self.isotropic[count, 0] = isotropic_mean(count)
-            self.isotropic[count, 1] = isotropic_scale(count)
-        self.eigenvalues = eigenvalues
-        self.constraint = constraint
-        self.basis = basis
-        self.radius = radius
-        self.n_found = n_found
+    cdef void limit(self, Batch* batch, Query* query, Py_ssize_t place) noexcept nogil:
+        """Limit the neighbourhood of the photon at a place.
+
+        The share of its reach that a photon searches, all of it where too few are in range, is
+        much the same as in the last block.
+        """
+        cdef Py_ssize_t row = self.inputs.rows[place]
+        cdef double squared_reach
+        self.prefetch(row, place + BLOCK)
+        if self.inputs.range_radius is not None:
+            limit_range(query, self.inputs.range_radius[row])
+        if self.inputs.reach is not None:
+            squared_reach = self.inputs.reach[row] * self.inputs.reach[row]
+            limit_radius(query, squared_reach)
+            if squared_reach < INFINITY:
+                query.squared_guess = MARGIN * batch.share * squared_reach
+
+    cdef void prefetch(self, Py_ssize_t row, Py_ssize_t next_place) noexcept nogil:
+        """Prefetch a row that will be written, and the limits at a place of the next block."""
+        prefetch_row(&self.inputs.normal[row, 0], 3 * sizeof(double))
+        prefetch_row(&self.eigenvalues[row, 0], 2 * sizeof(double))
+        prefetch_row(&self.constraint[row], sizeof(double))
+        prefetch_row(&self.basis[row, 0, 0], 6 * sizeof(double))
+        prefetch_row(&self.radius[row], sizeof(double))
+        prefetch_row(&self.n_found[row], sizeof(int))
+        if next_place < self.tree.n_points:
+            row = self.inputs.rows[next_place]
+            if self.inputs.range_radius is not None:
+                prefetch_row(&self.inputs.range_radius[row], sizeof(double))
+            if self.inputs.reach is not None:
+                prefetch_row(&self.inputs.reach[row], sizeof(double))
+
+    cdef void finish(self, Batch* batch, Py_ssize_t first, int thread) noexcept nogil:
+        """Detect the structure around the photons of a block; write their rows only."""
+        cdef Py_ssize_t lane, row
+        cdef double squared_reach, share = 0.0
+        for lane in range(batch.n_queries):
+            row = self.inputs.rows[first + lane]
+            self.detect_one(&batch.queries[lane], row, &self.inputs.normal[row, 0])
+            if self.inputs.reach is not None and self.inputs.reach[row] > 0.0:
+                squared_reach = self.inputs.reach[row] * self.inputs.reach[row]
+                if batch.queries[lane].candidates.count < batch.k:
+                    share += 1.0
+                else:
+                    share += batch.queries[lane].candidates.squared_radius / squared_reach
+        batch.share = share / batch.n_queries
+
+    cdef void detect_one(
+        self, const Query* query, Py_ssize_t row, const double* normal
+    ) noexcept nogil:
+        """Detect the structure around one photon from its neighbours; write its row only."""
+        cdef Py_ssize_t axis, count = query.candidates.count
+        cdef Components pca
+        cdef double inverse, strength = 0.0, radius = sqrt(query.candidates.squared_radius)
+        cdef double[6] frame, scaled
+        cdef double[5] moments
+        orthonormal_frame(frame, frame + 3, normal)
+        pca.first = pca.second = pca.sine = 0.0
+        pca.cosine = 1.0
+        if count >= MIN_NEIGHBOURS and radius > 0.0:
+            # Dividing lengths, not squares, keeps very small and very large scenes in range.
+            inverse = 1.0 / radius
+            for axis in range(6):
+                scaled[axis] = inverse * frame[axis]
+            self.tree.simd.moments(
+                &self.tree.coords[0, 0, 0], self.tree.n_axes, &query.candidates,
+                query.bounds.low, scaled, moments
+            )
+            pca = decompose(moments[0], moments[1], moments[2])
+            if self.gain < 0.0:
+                strength = constraint_among(
+                    pca.second, self.isotropic[count, 0], self.isotropic[count, 1]
+                )
+            else:
+                strength = gradient_constraint(align(&pca, moments[3], moments[4]), self.gain)
+        self.n_found[row] = <int> count
+        self.radius[row] = radius
+        self.constraint[row] = strength
+        self.eigenvalues[row, 0] = pca.first
+        self.eigenvalues[row, 1] = pca.second
+        for axis in range(3):
+            self.basis[row, 0, axis] = pca.cosine * frame[axis] + pca.sine * frame[3 + axis]
+            self.basis[row, 1, axis] = pca.cosine * frame[3 + axis] - pca.sine * frame[axis]
+
+
+cdef double align(Components* pca, double u, double v) noexcept nogil:
+    """Turn the second direction along (u, v), if it has a length; return that."""
+    cdef double length = sqrt(u * u + v * v)
+    if length > 0.0:
+        pca.cosine = v / length
+        pca.sine = -u / length
+    return length
+
+
+def detect(
+    Tree tree, Py_ssize_t first, Py_ssize_t end, StructureInputs inputs, columns, *,
+    Py_ssize_t k, double gain=-1.0, int n_threads
+):
+    """Fill the rows of the photons at places first … end, whole blocks, of the tree.
+
+    Parameters
+    ----------
+    tree : Tree
+    first, end : int
+    inputs : StructureInputs
+    columns : dict
+        Those of a `photonrelax.Structure`: eigenvalues, constraint, basis, radius and n_found.
+    k : int
+        Photons in a neighbourhood, at most.
+    gain : float
+        Factor of constraints along the gradient; negative for those of principal components.
+    """
+    cdef Detection work = Detection(tree, k=k, radius=INFINITY, range_radius=-1.0)
+    work.inputs = inputs
+    work.gain = gain
+    work.isotropic = isotropic_statistics(min(k, tree.n_points))
+    work.eigenvalues = columns["eigenvalues"]
+    work.constraint = columns["constraint"]
+    work.basis = columns["basis"]
+    work.radius = columns["radius"]
+    work.n_found = columns["n_found"]
+    search_points(work, first, end, n_threads)
+
+
+cdef double[:, ::1] isotropic_statistics(Py_ssize_t k):
+    """Mean and scale of λ₂ of isotropic photons (k + 1, 2), by their number."""
+    cdef double[:, ::1] statistics = np.empty((k + 1, 2))
+    cdef Py_ssize_t count
+    for count in range(MIN_NEIGHBOURS, k + 1):
+        statistics[count, 0] = isotropic_mean(count)
+        statistics[count, 1] = isotropic_scale(count)
+    return statistics
+
+
+# --- principal components ----------------------------------------------------------------------
 
 
 cdef Components decompose(double uu, double uv, double vv) noexcept nogil:
-    """Decompose the matrix ((uu, uv), (uv, vv))."""
+    """Eigenvalues and first eigenvector of the matrix ((uu, uv), (uv, vv))."""
     cdef Components pca
     cdef double middle = 0.5 * (uu + vv)
     cdef double difference = 0.5 * (uu - vv)
@@ -170,7 +292,7 @@ cdef Components decompose(double uu, double uv, double vv) noexcept nogil:
 
 
 cdef Components decompose_offsets(const double* offsets, Py_ssize_t count) noexcept nogil:
-    """Decompose the covariance (divisor `count`, about the mean) of planar offsets (count, 2)."""
+    """Decompose the covariance about the mean, of divisor `count`, of planar offsets (count, 2)."""
     cdef double mean_u = 0.0, mean_v = 0.0, uu = 0.0, uv = 0.0, vv = 0.0
     cdef double u, v
     cdef Py_ssize_t j
@@ -189,7 +311,7 @@ cdef Components decompose_offsets(const double* offsets, Py_ssize_t count) noexc
 
 
 def principal_components(const double[:, :, ::1] offsets, int n_threads):
-    """Return eigenvalues (n, 2), larger first, and first eigenvectors (n, 2) of n planar sets."""
+    """Eigenvalues (n, 2), larger first, and first eigenvectors (n, 2) of n planar sets."""
     cdef Py_ssize_t n = offsets.shape[0]
     eigenvalues = np.empty((n, 2))
     vectors = np.empty((n, 2))
@@ -211,127 +333,3 @@ cdef void write_components(
     eigenvalues[i, 1] = pca.second
     vectors[i, 0] = pca.cosine
     vectors[i, 1] = pca.sine
-
-
-def detect(
-    Tree tree, Py_ssize_t first, Py_ssize_t end, StructureInputs inputs, targets_by_name, *,
-    Py_ssize_t k, double gain=-1.0, int n_threads
-):
-    """Fill the rows of the photons at places first … end, whole blocks, of the tree.
-
-    Photons are constrained along the gradient, times `gain`; if that is negative, as their
-    principal components tell.
-    """
-    cdef Targets targets = Targets(min(k, tree.n_points), gain, **targets_by_name)
-    cdef unsigned char[:, ::1] batches = allocate_batches(tree, k, n_threads)
-    cdef Py_ssize_t block
-    for block in prange(
-        first // BLOCK, (end + BLOCK - 1) // BLOCK, nogil=True, schedule="dynamic", chunksize=16,
-        num_threads=n_threads
-    ):
-        detect_block(tree, <Batch*> &batches[threadid(), 0], block, inputs, targets)
-
-
-cdef void detect_block(
-    Tree tree, Batch* batch, Py_ssize_t block, StructureInputs inputs, Targets out
-) noexcept nogil:
-    """Detect the structure around the photons of a block; write their rows only.
-
-    How much of its reach a photon has to look at, all of it where too few are in range, is much
-    the same next to it, if not where a inputs ends; hence the margin.
-    """
-    cdef Py_ssize_t lane, row
-    cdef Query* query
-    cdef double squared_reach, share = 0.0
-    open_block(tree, batch, block)
-    prefetch_limits(tree, block + 1, inputs)
-    for lane in range(batch.n_queries):
-        query = &batch.queries[lane]
-        row = inputs.rows[BLOCK * block + lane]
-        prefetch(out, row)
-        prefetch_row(&inputs.normal[row, 0], 3 * sizeof(double))
-        if inputs.range_radius is not None:
-            limit_range(query, inputs.range_radius[row])
-        if inputs.reach is not None:
-            squared_reach = inputs.reach[row] * inputs.reach[row]
-            limit_radius(query, squared_reach)
-            if squared_reach < INFINITY:
-                query.squared_guess = MARGIN * batch.share * squared_reach
-    query_batch(tree, batch)
-    for lane in range(batch.n_queries):
-        row = inputs.rows[BLOCK * block + lane]
-        detect_one(tree, &batch.queries[lane], row, &inputs.normal[row, 0], out)
-        if inputs.reach is not None and inputs.reach[row] > 0.0:
-            squared_reach = inputs.reach[row] * inputs.reach[row]
-            if batch.queries[lane].candidates.count < batch.k:
-                share += 1.0
-            else:
-                share += batch.queries[lane].candidates.squared_radius / squared_reach
-    batch.share = share / batch.n_queries
-
-
-cdef inline void prefetch_limits(
-    Tree tree, Py_ssize_t block, StructureInputs inputs
-) noexcept nogil:
-    """Have the limits that the next block reads brought into the cache."""
-    cdef Py_ssize_t place
-    for place in range(BLOCK * block, min(BLOCK * block + BLOCK, tree.n_points)):
-        if inputs.range_radius is not None:
-            prefetch_row(&inputs.range_radius[inputs.rows[place]], sizeof(double))
-        if inputs.reach is not None:
-            prefetch_row(&inputs.reach[inputs.rows[place]], sizeof(double))
-
-
-cdef inline void prefetch(Targets out, Py_ssize_t row) noexcept nogil:
-    """Have the rows that will be written brought into the cache: they are all over the map."""
-    prefetch_row(&out.eigenvalues[row, 0], 2 * sizeof(double))
-    prefetch_row(&out.constraint[row], sizeof(double))
-    prefetch_row(&out.basis[row, 0, 0], 6 * sizeof(double))
-    prefetch_row(&out.radius[row], sizeof(double))
-    prefetch_row(&out.n_found[row], sizeof(int))
-
-
-cdef void detect_one(
-    Tree tree, const Query* query, Py_ssize_t row, const double* normal, Targets out
-) noexcept nogil:
-    """Detect the structure around one photon from its neighbours; write its row only."""
-    cdef Py_ssize_t axis, count = query.candidates.count
-    cdef Components pca
-    cdef double inverse, strength = 0.0, radius = sqrt(query.candidates.squared_radius)
-    cdef double[6] frame, scaled
-    cdef double[5] moments
-    orthonormal_frame(frame, frame + 3, normal)
-    pca.first = pca.second = pca.sine = 0.0
-    pca.cosine = 1.0
-    if count >= MIN_NEIGHBOURS and radius > 0.0:
-        # Dividing lengths, not squares, keeps very small and very large scenes in range.
-        inverse = 1.0 / radius
-        for axis in range(6):
-            scaled[axis] = inverse * frame[axis]
-        tree.simd.moments(
-            &tree.coords[0, 0, 0], tree.n_axes, &query.candidates, query.bounds.low, scaled, moments
-        )
-        pca = decompose(moments[0], moments[1], moments[2])
-        if out.gain < 0.0:
-            strength = constraint_among(
-                pca.second, out.isotropic[count, 0], out.isotropic[count, 1]
-            )
-        else:
-            strength = gradient_constraint(turn(&pca, moments[3], moments[4]), out.gain)
-    out.n_found[row] = <int> count
-    out.radius[row] = radius
-    out.constraint[row] = strength
-    out.eigenvalues[row, 0] = pca.first
-    out.eigenvalues[row, 1] = pca.second
-    for axis in range(3):
-        out.basis[row, 0, axis] = pca.cosine * frame[axis] + pca.sine * frame[3 + axis]
-        out.basis[row, 1, axis] = pca.cosine * frame[3 + axis] - pca.sine * frame[axis]
-
-
-cdef double turn(Components* pca, double u, double v) noexcept nogil:
-    """Turn the first direction to the right of (u, v), if it has a length; return that."""
-    cdef double length = sqrt(u * u + v * v)
-    if length > 0.0:
-        pca.cosine = v / length
-        pca.sine = -u / length
-    return length

@@ -1,18 +1,16 @@
 # distutils: language = c++
 """Neighbour tables: ids and distances of the k nearest; see `photonrelax.KDTree`."""
 
-from cython.parallel cimport prange, threadid
-from libc.math cimport INFINITY, sqrt
+from cython cimport final
+from libc.math cimport INFINITY
 from libc.stdint cimport int64_t
 
 import numpy as np
 
-from .batch cimport (
-    Batch, Query, allocate_batches, gather_neighbours, limit_range, open_block, open_query,
-)
+from .batch cimport Batch, Query, gather_neighbours, limit_range
+from .query_loop cimport BatchWork, search_points, search_queries
+from .simd.kernels cimport KEY_CHUNK, LANES, Candidates, prefetch_row, store_fence
 from .tree cimport Tree
-from .simd.kernels cimport BLOCK, KEY_CHUNK, LANES, Candidates, prefetch_row, store_fence
-from .knn cimport query_batch
 
 from .tree import aligned
 
@@ -74,11 +72,32 @@ cdef class Table:
         self.scratch = np.empty((n_threads, max(n_sorted * sizeof(Neighbour), 1)), dtype=np.uint8)
 
 
-cdef void limit_ranges(Tree tree, Query* query, Ranges ranges, Py_ssize_t row) noexcept nogil:
-    if ranges.range_radius is not None:
-        limit_range(query, ranges.range_radius[row])
-    if ranges.half_range is not None:
-        query.bounds.half_range = &ranges.half_range[row, 0]
+@final
+cdef class TableQuery(BatchWork):
+    """The search whose neighbours a table holds."""
+
+    cdef Ranges ranges
+    cdef Table table
+    # Row of each query, in their order.
+    cdef const int64_t[::1] rows
+    # Place that is no neighbour of a query, by row; None for none.
+    cdef const Py_ssize_t[::1] excluded
+    # Queries are the tree's own points, and not among their neighbours.
+    cdef bint exclude_self
+
+    cdef void limit(self, Batch* batch, Query* query, Py_ssize_t i) noexcept nogil:
+        cdef int64_t row = self.rows[i]
+        if self.ranges.range_radius is not None:
+            limit_range(query, self.ranges.range_radius[row])
+        if self.ranges.half_range is not None:
+            query.bounds.half_range = &self.ranges.half_range[row, 0]
+        if self.excluded is not None:
+            query.excluded = self.excluded[row]
+        if self.exclude_self:
+            query.excluded = i
+
+    cdef void finish(self, Batch* batch, Py_ssize_t first, int thread) noexcept nogil:
+        write_rows(self.tree, batch, &self.rows[first], self.table, thread)
 
 
 cdef void write_rows(
@@ -146,97 +165,27 @@ def query(
     Queries are answered in `order`, close ones in sequence. ``excluded[i]`` is the place of the
     point that is no neighbour of query i; None for none.
     """
-    cdef Py_ssize_t n_batches = (queries.shape[0] + BLOCK - 1) // BLOCK
     cdef Table table = Table(queries.shape[0], k, n_threads)
-    cdef unsigned char[:, ::1] batches = allocate_batches(tree, k, n_threads)
-    cdef Py_ssize_t i
+    cdef TableQuery work
     if tree.n_points == 0:
         table.ids[:] = 0
         table.distance[:] = np.inf
         return table.ids, table.distance
-    for i in prange(
-        n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
-    ):
-        query_rows(
-            tree, <Batch*> &batches[threadid(), 0], queries, order, i, ranges, excluded, table,
-            threadid()
-        )
+    work = TableQuery(tree, k=k, radius=INFINITY, range_radius=-1.0)
+    work.ranges, work.table, work.excluded = ranges, table, excluded
+    work.rows = np.asarray(order).view(np.int64)
+    search_queries(work, queries, order, n_threads)
     return table.ids, table.distance
-
-
-cdef void query_rows(
-    Tree tree, Batch* batch, const double[:, ::1] queries, const Py_ssize_t[::1] order,
-    Py_ssize_t number, Ranges ranges, const Py_ssize_t[::1] excluded, Table table, int thread
-) noexcept nogil:
-    """Answer 16 consecutive queries; write their rows only."""
-    cdef Py_ssize_t i, row
-    cdef Query* query
-    batch.n_queries = 0
-    for i in range(BLOCK * number, min(BLOCK * number + BLOCK, queries.shape[0])):
-        row = order[i]
-        query = &batch.queries[batch.n_queries]
-        open_query(tree, batch, &queries[row, 0])
-        limit_ranges(tree, query, ranges, row)
-        if excluded is not None:
-            query.excluded = excluded[row]
-    query_batch(tree, batch)
-    write_rows(tree, batch, <const int64_t*> &order[BLOCK * number], table, thread)
 
 
 def query_self(
     Tree tree, Py_ssize_t k, *, Ranges ranges, bint exclude_self, int n_threads
 ):
     """Ids (n, k) and distances (n, k) of the k nearest of each of the tree's points."""
+    cdef TableQuery work = TableQuery(tree, k=k, radius=INFINITY, range_radius=-1.0)
     cdef Table table = Table(tree.n_points, k, n_threads)
-    cdef unsigned char[:, ::1] batches = allocate_batches(tree, k, n_threads)
-    cdef Py_ssize_t block
-    for block in prange(
-        tree.n_blocks, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
-    ):
-        query_block(
-            tree, <Batch*> &batches[threadid(), 0], block, ranges, exclude_self, table, threadid()
-        )
+    work.ranges, work.table, work.excluded = ranges, table, None
+    work.exclude_self = exclude_self
+    work.rows = tree.ids
+    search_points(work, 0, tree.n_points, n_threads)
     return table.ids, table.distance
-
-
-cdef void query_block(
-    Tree tree, Batch* batch, Py_ssize_t block, Ranges ranges, bint exclude_self, Table table,
-    int thread
-) noexcept nogil:
-    """Answer the points of a block; write their rows only."""
-    cdef Py_ssize_t lane
-    open_block(tree, batch, block)
-    for lane in range(batch.n_queries):
-        limit_ranges(tree, &batch.queries[lane], ranges, tree.ids[BLOCK * block + lane])
-        if exclude_self:
-            batch.queries[lane].excluded = BLOCK * block + lane
-    query_batch(tree, batch)
-    write_rows(tree, batch, &tree.ids[BLOCK * block], table, thread)
-
-
-def farthest(Tree tree, Py_ssize_t k, *, Ranges ranges, int n_threads):
-    """Distance (n,) to the farthest of the k nearest of each of the tree's points."""
-    distance = np.empty(tree.n_points)
-    cdef double[::1] distance_view = distance
-    cdef unsigned char[:, ::1] batches = allocate_batches(tree, k, n_threads)
-    cdef Py_ssize_t block
-    for block in prange(
-        tree.n_blocks, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
-    ):
-        farthest_of_block(tree, <Batch*> &batches[threadid(), 0], block, ranges, distance_view)
-    return distance
-
-
-cdef void farthest_of_block(
-    Tree tree, Batch* batch, Py_ssize_t block, Ranges ranges, double[::1] distance
-) noexcept nogil:
-    """Answer the points of a block; write their rows only."""
-    cdef Py_ssize_t lane
-    open_block(tree, batch, block)
-    for lane in range(batch.n_queries):
-        limit_ranges(tree, &batch.queries[lane], ranges, tree.ids[BLOCK * block + lane])
-    query_batch(tree, batch)
-    for lane in range(batch.n_queries):
-        distance[tree.ids[BLOCK * block + lane]] = sqrt(
-            batch.queries[lane].candidates.squared_radius
-        )
