@@ -74,13 +74,13 @@ def test_gathering_many_takes_room_for_one_search_a_thread(photons, n_axes):
 
 
 @pytest.mark.parametrize("left_over", [0, 5, 16, 17])
-def test_photons_are_put_back_some_at_a_time(left_over, monkeypatch):
+def test_photons_are_projected_some_at_a_time(left_over, monkeypatch):
     scene = gallery.scene("sphere")
     photons = pr.trace_photons(scene, 3000).subset(slice(0, 20 * 64 + left_over))
     structure = pr.detect_structure(photons)
     settings = pr.RelaxSettings(n_iterations=(1, 1))
     whole = pr.relax(photons, structure, settings, scene=scene)
-    monkeypatch.setattr(sys.modules["photonrelax.relaxation.relax"], "_PUT_BACK", 64)
+    monkeypatch.setattr(sys.modules["photonrelax.relaxation.relax"], "_PROJECTION_CHUNK", 64)
     parts = pr.relax(photons, structure, settings, scene=scene)
     assert parts.position.tobytes() == whole.position.tobytes()
     assert parts.normal.tobytes() == whole.normal.tobytes()

@@ -18,8 +18,8 @@ from ..scene.scene import Scene
 from .projection import SurfaceProjector
 from .structure import Structure
 
-# Photons that are put back on their surfaces at a time, some thousand whole blocks for a thread.
-_PUT_BACK = 1 << 20
+# Photons projected onto their surfaces at a time, some thousand whole blocks for a thread.
+_PROJECTION_CHUNK = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -113,11 +113,11 @@ def relax(
     if not any(settings.n_iterations) or len(photons) == 0:
         return photons
     threads = thread_count(n_threads)
-    surfaces = None if scene is None else SurfaceProjector(scene, photons, threads)
+    projector = None if scene is None else SurfaceProjector(scene, photons, threads)
     report = Reporter(progress, "relax", len(photons) * sum(settings.n_iterations))
-    relaxation = _Relaxation(photons, structure, settings, surfaces, threads, report)
+    relaxation = _Relaxation(photons, structure, settings, projector, threads, report)
     position = np.empty_like(photons.position)
-    normal = photons.normal if surfaces is None else np.empty_like(photons.normal)
+    normal = photons.normal if projector is None else np.empty_like(photons.normal)
     for rows in neighbour_groups(photons):
         relaxation.relax(rows, position, normal)
     # The map copies arrays that could still be written to.
@@ -146,7 +146,7 @@ class _Relaxation:
     photons: PhotonMap
     structure: Structure
     settings: RelaxSettings
-    surfaces: SurfaceProjector | None
+    projector: SurfaceProjector | None
     n_threads: int
     report: Reporter
 
@@ -210,7 +210,7 @@ class _Stage:
 
     def _placed_normals(self, normal: Floats) -> Floats:
         """Return normals by place, one for all where they are alike and stay so."""
-        if self._relaxation.surfaces is None and self._first_normal_axis == self._tree.n_axes:
+        if self._relaxation.projector is None and self._first_normal_axis == self._tree.n_axes:
             return np.broadcast_to(normal[self._rows[:1]], self._position.shape)
         return normal[self._rows]
 
@@ -218,13 +218,13 @@ class _Stage:
         """Iterate so often, then write positions and, on surfaces, normals to their rows."""
         for _ in range(n_iterations):
             self._move()
-            if self._relaxation.surfaces is not None:
-                self._put_back(self._relaxation.surfaces)
+            if self._relaxation.projector is not None:
+                self._project(self._relaxation.projector)
             self._refit()
         # Positions that have not been written yet take no memory; that of the tree will do.
         del self._tree
         position[self._rows] = self._position
-        if self._relaxation.surfaces is not None:
+        if self._relaxation.projector is not None:
             normal[self._rows] = self._normal
 
     def _move(self) -> None:
@@ -239,10 +239,10 @@ class _Stage:
                 n_threads=n_threads,
             )
 
-    def _put_back(self, surfaces: SurfaceProjector) -> None:
-        for first in range(0, len(self._position), _PUT_BACK):
-            part = slice(first, first + _PUT_BACK)
-            self._position[part], self._normal[part] = surfaces.project(
+    def _project(self, projector: SurfaceProjector) -> None:
+        for first in range(0, len(self._position), _PROJECTION_CHUNK):
+            part = slice(first, first + _PROJECTION_CHUNK)
+            self._position[part], self._normal[part] = projector.project(
                 self._from_tree(part), self._normal[part], self._position[part], self._rows[part]
             )
 
@@ -258,6 +258,6 @@ class _Stage:
         n_threads = self._relaxation.n_threads
         self._tree.move(self._position, 0, 1.0, n_threads)
         # Only surfaces turn photons.
-        if self._relaxation.surfaces is not None and self._first_normal_axis < self._tree.n_axes:
+        if self._relaxation.projector is not None and self._first_normal_axis < self._tree.n_axes:
             self._tree.move(self._normal, self._first_normal_axis, self._normal_scale, n_threads)
         self._tree.box(n_threads)
