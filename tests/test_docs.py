@@ -133,7 +133,7 @@ def test_functions_are_in_the_files_beside_them(functions, files):
     paths = [root / name for name in re.findall(r"`([^`]+)`", files) for root in ROOTS]
     source = "\n".join(path.read_text() for path in paths if path.exists())
     for name in re.findall(r"`(\w+)`", functions):
-        assert re.search(rf"^\s*(?:c?p?def|class|static)\b.*\b{name}\b", source, re.M), name
+        assert re.search(rf"^\s*(?:c?p?def|class|static|void)\b.*\b{name}\b", source, re.M), name
 
 
 def test_every_setting_is_on_a_page_with_its_default():
