@@ -19,7 +19,8 @@ README = ROOT / "README.md"
 PAGES = [README, *sorted((ROOT / "docs").rglob("*.md"))]
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 # Paths in backticks are below one of these.
-ROOTS = (ROOT, ROOT / "src" / "photonrelax")
+PACKAGE = ROOT / "src" / "photonrelax"
+ROOTS = (ROOT, PACKAGE, PACKAGE / "_ext" / "spatial")
 # Written by commands.
 GENERATED = ("build/",)
 # Settings classes by stage.
@@ -162,8 +163,7 @@ def test_the_architecture_names_fields_layers_and_methods(name):
 
 
 def test_the_architecture_names_every_folder():
-    package = ROOT / "src" / "photonrelax"
-    folders = {path.parent.relative_to(package) for path in package.rglob("*.py*")}
+    folders = {path.parent.relative_to(PACKAGE) for path in PACKAGE.rglob("*.py*")}
     named = {Path(name) for name in re.findall(r"`([\w/]+)/`", ARCHITECTURE)}
     mirrors = {path for path in folders if path.parts[:1] == ("_ext",)}
     assert folders - mirrors - named - {Path(), Path("__pycache__")} == set()
