@@ -138,9 +138,9 @@ def no_work(monkeypatch):
     [
         ("missing/stats.json", "there is no folder"),
         (".", "it is a folder"),
-        ("a.exr", "--stats and the picture should not be one file"),
+        ("a.exr", "--stats and the image should not be one file"),
         ("a.png", "--stats and the preview should not be one file"),
-        ("link.json", "--stats and the picture should not be one file"),
+        ("link.json", "--stats and the image should not be one file"),
         ("photons.npz", "--photon-map and --stats should not be one file"),
     ],
 )
@@ -270,7 +270,7 @@ def test_the_state_of_a_run_is_a_file_of_its_own(no_work, tmp_path, capsys):
     output = tmp_path / "a.exr"
     picture = ("render", "ring", "-o", output, "--method", "progressive", "--passes", 1)
     assert run(*picture, "--state", output) == 1
-    assert "--state and the picture should not be one file" in capsys.readouterr().err
+    assert "--state and the image should not be one file" in capsys.readouterr().err
 
 
 def test_refinement_reaches_the_estimates(tmp_path, capsys):

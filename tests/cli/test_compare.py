@@ -123,9 +123,9 @@ def test_a_method_that_fails_does_so_before_a_reference(
     ("arguments", "complaint"),
     [
         (("shapes", "--reference-passes", 5), "--reference-passes is of a reference that is comp"),
-        (("shapes", "--reference-photons", 5), "the light of shapes is known exactly: leave it"),
-        (("ring", "--reference", "none.exr", "--reference-passes", 50), "--reference brings one"),
-        (("ring", "--reference", "none.exr", "--reference-photons", 3), "--reference brings one"),
+        (("shapes", "--reference-photons", 5), "the irradiance of shapes is exact: leave it"),
+        (("ring", "--reference", "none.exr", "--reference-passes", 50), "--reference gives one"),
+        (("ring", "--reference", "none.exr", "--reference-photons", 3), "--reference gives one"),
     ],
 )
 def test_options_of_a_reference_that_is_not_computed_are_wrong_usage(

@@ -31,7 +31,7 @@ def run_interrupted_at(stage, *arguments):
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "def report(bars, stage, done, total):\n"
         f"    if stage == {stage!r}: os.kill(os.getpid(), signal.SIGINT)\n"
-        "progress_bar.Bars.__call__ = report\n"
+        "progress_bar.ProgressBars.__call__ = report\n"
         f"sys.exit(commands.main({[str(argument) for argument in arguments]!r}))"
     )
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
@@ -108,11 +108,11 @@ def test_the_handler_of_the_caller_comes_back():
     assert signal.getsignal(signal.SIGINT) is before
 
 
-class Bars:
+class ProgressBars:
     """Tell what bars show when; as if on a terminal."""
 
     def __init__(self, capsys):
-        self.bars = progress_bar.Bars(False, Interrupts())
+        self.bars = progress_bar.ProgressBars(False, Interrupts())
         self.bars._disable = False
         self._capsys = capsys
 
@@ -122,7 +122,7 @@ class Bars:
 
 
 def test_a_bar_closes_when_its_stage_is_done(capsys):
-    bars = Bars(capsys)
+    bars = ProgressBars(capsys)
     assert not bars.shown("trace", 1, 4).endswith("\n")
     done = bars.shown("trace", 4, 4)
     assert "trace: 100%" in done
@@ -131,7 +131,7 @@ def test_a_bar_closes_when_its_stage_is_done(capsys):
 
 
 def test_a_bar_closes_when_another_stage_starts(capsys):
-    bars = Bars(capsys)
+    bars = ProgressBars(capsys)
     bars.shown("trace", 1, 4)
     before, after = bars.shown("relax", 0, 6).split("\n")
     assert "trace:  25%" in before
@@ -142,7 +142,7 @@ def test_a_bar_closes_when_another_stage_starts(capsys):
 def test_a_bar_counts_the_time_before_its_first_report(capsys, monkeypatch):
     times = iter([100.0, 107.0, 110.0])
     monkeypatch.setattr(progress_bar, "time", SimpleNamespace(time=lambda: next(times)))
-    bars = Bars(capsys)
+    bars = ProgressBars(capsys)
     monkeypatch.setattr(tqdm.std, "time", lambda: 107.0)
     assert "[00:07<" in bars.shown("trace", 4, 4)
     monkeypatch.setattr(tqdm.std, "time", lambda: 110.0)
@@ -150,7 +150,7 @@ def test_a_bar_counts_the_time_before_its_first_report(capsys, monkeypatch):
 
 
 def test_a_bar_left_over_closes_at_the_end(capsys):
-    bars = Bars(capsys)
+    bars = ProgressBars(capsys)
     with bars.bars:
         bars.shown("relax", 3, 6)
     assert "relax:  50%" in capsys.readouterr().err

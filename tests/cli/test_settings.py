@@ -84,7 +84,7 @@ def test_every_method_says_what_it_reads(method):
         (("--photon-map", "p.npz", "--sampler", "halton"), "leave out --photons, --seed and"),
         (
             ("--method", "progressive", "--passes", 1, "--set", "progressive.n_passes=3"),
-            "--passes says how many",
+            "set --passes instead",
         ),
         (
             ("--method", "progressive", "--passes", 1, "--sampler", "random"),

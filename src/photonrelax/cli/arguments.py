@@ -1,4 +1,4 @@
-"""The arguments of the command line."""
+"""Arguments of the command line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SAMPLER = "halton"
 
 
 def parser(commands: Mapping[str, Callable[..., None]]) -> argparse.ArgumentParser:
-    """What parses the command line; `commands` holds what each command calls."""
+    """Parser of the command line; `commands` are the functions to call."""
     parser = argparse.ArgumentParser(
         prog="photonrelax", description="Render sharp, noise-free caustics from few photons."
     )
@@ -42,14 +42,16 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
         "--photon-map",
         type=Path,
         metavar="FILE.npz",
-        help="photons traced before, in this scene, in place of new ones; with relaxed ones: "
+        help="photons traced before in this scene, in place of new ones; for relaxed photons use "
         f"--method {PLAIN_METHOD}",
     )
     _add_sampler(parser)
     _add_settings(parser)
-    _add_picture(parser)
+    _add_image(parser)
     _add_passes(parser)
-    parser.add_argument("--stats", type=Path, metavar="FILE.json", help="write times and counts")
+    parser.add_argument(
+        "--stats", type=Path, metavar="FILE.json", help="write times and counts of the stages"
+    )
     _add_common(parser)
 
 
@@ -57,26 +59,34 @@ def _add_passes(parser: argparse.ArgumentParser) -> None:
     from ..estimation.methods import PASSES_METHOD
 
     group = parser.add_argument_group(
-        "passes", f"of fresh photons, {PHOTONS_PER_PASS} each; with --method {PASSES_METHOD}"
+        "passes", f"passes of {PHOTONS_PER_PASS} new photons each; with --method {PASSES_METHOD}"
     )
-    group.add_argument("--passes", type=positive, metavar="N", help="in all, those resumed too")
     group.add_argument(
-        "--minutes", type=_positive_number, metavar="T", help="of passes, more or less"
+        "--passes",
+        type=positive,
+        metavar="N",
+        help="total number, including passes of a resumed run",
+    )
+    group.add_argument(
+        "--minutes",
+        type=_positive_number,
+        metavar="T",
+        help="time limit; the last pass is completed",
     )
     group.add_argument(
         "--state",
         type=Path,
         metavar="FILE.npz",
-        help="keep the run here, and go on with it if it exists",
+        help="save the run here, and resume it if the file exists",
     )
     group.add_argument(
         "--interval",
         type=_positive_number,
         metavar="SECONDS",
-        help="from one time that run and picture are written to the next (60)",
+        help="time between saving the run and the image (60)",
     )
     group.add_argument(
-        "--stochastic", action="store_true", help="look elsewhere in each pixel in every pass"
+        "--stochastic", action="store_true", help="jitter pixel samples in every pass"
     )
 
 
@@ -93,8 +103,8 @@ def _add_trace(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar="SHARE",
-        help="of the photons that carry spectra, for --method "
-        f"{with_spectra} (%(default)s; say 0.02)",
+        help="share of the photons that get local frequency spectra, for --method "
+        f"{with_spectra} (%(default)s; 0.02, say)",
     )
     _add_common(parser)
 
@@ -105,7 +115,7 @@ def _add_relax(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scene",
         choices=gallery.names(),
-        help="the scene of the photons, to keep them on its curved surfaces",
+        help="scene of the photons, to project moved photons onto its surfaces",
     )
     _add_iterations(parser)
     _add_common(parser)
@@ -121,31 +131,31 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         choices=METHODS,
         metavar="METHOD",
-        help=f"some of {', '.join(METHODS)}; default: the five of SJ13 Table I",
+        help=f"any of {', '.join(METHODS)}; default: the five of SJ13 Table I",
     )
     _add_emission(parser)
     _add_sampler(parser)
     _add_settings(parser)
-    _add_picture(parser)
+    _add_image(parser)
     parser.add_argument(
         "--reference",
         type=Path,
         metavar="FILE.exr",
-        help="a picture of the same view to measure errors against; default: one is computed, "
-        "kept in FOLDER and used again",
+        help="image of the same view to measure errors against; default: one that is computed "
+        "and cached in FOLDER",
     )
-    # No defaults here: they are refused if they were given where no reference is computed.
+    # Without defaults, to refuse them where they are given but no reference is computed.
     parser.add_argument(
         "--reference-passes",
         type=positive,
         metavar="N",
-        help=f"progressive passes that a computed reference takes ({REFERENCE_PASSES})",
+        help=f"number of progressive passes of a computed reference ({REFERENCE_PASSES})",
     )
     parser.add_argument(
         "--reference-photons",
         type=positive,
         metavar="N",
-        help=f"in each of these, whatever --photons is ({REFERENCE_PHOTONS})",
+        help=f"photons in each of these, independent of --photons ({REFERENCE_PHOTONS})",
     )
     _add_common(parser)
 
@@ -158,8 +168,8 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "render": ("render a built-in scene to an EXR file, and a PNG preview beside it", _add_render),
     "trace": ("trace the photons of a built-in scene into a photon map", _add_trace),
     "relax": ("relax the photons of a photon map", _add_relax),
-    "compare": ("compare methods on the same photons: table, pictures, a page", _add_compare),
-    "list": ("list the built-in scenes, and photons alone to compare on", lambda parser: None),
+    "compare": ("compare methods on the same photons: table, images, HTML page", _add_compare),
+    "list": ("list the built-in scenes and photon patterns", lambda parser: None),
     "info": ("describe an EXR file or a photon map", _add_info),
 }
 
@@ -174,19 +184,21 @@ def _add_output(parser: argparse.ArgumentParser, metavar: str) -> None:
 
 
 def _add_emission(parser: argparse.ArgumentParser) -> None:
-    # No defaults here: whether they were given matters beside --photon-map.
-    parser.add_argument("--photons", type=positive, metavar="N", help=f"emitted ({PHOTONS})")
-    parser.add_argument("--seed", type=whole, metavar="N", help="of the photons (0)")
+    # Without defaults, to refuse them where they are given beside --photon-map.
+    parser.add_argument(
+        "--photons", type=positive, metavar="N", help=f"photons to emit ({PHOTONS})"
+    )
+    parser.add_argument("--seed", type=whole, metavar="N", help="seed of the photons (0)")
 
 
 def _add_sampler(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--sampler", choices=("halton", "random"), help=f"of the photons ({SAMPLER})"
+        "--sampler", choices=("halton", "random"), help=f"sequence of the photons ({SAMPLER})"
     )
 
 
 def _add_settings(parser: argparse.ArgumentParser) -> None:
-    # No defaults here: settings that no chosen method reads are refused if they were given.
+    # Without defaults, to refuse settings that are given but read by no method.
     from ..estimation.refinement import REFINEMENTS
     from .settings import assignment
 
@@ -194,20 +206,20 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         "--k",
         type=positive,
         metavar="N",
-        help="photons per estimate (15); in render of the first discs of progressive methods",
+        help="photons per estimate (15); in render with progressive methods: of the initial radius",
     )
     _add_iterations(parser)
     parser.add_argument(
         "--refinement",
         choices=tuple(REFINEMENTS),
-        help="how estimates choose a number of photons of their own, up to --k (none)",
+        help="adapt the number of photons of each estimate, up to --k (none)",
     )
     parser.add_argument(
         "--set",
         action="append",
         type=assignment,
         metavar="STAGE.FIELD=VALUE",
-        help="any setting of a stage, as in diffusion.k=200 or relax.n_iterations=3,3; repeatable",
+        help="set a setting of a stage: diffusion.k=200, relax.n_iterations=3,3; repeatable",
     )
 
 
@@ -217,39 +229,46 @@ def _add_iterations(parser: argparse.ArgumentParser) -> None:
         type=whole,
         nargs=2,
         metavar=("CONSTRAINED", "COLLAPSED"),
-        help="of relaxation (7 7)",
+        help="iterations of relaxation (7 7)",
     )
 
 
-def _add_picture(parser: argparse.ArgumentParser) -> None:
+def _add_image(parser: argparse.ArgumentParser) -> None:
     for name in ("width", "height"):
         parser.add_argument(
             f"--{name}",
             type=positive,
             metavar="PIXELS",
-            help="of the picture; one alone keeps its proportions",
+            help=f"{name} of the image; alone, it keeps the proportions",
         )
     parser.add_argument(
         "--supersampling",
         type=positive,
         default=2,
         metavar="N",
-        help="N x N rays per pixel (%(default)s)",
+        help="N x N samples per pixel (%(default)s)",
     )
     parser.add_argument(
-        "--exposure", type=_stops, default=0.0, metavar="STOPS", help="of PNG pictures"
+        "--exposure",
+        type=_stops,
+        default=0.0,
+        metavar="STOPS",
+        help="exposure of PNG images, a factor of 2^STOPS (0)",
     )
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--threads", type=positive, metavar="N", help="default: every core; results are the same"
+        "--threads",
+        type=positive,
+        metavar="N",
+        help="number of threads (all); results do not depend on it",
     )
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    parser.add_argument("--quiet", action="store_true", help="print only errors")
 
 
 def whole(text: str) -> int:
-    """Whole number of at least 0; 2e6 and 2_000_000 are fine."""
+    """Whole number of at least 0, also written as 2e6 or 2_000_000."""
     try:
         number = int(text)
     except ValueError:
@@ -260,7 +279,7 @@ def whole(text: str) -> int:
 
 
 def _integral(text: str) -> int:
-    """Integer that a number like 2e6 stands for, -1 if it stands for none."""
+    """Integer of a text like 2e6, -1 if it is none."""
     try:
         number = float(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""The command line: arguments → settings → stages → files. The only file that prints."""
+"""Commands: from arguments by settings and stages to files, and what is printed."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from .arguments import (
     parser,
 )
 from .interrupts import Interrupts
-from .progress_bar import Bars
+from .progress_bar import ProgressBars
 
-# Everything else is imported where it is used: an interrupt meanwhile is then caught in `main`.
+# Import lazily, so that Ctrl-C during an import reaches `main`.
 if TYPE_CHECKING:
     from ..estimation.methods import Settings
     from ..evaluation import ComparisonRequest
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except KeyboardInterrupt:
             return _interrupted()
         except Exception as error:
-            # An import that was interrupted may fail in any way.
+            # An interrupted import can raise any exception.
             if interrupts.pending:
                 return _interrupted()
             if not isinstance(error, _EXPECTED):
@@ -68,13 +68,13 @@ def _interrupted() -> int:
 
 
 def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
-    _check_photons(options)
+    _check_render_options(options)
     output = output_path(options.output, ".exr")
     preview = output_path(output.with_suffix(".png"))
     stats = None if options.stats is None else output_path(options.stats)
     check_distinct(
         {
-            "the picture": output,
+            "the image": output,
             "the preview": preview,
             "--stats": stats,
             "--photon-map": options.photon_map,
@@ -83,9 +83,9 @@ def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
     )
 
     in_passes = (options.passes, options.minutes) != (None, None)
-    image = (_in_passes if in_passes else _image)(options, interrupts)
+    image = (_render_passes if in_passes else _render_once)(options, interrupts)
     with ExitStack() as files:
-        # All files take their places together, when the last is whole.
+        # All files are replaced together, when the last is complete.
         _place(files, image, options)
         if stats is not None:
             write_json(_partial(files, stats), image.stats)
@@ -95,14 +95,14 @@ def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
     _report(options, stage_table(image.stats["stages"]), f"wrote {output} and {preview}")
 
 
-def _check_photons(options: argparse.Namespace) -> None:
-    """End with wrong usage if options about photons contradict each other."""
+def _check_render_options(options: argparse.Namespace) -> None:
+    """End with wrong usage if options of photons and passes contradict each other."""
     from ..estimation.methods import PASSES_METHOD
 
     emission = (options.photons, options.seed, options.sampler)
     if options.photon_map is not None and emission != (None, None, None):
         options.wrong_usage(
-            "--photon-map brings its photons: leave out --photons, --seed and --sampler"
+            "--photon-map has its photons already: leave out --photons, --seed and --sampler"
         )
     passes = (options.passes, options.minutes)
     others = (options.state, options.interval, options.stochastic)
@@ -112,24 +112,24 @@ def _check_photons(options: argparse.Namespace) -> None:
     elif options.method != PASSES_METHOD:
         options.wrong_usage(f"--passes and --minutes need --method {PASSES_METHOD}")
     elif options.photon_map is not None:
-        options.wrong_usage("every pass brings its photons: leave out --photon-map")
+        options.wrong_usage("every pass emits its photons: leave out --photon-map")
     elif options.sampler == "random":
         options.wrong_usage("passes are of Halton photons: leave out --sampler")
     elif any(each[:2] == ("progressive", "n_passes") for each in options.set or ()):
-        options.wrong_usage("progressive.n_passes deals out one map: --passes says how many")
+        options.wrong_usage("progressive.n_passes splits a photon map: set --passes instead")
 
 
-def _in_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
+def _render_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
     from ..rendering.view import resized
 
-    settings = _chosen(options)
+    settings = _render_settings(options)
 
     def write(image: pr.Image) -> None:
         with ExitStack() as files:
             _place(files, image, options)
 
     scene = resized(gallery.scene(options.scene), options.width, options.height)
-    with Bars(options.quiet, interrupts) as bars:
+    with ProgressBars(options.quiet, interrupts) as bars:
         return pr.render_progressive(
             scene,
             n_passes=options.passes,
@@ -145,13 +145,13 @@ def _in_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
         )
 
 
-def _image(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
+def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
     from ..rendering.view import resized
 
-    settings = _chosen(options)
+    settings = _render_settings(options)
     photons = None if options.photon_map is None else pr.PhotonMap.load(options.photon_map)
     scene = resized(gallery.scene(options.scene), options.width, options.height)
-    with Bars(options.quiet, interrupts) as bars:
+    with ProgressBars(options.quiet, interrupts) as bars:
         return pr.render(
             scene,
             method=options.method,
@@ -166,10 +166,10 @@ def _image(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
         )
 
 
-def _chosen(options: argparse.Namespace) -> Settings:
-    from .settings import chosen
+def _render_settings(options: argparse.Namespace) -> Settings:
+    from .settings import settings_from_options
 
-    return chosen(options, (options.method,), ("gather", "progressive"))
+    return settings_from_options(options, (options.method,), ("gather", "progressive"))
 
 
 def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:
@@ -177,7 +177,7 @@ def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
     output = output_path(options.output, ".npz")
     scene = gallery.scene(options.scene)
-    with Bars(options.quiet, interrupts) as bars:
+    with ProgressBars(options.quiet, interrupts) as bars:
         photons, seconds = _timed(
             lambda: pr.trace_photons(
                 scene,
@@ -204,7 +204,7 @@ def _relax(options: argparse.Namespace, interrupts: Interrupts) -> None:
     settings = pr.RelaxSettings()
     if options.iterations is not None:
         settings = pr.RelaxSettings(n_iterations=tuple(options.iterations))
-    with Bars(options.quiet, interrupts) as bars:
+    with ProgressBars(options.quiet, interrupts) as bars:
         structure, structure_seconds = _timed(
             lambda: pr.detect_structure(photons, n_threads=options.threads, progress=bars)
         )
@@ -240,9 +240,9 @@ def _compare(options: argparse.Namespace, interrupts: Interrupts) -> None:
     folder.prepare_folder(options.output, request.methods)
     if _computes_reference(options):
         reference.check_cached(options.output / folder.REFERENCE)
-    with Bars(options.quiet, interrupts) as bars:
+    with ProgressBars(options.quiet, interrupts) as bars:
         runs = run_methods(request, progress=bars)
-        # A reference may take long: all that can fail before it has been done.
+        # A reference may take long: it is computed when little else can fail.
         image = image or _cached_reference(options, request, bars)
         comparison = runs.measure(image)
     table = folder.write(comparison, options.output)
@@ -253,14 +253,13 @@ def _check_reference(options: argparse.Namespace) -> None:
     """End with wrong usage if options of a computed reference are given where none is."""
     if _computes_reference(options):
         return
-    brought = f"the light of {options.scene} is known exactly"
+    given = f"the irradiance of {options.scene} is exact"
     if options.reference is not None:
-        brought = "--reference brings one"
+        given = "--reference gives one"
     for name in ("passes", "photons"):
         if getattr(options, f"reference_{name}") is not None:
             options.wrong_usage(
-                f"--reference-{name} is of a reference that is computed, but {brought}: "
-                "leave it out"
+                f"--reference-{name} is of a reference that is computed, but {given}: leave it out"
             )
 
 
@@ -270,7 +269,7 @@ def _computes_reference(options: argparse.Namespace) -> bool:
 
 def _comparison_request(options: argparse.Namespace) -> ComparisonRequest:
     from ..evaluation import METHODS_OF_SJ13, ComparisonRequest, gallery_subject
-    from .settings import chosen
+    from .settings import settings_from_options
 
     methods = tuple(options.methods or METHODS_OF_SJ13)
     return ComparisonRequest(
@@ -279,7 +278,7 @@ def _comparison_request(options: argparse.Namespace) -> ComparisonRequest:
         n_emitted=_photons(options),
         seed=options.seed or 0,
         sampler=options.sampler or SAMPLER,
-        settings=chosen(options, methods),
+        settings=settings_from_options(options, methods),
         supersampling=options.supersampling,
         exposure=options.exposure,
         n_threads=options.threads,
@@ -287,7 +286,7 @@ def _comparison_request(options: argparse.Namespace) -> ComparisonRequest:
 
 
 def _cached_reference(
-    options: argparse.Namespace, request: ComparisonRequest, bars: Bars
+    options: argparse.Namespace, request: ComparisonRequest, bars: ProgressBars
 ) -> pr.Image:
     from ..evaluation import reference
     from ..evaluation.report import folder
@@ -332,7 +331,7 @@ def _report(options: argparse.Namespace, *texts: str) -> None:
 
 
 def _place(files: ExitStack, image: pr.Image, options: argparse.Namespace) -> None:
-    """Write the picture and its preview, to take their places when `files` ends."""
+    """Write the image and its preview, which replace older files when `files` is closed."""
     image.write_exr(_partial(files, options.output))
     image.write_png(_partial(files, options.output.with_suffix(".png")), options.exposure)
 

@@ -1,4 +1,4 @@
-"""Ctrl-C that is not forgotten when a library swallows it."""
+"""Interrupts that libraries swallow."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from types import FrameType, TracebackType
 
 
 class Interrupts:
-    """While entered, records SIGINT besides raising KeyboardInterrupt.
+    """Context that records SIGINT beside raising KeyboardInterrupt.
 
     Libraries with a bare ``except`` around imports swallow the exception; `check` raises it again.
 
     Attributes
     ----------
     pending : bool
-        Whether a SIGINT came.
+        A SIGINT was received.
     """
 
     def __init__(self) -> None:
@@ -23,7 +23,7 @@ class Interrupts:
         self._installed = False
 
     def __enter__(self) -> Interrupts:
-        # Other threads may not set handlers; a caller's own handler, or none at all, is kept.
+        # Only the main thread may set handlers; a handler of the caller stays.
         self._installed = (
             threading.current_thread() is threading.main_thread()
             and signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -42,7 +42,7 @@ class Interrupts:
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def check(self) -> None:
-        """Raise KeyboardInterrupt if a SIGINT came, also if somebody swallowed it."""
+        """Raise KeyboardInterrupt if a SIGINT was received, even if it was swallowed."""
         if self.pending:
             raise KeyboardInterrupt
 

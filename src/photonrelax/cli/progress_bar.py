@@ -1,4 +1,4 @@
-"""Progress bars of the command line, which also notice a Ctrl-C that was swallowed."""
+"""Progress bars of the command line, which also raise an interrupt that was swallowed."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from typing import Any
 from .interrupts import Interrupts
 
 
-class Bars:
-    """A progress bar for one stage after another, on terminals; ``bars(stage, done, total)``."""
+class ProgressBars:
+    """Progress bars on a terminal, one stage after another; called as a `Progress`."""
 
     def __init__(self, quiet: bool, interrupts: Interrupts) -> None:
-        # None leaves it to tqdm to keep bars out of files and pipes.
+        # None: tqdm disables bars in files and pipes.
         self._disable = True if quiet else None
         self._interrupts = interrupts
         self._stage = ""
         self._bar: Any = None
         self._last_report = time.time()
 
-    def __enter__(self) -> Bars:
+    def __enter__(self) -> ProgressBars:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *exception: object) -> None:
@@ -35,13 +35,13 @@ class Bars:
             self._close()
             self._stage = stage
             self._bar = tqdm(total=total, desc=stage, unit_scale=True, disable=self._disable)
-            # A stage reports when some of its work is done: it started when the last one ended.
+            # The first report of a stage comes late: it started when the last one ended.
             self._bar.start_t = self._last_report
         self._bar.total = total
         self._bar.update(done - self._bar.n)
         self._last_report = time.time()
         if done >= total:
-            # Its time is final; tqdm ignores what comes after.
+            # The time of the stage is final; tqdm ignores later updates.
             self._close()
 
     def _close(self) -> None:

@@ -1,4 +1,4 @@
-"""What the command line says about stages, images and photon maps."""
+"""Texts that the command line prints of stages, images and photon maps."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from ..photons.photon_map import PhotonMap
 
 
 def stage_table(stages: Mapping[str, Mapping[str, Any]]) -> str:
-    """Table of seconds and counts, a line for each stage and one for their sum.
+    """Table of seconds and counts, a line a stage and one for the total.
 
     Parameters
     ----------
     stages : mapping
-        For each stage by name, its ``seconds`` and any counts.
+        ``seconds`` and any counts of each stage, by its name.
     """
     width = max(map(len, [*stages, "total"]))
     lines = [

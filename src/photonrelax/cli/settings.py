@@ -1,4 +1,4 @@
-"""Settings of stages as the command line takes them: ``STAGE.FIELD=VALUE``."""
+"""Settings of stages from options: ``STAGE.FIELD=VALUE``, and options of their own."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from ..estimation.methods import METHODS, SETTINGS_CLASSES, Settings
 
-# What options of their own set, as ``STAGE.FIELD``.
-_SHORT = {"refinement": "gather.refinement", "iterations": "relax.n_iterations"}
+# Options that set a field, as ``STAGE.FIELD``.
+_OWN_OPTIONS = {"refinement": "gather.refinement", "iterations": "relax.n_iterations"}
 Assignment = tuple[str, str, Any]
 
 
 def assignment(text: str) -> Assignment:
-    """Stage, field and value of ``STAGE.FIELD=VALUE``; `none` stands for what is left open.
+    """Stage, field and value of ``STAGE.FIELD=VALUE``; ``none`` is None.
 
     Raises
     ------
     argparse.ArgumentTypeError
-        If there is no such stage or field, or the value is not of its kind.
+        If there is no such stage or field, or the value is not of its type.
     """
     name, equals, value = text.partition("=")
     stage, dot, field = name.strip().partition(".")
@@ -44,7 +44,7 @@ def assignment(text: str) -> Assignment:
 
 
 def _value(text: str, kind: Any) -> Any:
-    """Value of a type that text stands for; raise ValueError, saying what it is."""
+    """Value of a type from text; raises ValueError with the expected kind of value."""
     if get_origin(kind) is tuple:
         parts, kinds = text.split(","), get_args(kind)
         if len(parts) != len(kinds):
@@ -68,24 +68,24 @@ def _number(text: str, fractions: bool) -> int | float:
     return number if fractions else int(number)
 
 
-def chosen(
+def settings_from_options(
     options: argparse.Namespace, methods: Iterable[str], stages_of_k: Iterable[str] = ("gather",)
 ) -> Settings:
-    """Settings that options ask for, and end with wrong usage if no method reads one.
+    """Settings of given options; ends with wrong usage if no method reads one of them.
 
     Parameters
     ----------
     options : Namespace
-        With `set`, `k`, `refinement` and `iterations`, each None where it was not given.
+        With `set`, `k`, `refinement` and `iterations`, each None if it is not given.
     methods : iterable of str
-        That were chosen.
+        The methods to run.
     stages_of_k : iterable of str
-        Whose k is ``--k``.
+        Stages whose k is set by ``--k``.
     """
     methods = tuple(methods)
     read = {stage for method in methods for stage in METHODS[method].stages}
     values: dict[str, dict[str, Any]] = {}
-    for option, places in _asked(options, read & {*stages_of_k} or {*stages_of_k}):
+    for option, places in _assignments(options, read & {*stages_of_k} or {*stages_of_k}):
         for stage, field, value in places:
             if stage not in read:
                 options.wrong_usage(
@@ -99,15 +99,15 @@ def chosen(
     return Settings(**{stage: SETTINGS_CLASSES[stage](**each) for stage, each in values.items()})
 
 
-def _asked(
+def _assignments(
     options: argparse.Namespace, stages_of_k: Iterable[str]
 ) -> Iterable[tuple[str, list[Assignment]]]:
-    """Yield the options that were given and what they set."""
+    """Given options, and the assignments each makes."""
     for each in options.set or ():
         yield f"--set {each[0]}.{each[1]}", [each]
     if options.k is not None:
         yield "--k", [(stage, "k", options.k) for stage in sorted(stages_of_k)]
-    for option, place in _SHORT.items():
+    for option, place in _OWN_OPTIONS.items():
         value = getattr(options, option)
         if value is not None:
             stage, field = place.split(".")
