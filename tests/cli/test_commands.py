@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from PIL import Image as Picture
+from PIL import Image as PILImage
 
 import photonrelax as pr
 from photonrelax import gallery
@@ -199,7 +199,7 @@ SIZE = ("--width", 12, "--height", 8, "--supersampling", 1)
 SMALL = ("--photons", 3000, "--seed", 5, *SIZE)
 
 
-def test_render_writes_the_picture_its_preview_and_its_statistics(tmp_path, capsys):
+def test_render_writes_the_image_its_preview_and_its_statistics(tmp_path, capsys):
     output, stats = tmp_path / "ring.exr", tmp_path / "stats.json"
     options = ("--k", 20, "--iterations", 2, 1, "--threads", 2, "--stats", stats)
     assert run("render", "ring", "-o", output, *SMALL, *options) == 0
@@ -221,7 +221,7 @@ def test_render_writes_the_picture_its_preview_and_its_statistics(tmp_path, caps
     np.testing.assert_array_equal(
         image.layers["radiance"], expected.layers["radiance"].astype(np.float32)
     )
-    with Picture.open(tmp_path / "ring.png") as preview:
+    with PILImage.open(tmp_path / "ring.png") as preview:
         assert preview.size == (12, 8)
     assert list(json.loads(stats.read_text())["stages"]) == list(STAGES)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ring.exr", "ring.png", stats.name]
@@ -231,14 +231,14 @@ STAGES = ("trace", "structure", "relax", "render")
 
 
 def test_render_goes_on_with_passes_where_it_stopped(tmp_path, capsys):
-    picture = ("render", "ring", "--method", "progressive", *SMALL, "--k", 20)
+    command = ("render", "ring", "--method", "progressive", *SMALL, "--k", 20)
     state = ("--state", tmp_path / "run.npz")
     straight, stopped = tmp_path / "straight.exr", tmp_path / "stopped.exr"
-    assert run(*picture, "--passes", 3, "-o", straight) == 0
+    assert run(*command, "--passes", 3, "-o", straight) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == ["passes", "total", "wrote"]
     for passes in (2, 3):
-        assert run(*picture, "--passes", passes, *state, "-o", stopped, "--quiet") == 0
+        assert run(*command, "--passes", passes, *state, "-o", stopped, "--quiet") == 0
     assert stopped.read_bytes() == straight.read_bytes()
     assert stopped.with_suffix(".png").read_bytes() == straight.with_suffix(".png").read_bytes()
 
@@ -254,31 +254,31 @@ def test_render_goes_on_with_passes_where_it_stopped(tmp_path, capsys):
     )
     radiance = expected.layers["radiance"].astype(np.float32)
     np.testing.assert_array_equal(read_exr(straight).layers["radiance"], radiance)
-    assert run(*picture, "--passes", 2, *state, "-o", stopped) == 1
+    assert run(*command, "--passes", 2, *state, "-o", stopped) == 1
     assert "n_passes should be at least the 3" in capsys.readouterr().err
 
 
 def test_passes_for_a_time_move_about_in_their_pixels(tmp_path, capsys):
-    picture = (*PASSES[:3], tmp_path / "a.exr", *PASSES[4:], *SMALL, "--stochastic")
+    command = (*PASSES[:3], tmp_path / "a.exr", *PASSES[4:], *SMALL, "--stochastic")
     stats = tmp_path / "stats.json"
-    assert run(*picture, "--minutes", "0.001", "--interval", "0.01", "--stats", stats) == 0
+    assert run(*command, "--minutes", "0.001", "--interval", "0.01", "--stats", stats) == 0
     assert json.loads(stats.read_text())["stages"]["passes"]["passes"] >= 1
     assert "stochastic" in read_exr(tmp_path / "a.exr").metadata["photonrelax.settings"]
 
 
 def test_the_state_of_a_run_is_a_file_of_its_own(no_work, tmp_path, capsys):
     output = tmp_path / "a.exr"
-    picture = ("render", "ring", "-o", output, "--method", "progressive", "--passes", 1)
-    assert run(*picture, "--state", output) == 1
+    command = ("render", "ring", "-o", output, "--method", "progressive", "--passes", 1)
+    assert run(*command, "--state", output) == 1
     assert "--state and the image should not be one file" in capsys.readouterr().err
 
 
 def test_refinement_reaches_the_estimates(tmp_path, capsys):
-    picture = ("render", "ring", "-o", tmp_path / "a.exr", "--refinement", "bias-compensation")
-    assert run(*picture, "--k", 30, "--method", "standard", "--quiet", *SMALL) == 0
+    command = ("render", "ring", "-o", tmp_path / "a.exr", "--refinement", "bias-compensation")
+    assert run(*command, "--k", 30, "--method", "standard", "--quiet", *SMALL) == 0
     settings = json.loads(read_exr(tmp_path / "a.exr").metadata["photonrelax.settings"])
     assert settings["gather"]["refinement"] == "bias-compensation"
-    assert run(*picture, "--k", 10, "--quiet", *SMALL) == 1
+    assert run(*command, "--k", 10, "--quiet", *SMALL) == 1
     assert "k should be more than k_min, 15, with a refinement" in capsys.readouterr().err
 
 
@@ -288,7 +288,7 @@ def test_exposure_brightens_the_preview_alone(tmp_path):
         assert run(*arguments, "--method", "standard", "--quiet", *SMALL) == 0
     dark, bright = (read_exr(tmp_path / f"{name}.exr") for name in ("dark", "bright"))
     np.testing.assert_array_equal(dark.layers["radiance"], bright.layers["radiance"])
-    with Picture.open(tmp_path / "dark.png") as a, Picture.open(tmp_path / "bright.png") as b:
+    with PILImage.open(tmp_path / "dark.png") as a, PILImage.open(tmp_path / "bright.png") as b:
         assert np.mean(a) < np.mean(b)
 
 
@@ -323,11 +323,11 @@ def test_relax_keeps_photons_on_the_surfaces_of_their_scene(tmp_path):
 def test_render_takes_photons_traced_before(method, tmp_path, capsys):
     traced = tmp_path / "photons.npz"
     assert run("trace", "ring", "-o", traced, "--photons", 3000, "--seed", 5, "--quiet") == 0
-    picture = ("render", "ring", "--method", method, *SIZE)
-    assert run(*picture, "--photon-map", traced, "-o", tmp_path / "apart.exr") == 0
+    command = ("render", "ring", "--method", method, *SIZE)
+    assert run(*command, "--photon-map", traced, "-o", tmp_path / "apart.exr") == 0
     assert "trace" not in capsys.readouterr().out
     emission = ("--photons", 3000, "--seed", 5)
-    assert run(*picture, *emission, "-o", tmp_path / "at_once.exr") == 0
+    assert run(*command, *emission, "-o", tmp_path / "at_once.exr") == 0
     apart, at_once = (read_exr(tmp_path / f"{name}.exr") for name in ("apart", "at_once"))
     for name, layer in at_once.layers.items():
         np.testing.assert_array_equal(apart.layers[name], layer, err_msg=name)

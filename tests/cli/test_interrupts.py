@@ -45,18 +45,18 @@ def test_ctrl_c_leaves_no_file_and_returns_130(stage, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_ctrl_c_leaves_the_passes_done_and_their_picture(tmp_path):
-    picture = ("render", "ring", "--method", "progressive", "--passes", 3, *SMALL)
+def test_ctrl_c_leaves_the_passes_done_and_their_image(tmp_path):
+    command = ("render", "ring", "--method", "progressive", "--passes", 3, *SMALL)
     state, output = ("--state", tmp_path / "run.npz"), tmp_path / "ring.exr"
-    done = run_interrupted_at("passes", *picture, *state, "-o", output)
+    done = run_interrupted_at("passes", *command, *state, "-o", output)
     assert (done.returncode, done.stderr) == (130, "photonrelax: interrupted\n")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ring.exr", "ring.png", "run.npz"]
-    assert run(*picture, *state, "-o", output, "--quiet") == 0
-    assert run(*picture, "-o", tmp_path / "straight.exr", "--quiet") == 0
+    assert run(*command, *state, "-o", output, "--quiet") == 0
+    assert run(*command, "-o", tmp_path / "straight.exr", "--quiet") == 0
     assert output.read_bytes() == (tmp_path / "straight.exr").read_bytes()
 
 
-def test_ctrl_c_leaves_an_older_picture_as_it_was(tmp_path):
+def test_ctrl_c_leaves_an_older_image_as_it_was(tmp_path):
     output = tmp_path / "ring.exr"
     output.write_bytes(b"older")
     assert run_interrupted_at("render", "render", "ring", "-o", output, *SMALL).returncode == 130

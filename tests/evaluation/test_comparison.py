@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from PIL import Image as Picture
+from PIL import Image as PILImage
 
 import photonrelax as pr
 from photonrelax import gallery
@@ -54,7 +54,7 @@ class Exact(PhotonField):
 
 @pytest.fixture(scope="module")
 def truth():
-    """A picture of the scene from other and more photons."""
+    """An image of the scene from other and more photons."""
     return pr.render(ring(), method="standard", n_emitted=20 * N, seed=1, supersampling=1)
 
 
@@ -77,7 +77,7 @@ def written(comparison, tmp_path_factory):
     return path
 
 
-def test_every_method_makes_the_picture_that_render_makes(comparison):
+def test_every_method_makes_the_image_that_render_makes(comparison):
     for entry in comparison.entries:
         image = pr.render(ring(), method=entry.method, n_emitted=N, supersampling=1)
         for name in ("radiance", "caustic", "direct", "N", "Z"):
@@ -113,14 +113,14 @@ def test_errors_are_those_of_the_layers(comparison, truth):
         )
 
 
-def test_a_picture_has_no_error_against_itself(comparison_request):
+def test_an_image_has_no_error_against_itself(comparison_request):
     itself = pr.render(ring(), method="standard", n_emitted=N, supersampling=1)
     entry, other = compare(comparison_request, itself).entries
     assert entry.errors == metrics.Errors(0.0, 0.0, 0.0, 1.0, 0.0)
     assert other.errors.relative_l1 > 0.0
 
 
-def test_direct_light_is_taken_off_a_reference_that_is_one_picture(
+def test_direct_light_is_taken_off_a_reference_that_is_one_image(
     comparison_request, truth, comparison
 ):
     bare = compare(comparison_request, pr.Image({"radiance": truth.layers["radiance"]}))
@@ -191,9 +191,9 @@ def test_the_folder_holds_what_is_promised(written):
     others = ["reference.png", "sheet.png", "comparison.json", "index.html"]
     assert sorted(p.name for p in written.iterdir()) == sorted([*kinds, *photons, *others])
     for path in written.glob("*.png"):
-        with Picture.open(path) as picture:
-            picture.load()
-            assert path.name == "sheet.png" or picture.size == (SIZE, SIZE)
+        with PILImage.open(path) as image:
+            image.load()
+            assert path.name == "sheet.png" or image.size == (SIZE, SIZE)
 
 
 def test_the_contact_sheet_says_whose_photons_were_split_into_passes(
@@ -212,7 +212,7 @@ def test_the_contact_sheet_says_whose_photons_were_split_into_passes(
     assert shown == ["standard", "progressive, split passes"]
 
 
-def test_pictures_are_written_as_they_are(written, comparison):
+def test_images_are_written_as_they_are(written, comparison):
     for entry in comparison.entries:
         layers = read_exr(written / f"{entry.method}.exr").layers
         np.testing.assert_array_equal(
@@ -223,7 +223,7 @@ def test_pictures_are_written_as_they_are(written, comparison):
         assert told["photonrelax.method"] == entry.method
         assert json.loads(told["photonrelax.settings"])["gather"]["k"] == 15
         assert told["photonrelax.photons_emitted"] == str(N)
-        with Picture.open(written / f"{entry.method}.png") as shown:
+        with PILImage.open(written / f"{entry.method}.png") as shown:
             expected = np.rint(255 * srgb(entry.image.layers["radiance"]))
             np.testing.assert_array_equal(np.asarray(shown), expected)
 
@@ -273,7 +273,7 @@ def test_nothing_is_written_when_something_fails(comparison, tmp_path, monkeypat
     assert list(tmp_path.iterdir()) == []
 
 
-# --- the pictures ---------------------------------------------------------------------------------
+# --- the images ----------------------------------------------------------------------------------
 
 
 def test_differences_are_orange_where_too_bright_and_blue_where_too_dark():
@@ -283,8 +283,8 @@ def test_differences_are_orange_where_too_bright_and_blue_where_too_dark():
     assert colours[2, 2] > colours[2, 0]
 
 
-def test_a_picture_that_is_too_bright_is_orange_and_one_too_dark_blue(comparison):
-    """What is shown is the picture less the reference, not the reverse."""
+def test_an_image_that_is_too_bright_is_orange_and_one_too_dark_blue(comparison):
+    """What is shown is the image less the reference, not the reverse."""
     entry = comparison.entries[0]
     for factor, much, little in ((0.5, 0, 2), (2.0, 2, 0)):
         scaled = pr.Image({"radiance": factor * np.asarray(entry.image.layers["radiance"])})

@@ -122,11 +122,11 @@ def test_a_reference_of_something_else_is_replaced(
     assert len(calls) == 1
 
 
-@pytest.mark.parametrize("foreign", ["text", "picture"])
+@pytest.mark.parametrize("foreign", ["text", "image"])
 def test_what_was_not_computed_here_is_not_replaced(foreign, comparison_request, tmp_path):
     path = tmp_path / "reference.exr"
     if foreign == "text":
-        path.write_text("not a picture")
+        path.write_text("not an image")
     else:
         pr.Image({"radiance": np.ones((SIZE, SIZE, 3))}).write_exr(path)
     before = path.read_bytes()

@@ -54,7 +54,7 @@ def test_every_size_is_an_argument_with_a_default(scene):
     assert all(p.kind is p.KEYWORD_ONLY and p.default is not p.empty for p in parameters)
 
 
-def test_pixels_set_the_size_of_the_picture():
+def test_pixels_set_the_size_of_the_image():
     for name in gallery.names():
         camera = gallery.scene(name, pixels=37, **COARSE[name]).camera
         assert (camera.width, camera.height) == (37, 37)
@@ -84,10 +84,10 @@ def caustic_seen(scene, turned=0.0):
     away = scene.camera.target - scene.camera.origin
     target = scene.camera.target + turned * np.cross(away, scene.camera.up)
     camera = replace(scene.camera, target=target, width=24, height=24)
-    picture = pr.render(
+    image = pr.render(
         replace(scene, camera=camera), method="standard", n_emitted=20_000, supersampling=1
     )
-    return picture.layers["caustic"].mean(axis=2)
+    return image.layers["caustic"].mean(axis=2)
 
 
 def test_camera_looks_at_the_caustic(scene):

@@ -57,7 +57,7 @@ def test_pixel_means_equal_many_samples_of_the_irradiance(shapes):
 
 
 def test_pixel_means_add_up():
-    """A picture of half the size is the mean of four pixels."""
+    """An image of half the size is the mean of four pixels."""
     shapes = gallery.pattern("shapes", n=10)
     fine = shapes.pixel_means(60, 40).reshape(20, 2, 30, 2, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(fine, shapes.pixel_means(30, 20), atol=1e-12)
@@ -76,7 +76,7 @@ def test_lines_have_the_widths_asked_for():
     assert areas((0.03, 0.03, 0.03)) == pytest.approx(length * 0.09)
 
 
-def test_pictures_are_the_right_way_up():
+def test_images_are_the_right_way_up():
     shapes = gallery.pattern("shapes", n=1)
     xy = shapes.samples(2, 2)[0][:, :2]
     np.testing.assert_allclose(xy, [[0.25, 0.75], [0.75, 0.75], [0.25, 0.25], [0.75, 0.25]])

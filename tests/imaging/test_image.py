@@ -8,7 +8,7 @@ import numpy as np
 import OpenEXR
 import OpenImageIO
 import pytest
-from PIL import Image as Picture
+from PIL import Image as PILImage
 
 import photonrelax as pr
 from photonrelax._util.files import check_writable, output_path, whole_file
@@ -85,8 +85,8 @@ def test_png_is_exposed_and_encoded_for_srgb_displays(tmp_path):
     radiance[0, :, 0] = [0.0, 0.25 * 0.21586, 0.25, 100.0]
     radiance[0, 2, 1] = 0.25 * 0.002
     pr.Image({"radiance": radiance}).write_png(tmp_path / "image.png", exposure=2.0)
-    with Picture.open(tmp_path / "image.png") as picture:
-        pixels = np.asarray(picture)
+    with PILImage.open(tmp_path / "image.png") as image:
+        pixels = np.asarray(image)
     assert pixels.shape == (1, 4, 3)
     # Linear 0.21586 is 128 on the sRGB scale; 0.002 lies on its linear piece.
     np.testing.assert_array_equal(pixels[0, :, 0], [0, 128, 255, 255])
@@ -147,7 +147,7 @@ def test_metadata_are_text_under_free_names(layers, metadata, error):
         pr.Image(layers, metadata)
 
 
-def test_empty_images_and_pictures_without_radiance_are_refused(layers, tmp_path):
+def test_empty_images_and_those_without_radiance_are_refused(layers, tmp_path):
     with pytest.raises(ValueError, match="empty"):
         pr.Image({})
     with pytest.raises(ValueError, match="radiance"):
@@ -157,12 +157,12 @@ def test_empty_images_and_pictures_without_radiance_are_refused(layers, tmp_path
 def test_reading_what_is_no_exr_file_fails_clearly(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"nothing\.exr"):
         read_exr(tmp_path / "nothing.exr")
-    (tmp_path / "text.exr").write_text("no picture")
+    (tmp_path / "text.exr").write_text("no image")
     with pytest.raises(ValueError, match=r"text\.exr is not a whole EXR file"):
         read_exr(tmp_path / "text.exr")
 
 
-def test_reading_half_a_picture_fails_clearly(layers, tmp_path):
+def test_reading_half_an_image_fails_clearly(layers, tmp_path):
     path = tmp_path / "half.exr"
     pr.Image(layers).write_exr(path)
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
@@ -180,7 +180,7 @@ def write_foreign(path, *parts):
     OpenEXR.File(parts).write(str(path))
 
 
-def test_pictures_of_other_programs_may_hold_any_values(tmp_path):
+def test_images_of_other_programs_may_hold_any_values(tmp_path):
     values = np.array([[np.nan, np.inf, -np.inf]], np.float32)
     write_foreign(tmp_path / "a.exr", {"R": values, "G": values, "B": values, "Z": values})
     layers = read_exr(tmp_path / "a.exr").layers
@@ -202,7 +202,7 @@ def test_a_channel_named_as_a_layer_of_three_is_a_layer_of_one(tmp_path):
     }
 
 
-def test_a_picture_of_several_parts_is_refused_rather_than_shown_in_part(tmp_path):
+def test_an_image_of_several_parts_is_refused_rather_than_shown_in_part(tmp_path):
     values = np.zeros((1, 3), np.float32)
     write_foreign(tmp_path / "a.exr", {"Y": values}, {"Z": values})
     with pytest.raises(ValueError, match=r"a\.exr should be .* of one part, but has 2"):
@@ -220,7 +220,7 @@ def test_a_failing_encoder_is_an_oserror_that_names_the_file(layers, tmp_path, m
 
 @pytest.mark.parametrize("older", [True, False])
 @pytest.mark.parametrize("name", ["image.exr", "image.png"])
-def test_an_interrupted_encoder_leaves_no_half_picture(layers, name, older, tmp_path, monkeypatch):
+def test_an_interrupted_encoder_leaves_no_half_image(layers, name, older, tmp_path, monkeypatch):
     def interrupted(path):
         Path(path).write_bytes(b"half")
         raise KeyboardInterrupt
@@ -229,7 +229,7 @@ def test_an_interrupted_encoder_leaves_no_half_picture(layers, name, older, tmp_
     if older:
         path.write_bytes(b"older")
     monkeypatch.setattr(OpenEXR, "File", lambda *_: SimpleNamespace(write=interrupted))
-    monkeypatch.setattr(Picture.Image, "save", lambda _, path, *__: interrupted(path))
+    monkeypatch.setattr(PILImage.Image, "save", lambda _, path, *__: interrupted(path))
     image = pr.Image(layers)
     with pytest.raises(KeyboardInterrupt):
         (image.write_exr if name == "image.exr" else image.write_png)(path)

@@ -1,4 +1,4 @@
-"""Errors of pictures are what their definitions say."""
+"""Errors of images are what their definitions say."""
 
 import sys
 
@@ -11,7 +11,7 @@ from photonrelax.imaging import metrics
 
 @pytest.fixture
 def pair():
-    """A smooth picture on a display, and the same with noise."""
+    """A smooth image on a display, and the same with noise."""
     rng = np.random.default_rng(5)
     smooth = gaussian_filter(rng.random((40, 30, 3)), (4, 4, 0))
     reference = (smooth - smooth.min()) / np.ptp(smooth)
@@ -28,7 +28,7 @@ def test_relative_errors_are_sums_over_sums(pair):
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.75, 1.0, 3.0])
-def test_a_brighter_picture_errs_by_its_share(pair, factor):
+def test_a_brighter_image_errs_by_its_share(pair, factor):
     image = factor * pair[1]
     assert metrics.energy_bias(image, pair[1]) == pytest.approx(factor - 1.0)
     for error in (metrics.relative_l1, metrics.relative_l2):
@@ -45,7 +45,7 @@ def test_moving_light_is_an_error_but_no_bias():
 
 
 def test_ssim_is_the_mean_of_wangs_index(pair):
-    """Eq. 13 of Wang et al. 2004 by Gaussian moments, where the window is inside the picture."""
+    """Eq. 13 of Wang et al. 2004 by Gaussian moments, where the window is inside the image."""
 
     def local(values):
         return gaussian_filter(values, (1.5, 1.5, 0), truncate=3.5)
@@ -59,7 +59,7 @@ def test_ssim_is_the_mean_of_wangs_index(pair):
     assert metrics.ssim(x, y) == pytest.approx(index[5:-5, 5:-5].mean(), rel=1e-9)
 
 
-def test_pictures_that_are_the_same_are_alike(pair):
+def test_images_that_are_the_same_are_alike(pair):
     assert metrics.ssim(pair[1], pair[1]) == pytest.approx(1.0)
     assert (metrics.flip_map(pair[1], pair[1]) == 0.0).all()
 
@@ -73,7 +73,7 @@ def test_flip_is_largest_between_green_and_blue():
     np.testing.assert_allclose(found, 1.0, atol=2e-3)
 
 
-def test_flip_is_seen_where_the_pictures_differ_and_near_it():
+def test_flip_is_seen_where_the_images_differ_and_near_it():
     reference = np.full((120, 120, 3), 0.5)
     image = reference.copy()
     image[50:70, 50:70] = 0.8

@@ -1,4 +1,4 @@
-"""Pictures made in passes: what they show, and that stopping and resuming leaves no trace."""
+"""Images made in passes: what they show, and that stopping and resuming leaves no trace."""
 
 import gc
 import os
@@ -148,7 +148,7 @@ def test_a_run_is_resumed_with_the_normals_it_began_with(tmp_path):
     assert kept.read_bytes() == whole.read_bytes()
 
 
-def test_the_picture_so_far_is_shown_at_intervals(ring):
+def test_the_image_so_far_is_shown_at_intervals(ring):
     shown = []
     on_image = pr.Checkpoints(interval=1e-9, on_image=shown.append)
     last = pr.render_progressive(ring, n_passes=3, checkpoints=on_image, **FEW)
@@ -230,7 +230,7 @@ pr.render_progressive(
 KILLS = [
     ("trace_photons", "before", "1"),
     ("fsync", "before", "1"),
-    ("replace", "before", "3"),  # every second one is that of the picture
+    ("replace", "before", "3"),  # every second one is that of the image
     ("replace", "after", "1"),
     ("replace", "before", "2"),
     ("trace_photons", "before", "2"),

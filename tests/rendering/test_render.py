@@ -87,7 +87,7 @@ def test_radiance_of_a_floor_lit_directly_and_through_a_mirror(orthographic_heig
     np.testing.assert_allclose(image.layers["N"][0, 0], [0, 0, 1], atol=1e-12)
 
 
-def test_bands_and_pictures_that_see_nothing_are_black(prism):
+def test_bands_and_images_that_see_nothing_are_black(prism):
     up = replace(prism.camera, target=prism.camera.origin + np.array([0.1, 0, 1]))
     image = pr.render(replace(prism, camera=up), n_emitted=5000)
     assert (image.layers["radiance"] == 0.0).all()
@@ -129,7 +129,7 @@ def test_the_constraint_layer_shows_what_was_found(prism):
 
 
 def test_bands_do_not_show(prism, image, monkeypatch):
-    """A picture made row by row is the same layers."""
+    """An image made row by row is the same layers."""
     monkeypatch.setattr(view, "_RAYS_PER_BAND", 1)
     again = pr.render(prism, n_emitted=20_000)
     for name, layer in image.layers.items():
@@ -152,7 +152,7 @@ def test_stages_tell_seconds_and_counts(image):
     assert stages["render"]["hit_points"] >= 24 * 24
 
 
-def test_metadata_say_how_the_picture_was_made(image):
+def test_metadata_say_how_the_image_was_made(image):
     about = image.metadata
     settings = json.loads(about["photonrelax.settings"])
     assert settings["relax"]["n_iterations"] == [7, 7]

@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from PIL import Image as Picture
+from PIL import Image as PILImage
 from PIL import ImageDraw
 
 from photonrelax.evaluation.report.contact_sheet import contact_sheet
@@ -23,18 +23,18 @@ TITLE = "ring: 1,000,000 photons emitted (halton, seed 0), 600 x 600 pixels of 4
 def drawn(monkeypatch):
     """Boxes of what is drawn as (left, top, right, bottom): panels, and texts with their words."""
     panels, texts = [], []
-    paste, text = Picture.Image.paste, ImageDraw.ImageDraw.text
+    paste, text = PILImage.Image.paste, ImageDraw.ImageDraw.text
 
-    def pasting(sheet, picture, place, *a, **k):
-        panels.append((*place, place[0] + picture.width, place[1] + picture.height))
-        return paste(sheet, picture, place, *a, **k)
+    def pasting(sheet, image, place, *a, **k):
+        panels.append((*place, place[0] + image.width, place[1] + image.height))
+        return paste(sheet, image, place, *a, **k)
 
     def writing(draw, place, words, fill=None, **how):
         if words:
             texts.append((draw.textbbox(place, words, **how), words))
         return text(draw, place, words, fill=fill, **how)
 
-    monkeypatch.setattr(Picture.Image, "paste", pasting)
+    monkeypatch.setattr(PILImage.Image, "paste", pasting)
     monkeypatch.setattr(ImageDraw.ImageDraw, "text", writing)
     return panels, texts
 
@@ -58,7 +58,7 @@ def words_of(drawn):
     ids=["as usual", "long details", "long everything", "nothing"],
 )
 def test_text_leaves_panels_and_other_text_alone(caption, detail, title, drawn):
-    methods = [(picture, caption, detail) for picture in GREY[:6]]
+    methods = [(image, caption, detail) for image in GREY[:6]]
     sheet = contact_sheet([methods, [(GREY[6], "Reference", REFERENCE)]], title)
     panels, texts = drawn
     boxes = [*panels, *(box for box, _ in texts)]
@@ -85,9 +85,9 @@ def test_text_stands_below_its_panel(drawn):
 
 
 def test_groups_of_the_contact_sheet_begin_rows(drawn):
-    """Six panels of one group are five and one; captions leave the pictures alone."""
-    words = "what is told of a picture " * 4
-    groups = [[(picture, "name", words) for picture in GREY[:6]], [(GREY[6], "name", words)]]
+    """Six panels of one group are five and one; captions leave the images alone."""
+    words = "what is told of an image " * 4
+    groups = [[(image, "name", words) for image in GREY[:6]], [(GREY[6], "name", words)]]
     made = np.asarray(contact_sheet(groups, "title"))
     assert made.shape[1] == 5 * (480 + 12) + 12
     tops = sorted({top for _, top, *_ in drawn[0]})

@@ -84,7 +84,7 @@ def source(page, side):
     return find(page, f"#{side}").get_attribute("src")
 
 
-def test_every_picture_loads(page):
+def test_every_image_loads(page):
     widths = value_of(page, "[...document.images].map((image) => image.naturalWidth)")
     assert widths == [SIZE] * 5
     assert "ring" in page.title
@@ -158,7 +158,7 @@ def test_the_reference_has_no_error_map_and_shows_itself(page):
     assert find(page, "#left-tag").text == "reference: the image itself"
 
 
-def test_two_pictures_are_seen_at_first_whatever_was_compared(browser, comparison, tmp_path):
+def test_two_images_are_seen_at_first_whatever_was_compared(browser, comparison, tmp_path):
     (entry,) = (e for e in comparison.entries if e.method == "parameterised")
     folder.write(replace(comparison, entries=(entry,)), tmp_path)
     browser.get((tmp_path / "index.html").as_uri())
