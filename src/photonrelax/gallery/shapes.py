@@ -54,20 +54,31 @@ def shapes(
     Raises
     ------
     TypeError, ValueError
-        If an argument is not of its kind, or a line is wider than 0.08 m.
+        If an argument is of a wrong type, or a line is wider than 0.08 m.
     """
     n, lit = count(n, "n", low=0), positive(irradiance, "irradiance")
     parts = _parts(float_array(line_widths, "line_widths", (3,)))
     areas = np.array([part.area for part in parts])
     area = areas.sum()
     xy = _placed(_square(n, sampler, seed), parts, areas / area)
-    photons = PhotonMap(
+    photons = _photons(xy, lit * area, n / area, seed=seed, sampler=sampler)
+    light = _Stencil(parts, lit)
+    return PhotonPattern("shapes", photons, light.irradiance_at, light.pixel_means)
+
+
+def _photons(
+    xy: Floats, power: float, emitter_density: float, *, seed: int, sampler: str
+) -> PhotonMap:
+    """Photons at points (n, 2) of the plane, from straight above."""
+    n = len(xy)
+    up = np.tile([0.0, 0.0, 1.0], (n, 1))
+    return PhotonMap(
         np.column_stack([xy, np.zeros(n)]),
-        np.tile([0.0, 0.0, 1.0], (n, 1)),
-        np.full(n, lit * area / max(n, 1)),
-        wi=np.tile([0.0, 0.0, 1.0], (n, 1)),
+        up,
+        np.full(n, power / max(n, 1)),
+        wi=up,
         emitter_coords=xy,
-        emitter_density=np.full(n, n / area),
+        emitter_density=np.full(n, emitter_density),
         emitter_id=np.zeros(n, dtype=np.int32),
         n_emitted=n,
         well_spaced=sampler == "halton",
@@ -75,18 +86,24 @@ def shapes(
         sampler=sampler,
     )
 
-    def irradiance_at(points: Floats) -> Floats:
-        xy = float_array(points, "points", (None, 3))[:, :2]
-        return _grey(lit * np.any([part.holds(xy) for part in parts], axis=0))
 
-    def pixel_means(width: int, height: int) -> Floats:
+@dataclass(frozen=True)
+class _Stencil:
+    """Shapes of one irradiance on black."""
+
+    parts: list[_Disc | _Parallelogram]
+    irradiance: float
+
+    def irradiance_at(self, points: Floats) -> Floats:
+        xy = float_array(points, "points", (None, 3))[:, :2]
+        return _grey(self.irradiance * np.any([part.holds(xy) for part in self.parts], axis=0))
+
+    def pixel_means(self, width: int, height: int) -> Floats:
         x = np.linspace(0.0, 1.0, count(width, "width") + 1)
         y = np.linspace(1.0, 0.0, count(height, "height") + 1)
-        below = sum(part.area_below(x, y[:, np.newaxis]) for part in parts)
+        below = sum(part.area_below(x, y[:, np.newaxis]) for part in self.parts)
         covered = -np.diff(np.diff(below, axis=0), axis=1) * width * height
-        return _grey(lit * covered)
-
-    return PhotonPattern("shapes", photons, irradiance_at, pixel_means)
+        return _grey(self.irradiance * covered)
 
 
 def line_points(number: int, uv: Floats, width: float, margin: float = 0.1) -> Floats:

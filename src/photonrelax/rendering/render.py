@@ -86,10 +86,9 @@ def render(
     else:
         _check_scene(photons, scene)
     field = stages.prepare(photons, method, chosen)
-    layers = stages.render(field)
     used = field.used | view.settings
     metadata = photon_metadata(photons, scene=scene.name, method=method, settings=used)
-    return Image(layers, metadata, stages.stats(photons))
+    return Image(stages.render(field), metadata, stages.stats(photons))
 
 
 # Relative. Emission regions are spheres around objects, which finer meshes fill a little more.
