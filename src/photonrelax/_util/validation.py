@@ -124,7 +124,7 @@ def unit_vectors(value: ArrayLike, name: str, shape: Shape, n_threads: int = 1) 
 
 
 def are_unit(vectors: Floats) -> bool:
-    """Return whether the rows of an (n, 3) array are unit vectors but for rounding."""
+    """True if the rows of an (n, 3) array are unit vectors but for rounding."""
     tolerance = 4.0 * np.finfo(np.float64).eps
     for first in range(0, len(vectors), _CHUNK):
         x, y, z = vectors[first : first + _CHUNK].T
@@ -219,7 +219,7 @@ def check_choice(value: str, name: str, choices: Iterable[str]) -> None:
 
 
 def _all_finite(array: Floats) -> bool:
-    """Return whether all values are finite, without a mask of the whole array."""
+    """True if all values are finite; a mask of the whole array is never made."""
     flat = array.reshape(-1)
     return all(np.isfinite(flat[i : i + _CHUNK]).all() for i in range(0, len(flat), _CHUNK))
 

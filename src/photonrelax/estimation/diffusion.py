@@ -19,10 +19,11 @@ and the integral is one: in the coordinates y = D^(-1/2) d / h, an area element 
 that of 2/π (1 − |y|²)₊ over the plane. As no eigenvalue exceeds one, the ellipse stays within h.
 
 Photons are put in the tangent plane of the point by projecting them along the direction they came
-from (Eq. A1–A2), which is exact for parallel light on curved surfaces, save for photons that would
-come in from beyond h. Light from behind the plane does not count. Photons that come in at less than
-6° to the plane are moved no farther than at 6°. Those whose direction is not known are projected
-along the normal of the plane; those that came from below their own surface, along their own normal.
+from (Eq. A1–A2), which is exact for parallel light on curved surfaces, except for photons that
+would come in from beyond h. Light from behind the plane does not count. Photons that come in at
+less than 6° to the plane are moved no farther than at 6°. Those whose direction is not known are
+projected along the normal of the plane; those that came from below their own surface, along their
+own normal.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ _NOISE_RATIO = 0.5
 
 @dataclass(frozen=True)
 class DiffusionSettings:
-    """How the kernel adapts to the structure around a point.
+    """Settings of kernels that adapt to the structure around a point.
 
     By default 500 photons set the bandwidth, as in SJ13 (§5), whose q is 0.02 (``edge_threshold``).
     SSO08 (§7) has a fixed bandwidth, one that "reduces noise to an acceptable level" (``k=None,
@@ -190,7 +191,7 @@ class DiffusionField(TreeField):
 
     @property
     def largest_eigenvalue(self) -> float | None:
-        """What λ₁ is divided by, (W/m³)²; None where that is local, or nobody has neighbours."""
+        """Divisor of λ₁, (W/m³)²; None where that is local, or no photon has neighbours."""
         if self._largest is None:
             return None
         return float(self._in_watts(self._in_watts(np.full(1, self._largest)))[0])
@@ -326,7 +327,7 @@ class DiffusionField(TreeField):
 
 
 def _towards(photons: PhotonMap) -> Floats | None:
-    """Return where light came from, the normal where that is below the surface."""
+    """Directions towards the light, the normal where that is below the surface."""
     if photons.wi is None:
         return None
     above = np.einsum("ij,ij->i", photons.wi, photons.normal) > 0.0

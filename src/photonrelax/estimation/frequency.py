@@ -19,7 +19,7 @@ stays at its first size it has the bias, at most 5 %; of one that shrank all the
 allowed, R² ~ i^(α - 1), that of a disc of R²/α, at most 5 %/α = 7 %; and of one that has not come
 down to it yet, what progressive photon mapping has.
 
-One map of photons is dealt to passes. Passes of fresh photons, as of `render_progressive`, do not
+One photon map is split into passes. Passes of fresh photons, as of `render_progressive`, do not
 carry spectra.
 """
 
@@ -43,7 +43,7 @@ from .split_passes import ProgressiveField
 
 @dataclass(frozen=True)
 class FrequencySettings:
-    """How many photons carry spectra, and what these allow.
+    """Share of photons with local frequency spectra, and the bias that these allow.
 
     Attributes
     ----------

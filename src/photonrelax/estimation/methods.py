@@ -39,7 +39,7 @@ Kind = TypeVar("Kind")
 class StageSettings(TypedDict, total=False):
     """Settings objects by stage, in the order of the pipeline; None stands for the defaults.
 
-    These are the papers', save for diffusion's: see `photonrelax.DiffusionSettings`.
+    These are the papers', except for diffusion's: see `photonrelax.DiffusionSettings`.
     """
 
     structure: StructureSettings | None

@@ -25,7 +25,7 @@ from .refinement import REFINEMENTS
 
 @dataclass(frozen=True)
 class GatherSettings:
-    """How photons around a point are weighted.
+    """Number, weights and largest distance of the photons gathered at a point.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class GatherSettings:
         How the number of photons adapts to the light around a point; see
         `photonrelax.estimation.refinement`.
     k_min : int
-        The fewest photons gathered with a refinement; not looked at without.
+        The fewest photons gathered with a refinement; ignored without.
     """
 
     k: int = 15

@@ -35,15 +35,15 @@ _LEAST_RADIUS = 1e-6
 
 @dataclass(frozen=True)
 class ProgressiveSettings:
-    """How discs start and shrink.
+    """Initial radii, and the rule by which they shrink.
 
     Attributes
     ----------
     alpha : float
         Share of the photons found that is kept, in (0, 1] (α = 0.7); with 1 radii stay.
     n_passes : int
-        Passes that the photons of a map are dealt to. With fresh photons in every pass their
-        number is not looked at.
+        Passes that a photon map is split into. With fresh photons in every pass their
+        number is ignored.
     k : int
         Unless `radius` is given, a disc starts just short of the k-th nearest photon of the first
         pass, but no larger than `automatic_gather_radius` of that pass.
@@ -55,7 +55,7 @@ class ProgressiveSettings:
     -----
     What the defaults weigh: small discs keep filaments, large ones are less noisy where light is
     smooth or photons are random. ``python -m bench first-discs`` prints relative L1 errors of the
-    caustic, 256 x 256 pixels of 2 x 2 samples, by k, passes that photons are dealt to; last, noise
+    caustic, 256 x 256 pixels of 2 x 2 samples, by k, passes that the map is split into; last, noise
     and bias of the reference:
 
     =========================== ========= ========= ========= ========= =================
@@ -164,7 +164,7 @@ class HitPointStatistics:
 
 
 class ProgressiveStatistics(HitPointStatistics):
-    """Hit points and what passes of photons have told about each; memory does not grow.
+    """Hit points and the statistics of passes of photons at each; memory does not grow.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ class ProgressiveStatistics(HitPointStatistics):
 
 
 def pass_weight(photons: PhotonMap) -> float:
-    """Return how many photons were emitted in a pass; raise ValueError if that is not known."""
+    """Number of photons emitted in a pass; raises ValueError if it is not known."""
     if not photons.n_emitted:
         raise ValueError(
             "photons.n_emitted should say how many photons were emitted in the pass, or weight "

@@ -1,7 +1,7 @@
 """Numbers of photons that adapt to the light around a point: refinements of Jensen's estimate.
 
 Few photons are noisy, many blur; both refinements choose a number K between `k_min` and `k` for
-each point. They look at the estimates of a constant kernel that reaches to the K-th photon,
+each point. They compare the estimates of a constant kernel that reaches to the K-th photon,
 
     E_K = Σ_{i < K} Φ_i / (π d_K²),
 
@@ -12,7 +12,7 @@ common knowledge have it, with decision rules of our own.
 
 ``differential-checking`` (Jensen & Christensen 1995): the kernel grows from k_min photons on, and
 stops where the estimate keeps rising, or keeps falling, as it does once the kernel reaches over an
-edge. Here E_K is looked at whenever the number has grown by a fifth; after six rises or six falls
+edge. Here E_K is computed whenever the number has grown by a fifth; after six rises or six falls
 in a row, in which it has trebled, K is the number reached. (The number where the rise began would
 be nearer to k_min, but a number chosen where the estimate turns is chosen by its noise: in uniform
 light such estimates are as noisy as those of k_min photons.)

@@ -140,7 +140,7 @@ class Reference:
 
     @property
     def description(self) -> str:
-        """How the reference was made."""
+        """Origin of the reference, as text."""
         return self.image.metadata.get(ABOUT, "a given image")
 
     @property

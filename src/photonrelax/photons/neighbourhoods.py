@@ -53,7 +53,7 @@ def _face_labels(normal: Floats) -> tuple[NDArray, NDArray]:
 
 
 def within_chord(faces: Floats) -> NDArray[np.bool_]:
-    """Return whether normals (f, 3) are within MAX_NORMAL_CHORD of each other, (f, f)."""
+    """Matrix (f, f), true for normals (f, 3) within MAX_NORMAL_CHORD of each other."""
     chord = faces[:, np.newaxis] - faces
     # Squared, as the searches of trees compare them.
     return np.square(chord).sum(axis=2) <= MAX_NORMAL_CHORD**2

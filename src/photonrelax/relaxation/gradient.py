@@ -45,7 +45,7 @@ __all__ = ["GradientSettings", "detect_gradient", "gradient_constraint"]
 
 @dataclass(frozen=True)
 class GradientSettings:
-    """How photons are constrained by the gradient of the flux density.
+    """Settings of constraints along the gradient of the flux density.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ def detect_gradient(
     Parameters
     ----------
     photons : PhotonMap
-        Photons, n of them; their emitter coordinates are not looked at.
+        Photons, n of them; their emitter coordinates are ignored.
     settings : GradientSettings, optional
         Number of photons and gain.
     n_threads : int, optional

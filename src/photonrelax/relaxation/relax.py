@@ -24,7 +24,7 @@ _PROJECTION_CHUNK = 1 << 20
 
 @dataclass(frozen=True)
 class RelaxSettings:
-    """How photons are moved.
+    """Iterations, neighbours and step of the relaxation.
 
     Attributes
     ----------

@@ -42,7 +42,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class StructureSettings:
-    """How structure is detected.
+    """Neighbours and ranges that structure is detected in.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Structure:
         are at one point.
     constraint : (n,) float array
         3π/4·M·Φ in [0, 1]: 0 leaves the photon free, 1 keeps it from moving along ``basis[:, 1]``
-        (SJ13 Eq. 7). Zero where structure cannot be told.
+        (SJ13 Eq. 7). Zero where no structure is found.
     basis : (n, 2, 3) float array
         Unit vectors in the tangent plane: the direction in which the photon is free, along the
         structure, and the one in which it is constrained, across it.
@@ -247,7 +247,7 @@ def empty_columns(n: int) -> dict[str, Any]:
 
 
 class _Detection:
-    """What is found of all photons, one group of neighbours after the other."""
+    """Structure of all photons, filled one group of neighbours after the other."""
 
     def __init__(
         self, photons: PhotonMap, settings: StructureSettings, n_threads: int, report: Reporter

@@ -59,12 +59,12 @@ class EmissionRegion:
 
     @property
     def is_plane(self) -> bool:
-        """Whether emitter coordinates are metres on a plane, rather than unit vectors."""
+        """True if emitter coordinates are metres on a plane, false if unit vectors."""
         return self.kind == DISK
 
     @property
     def is_cosine_lobe(self) -> bool:
-        """Whether the density of directions falls with the cosine to w, and ends at 90°."""
+        """True if the density of directions falls with the cosine to w, and ends at 90°."""
         return self.kind == ELLIPSE
 
 

@@ -107,7 +107,7 @@ def _computed_normals(mesh: trimesh.Trimesh, vertices: Floats) -> Floats:
 
 
 def _is_closed(vertices: Floats, faces: NDArray) -> bool:
-    """Return whether faces run along every edge equally often in both directions.
+    """True if faces run along every edge equally often in both directions.
 
     Vertices at the same position count as one: meshes with vertex normals often split them.
     """

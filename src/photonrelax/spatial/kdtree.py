@@ -171,7 +171,7 @@ class KDTree:
     def farthest(
         self, k: int, *, range_radius: ArrayLike | None = None, n_threads: int | None = None
     ) -> Floats:
-        """Return how far the k nearest points reach around each of the tree's own points.
+        """Distance to the k-th nearest point from each of the tree's own points.
 
         Parameters
         ----------
@@ -204,7 +204,7 @@ class KDTree:
         return lanes[places // block, :, places % block]
 
     def _places(self) -> NDArray[np.intp]:
-        """Return where in the tree each point is."""
+        """Position in the tree of each point."""
         places = np.empty(self.n_points, dtype=np.intp)
         places[np.asarray(self.kernel.ids)] = np.arange(self.n_points)
         return places
@@ -254,7 +254,7 @@ def _ranges(value: ArrayLike | None, name: str, shape: tuple[int, ...]) -> Float
 
 
 def _axis_scale(points: Floats, n_metric: int, n_threads: int) -> Floats:
-    """Return what makes extents on the metric and on the range axes comparable.
+    """Factors that make extents on the metric and on the range axes comparable.
 
     Photons are a sheet over the coordinates they left their emitter with. Splitting on both kinds
     of axes keeps leaves compact in both, and so prunes best.

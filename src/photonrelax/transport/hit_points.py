@@ -113,7 +113,7 @@ def trace_hit_points(
     scene, caster : Scene, RayCaster
         The scene, and a caster of its objects.
     camera : Camera
-        The camera; it need not be that of the scene.
+        It need not be that of the scene.
     rows : range
         Rows of pixels.
     supersampling, offset : int, (float, float)
@@ -135,8 +135,7 @@ def trace_hit_points(
     ValueError
         If there are no rows, rows are not in the image, or a number is out of its range.
     """
-    threads = thread_count(n_threads)
-    least = positive(min_weight, "min_weight")
+    threads, least = thread_count(n_threads), positive(min_weight, "min_weight")
     count(max_depth, "max_depth", low=0, high=MAX_DEPTH)
     rays = _camera_rays(*pixel_rays(camera, rows, supersampling, offset=offset))
     found = caster.intersect(rays.origin, rays.direction, n_threads=threads)

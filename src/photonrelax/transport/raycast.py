@@ -59,7 +59,7 @@ class Intersections:
 
     @property
     def hit(self) -> NDArray[np.bool_]:
-        """Whether each ray hit anything, (n,)."""
+        """Mask (n,) of the rays that hit anything."""
         return self.object_id >= 0
 
     def __getitem__(self, rows: slice | NDArray) -> Intersections:
@@ -166,7 +166,7 @@ class RayCaster:
         origin_normal: ArrayLike | None = None,
         n_threads: int | None = 1,
     ) -> NDArray[np.bool_]:
-        """Return whether rays hit anything nearer than `max_distance`, (n,).
+        """Mask (n,) of the rays that hit anything nearer than `max_distance`.
 
         Parameters
         ----------

@@ -190,7 +190,7 @@ class _Step:
 
 
 def _path_events(steps: list[_Step], n: int, is_diffuse: NDArray[np.bool_]) -> PathEvents:
-    """Collect the steps of n paths; objects are told diffuse by their flags."""
+    """Collect the steps of n paths; flags tell which objects are diffuse."""
     events = PathEvents(
         np.full((n, len(steps)), -1, dtype=np.int32),
         np.zeros((n, len(steps)), dtype=bool),
