@@ -207,7 +207,7 @@ def test_queries_so_far_away_that_squares_overflow_find_nothing(path):
 
 @on_each_path
 def test_queries_that_have_little_in_common(path):
-    """All blocks are in reach of a batch: it lists them part by part, and drops the farthest."""
+    """All blocks overlap the bounds of a batch: it lists them in parts and drops the farthest."""
     rng = np.random.default_rng(1)
     queries = rng.random((16, 6)) * [1, 1, 1, 0, 0, 0] + 0.3
     for points in (rng.random((5000, 6)), lattice(rng, 5000, 6), one_place(rng, 5000, 6)):
@@ -224,7 +224,7 @@ def test_a_batch_of_which_only_some_have_found_all(path):
     """Others may still find what is just as far away as their farthest, whatever its id."""
     points = np.zeros((5000, 4))
     points[2500:, [0, 3]] = 1.0
-    # The first batch has the second look as far as the farthest at once.
+    # The first batch makes the second start with the largest radius.
     far = np.arange(32) < 24
     queries = np.zeros((32, 4))
     queries[far, 3] = 1.0

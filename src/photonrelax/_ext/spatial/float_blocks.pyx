@@ -5,10 +5,9 @@ from libc.math cimport sqrt
 from .batch cimport LISTED_STRIDE
 from .simd.kernels cimport LIMIT_KEY, MAX_FLOAT_AXES, FloatQuery
 
-# Float32 coordinates are at most about 1. On up to MAX_FLOAT_AXES axes the errors of two squared
-# distances up to r² add up to at most ROUNDING * (r + r²) while r is small, which is MAX_RANK_SLACK
-# keys at r = MIN_RADIUS. Where r is near 1 the query is near the origin, which rounds nothing:
-# ROUNDING * 2 * MAX_SQUARED is enough for all.
+# Constants of `error_bound`, derived in docs/methods/neighbour-selection.md: coordinates are at most
+# about 1, on up to MAX_FLOAT_AXES axes. The bound is ROUNDING * (r + r²) for small radii r, which
+# is MAX_RANK_SLACK keys at r = MIN_RADIUS, and ROUNDING * 2 * MAX_SQUARED for all others.
 cdef double ROUNDING = 1e-6
 cdef double MIN_RADIUS = 1e-3
 cdef double MAX_RANK_SLACK = 0.25
