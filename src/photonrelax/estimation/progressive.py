@@ -1,15 +1,15 @@
-r"""Progressive photon mapping: passes of photons, gathered in discs that shrink.
+r"""Progressive photon mapping: statistics of hit points, updated by passes of photons.
 
-Hachisuka, Ogaki & Jensen 2008. Photons come in passes, and what is kept of them is a row for each
-hit point: its radius R, the number N of photons counted, and their flux τ, not divided by how many
-were emitted. When a pass finds M more of them, of flux Φ, within R, a share α of these is kept and
-the disc made as much smaller as keeps the density::
+Hachisuka, Ogaki & Jensen 2008. The statistics of a hit point are the radius R of its disc, the
+number N of photons kept, and their flux τ, not divided by the number emitted. When a pass has M
+more photons, of flux Φ, within R, a share α of them is kept and the radius is reduced so that the
+density stays the same (radius reduction)::
 
     N' = N + α M,   R'² = R² N' / (N + M),   τ' = (τ + Φ) R'² / R²
     E  = τ / (π R² · photons emitted in all)
 
-Over passes i radii go as R² ~ i^(α - 1) and numbers as N ~ i^α, so that both the bias of the
-estimate, ~ R², and its variance, ~ 1/N, vanish: as i^(α - 1) and i^-α. The kernel is constant.
+Over passes i, R² ~ i^(α - 1) and N ~ i^α, so that both the bias of the estimate, ~ R², and its
+variance, ~ 1/N, vanish: as i^(α - 1) and i^-α. The kernel is constant.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._ext.estimation import progressive as _kernel
 from .._ext.spatial.radius import RadiusGather
 from .._util import validation
+from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.validation import Floats
 from ..photons.neighbourhoods import normal_range
@@ -29,34 +30,33 @@ from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import Order, PhotonTrees
 from .kernels import JUST_SHORT, KERNELS, automatic_gather_radius, kth_distance
 
-# Radii are at least this fraction of the largest, also where k photons are at the hit point.
+# Least initial radius as a fraction of the largest, also where k photons are at the hit point.
 _LEAST_RADIUS = 1e-6
 
 
 @dataclass(frozen=True)
 class ProgressiveSettings:
-    """Initial radii, and the rule by which they shrink.
+    """Initial radius and radius reduction.
 
     Attributes
     ----------
     alpha : float
-        Share of the photons found that is kept, in (0, 1] (α = 0.7); with 1 radii stay.
+        Share of the photons in a disc that is kept, in (0, 1] (α = 0.7); with 1 radii stay.
     n_passes : int
-        Passes that a photon map is split into. With fresh photons in every pass their
-        number is ignored.
+        Passes that the photons of a map are split into. Not read with fresh photons in every pass.
     k : int
-        Unless `radius` is given, a disc starts just short of the k-th nearest photon of the first
-        pass, but no larger than `automatic_gather_radius` of that pass.
+        Unless `radius` is given, the initial radius is just short of the k-th nearest photon of
+        the first pass, but no larger than `automatic_gather_radius` of that pass.
         Estimates keep some k · n_passes^α photons.
     radius : float, optional
-        Of all discs at the start, m.
+        Initial radius of all discs, m.
 
     Notes
     -----
-    What the defaults weigh: small discs keep filaments, large ones are less noisy where light is
-    smooth or photons are random. ``python -m bench first-discs`` prints relative L1 errors of the
-    caustic, 256 x 256 pixels of 2 x 2 samples, by k, passes that the map is split into; last, noise
-    and bias of the reference:
+    The defaults are a compromise: small discs keep filaments, large ones are less noisy where light
+    is smooth or photons are random. ``python -m bench first-discs`` prints relative L1 errors of
+    the caustic, 256 x 256 pixels of 2 x 2 samples, by k and the number of passes that photons are
+    split into; last, noise and bias of the reference:
 
     =========================== ========= ========= ========= ========= =================
     photons                     15, 16    8, 8      5, 8      5, 4      the reference's
@@ -88,30 +88,30 @@ class ProgressiveSettings:
         alpha = validation.positive(self.alpha, "ProgressiveSettings.alpha")
         if alpha > 1.0:
             raise ValueError(f"ProgressiveSettings.alpha should be at most 1, but is {alpha}")
-        object.__setattr__(self, "alpha", alpha)
+        set_field(self, "alpha", alpha)
         for name, low in (("n_passes", 1), ("k", 2)):
             number = validation.count(getattr(self, name), f"ProgressiveSettings.{name}", low=low)
-            object.__setattr__(self, name, number)
+            set_field(self, name, number)
         if self.radius is not None:
             radius = validation.radius(self.radius, "ProgressiveSettings.radius")
-            object.__setattr__(self, "radius", radius)
+            set_field(self, "radius", radius)
 
 
 class HitPointStatistics:
-    """The discs that passes of photons are counted in: all that is kept of them.
+    """Statistics of hit points, of which passes of photons are gathered in discs.
 
     Attributes
     ----------
     radius : (m,) float64
-        R, m.
+        Radii R of the discs, m.
     n : (m,) float64
-        N.
+        Numbers N of photons kept.
     tau : (m, c) float64
-        τ: sums of what photons carry, times the weight of their pass.
+        Sums τ of their values, times the weights of their passes.
     weight : float
-        Of all passes together.
+        Sum of the weights of all passes.
     n_passes : int
-        Passes counted.
+        Number of passes.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class HitPointStatistics:
         weight: float,
         least_radius: Floats | None = None,
     ) -> None:
-        """Count in numbers (m,) and sums (m, c) found by a pass, and shrink the discs."""
+        """Add the photons of a pass within the discs, numbers (m,) and sums (m, c)."""
         _kernel.update(
             self.n,
             self.tau,
@@ -148,7 +148,7 @@ class HitPointStatistics:
         self.n_passes += 1
 
     def copy(self) -> HitPointStatistics:
-        """Return discs that may be narrowed beside these."""
+        """A copy that is updated independently."""
         c = HitPointStatistics(
             self.radius, self.tau.shape[1], alpha=self._alpha, n_threads=self._n_threads
         )
@@ -157,14 +157,14 @@ class HitPointStatistics:
         return c
 
     def densities(self) -> Floats:
-        """Return the estimates (m, c) per m²; zero before the first pass."""
+        """Densities (m, c), per m²; zero before the first pass."""
         if self.weight == 0.0:
             return np.zeros_like(self.tau)
         return self.tau / (np.pi * self.weight * self.radius**2)[:, np.newaxis]
 
 
 class ProgressiveStatistics(HitPointStatistics):
-    """Hit points and the statistics of passes of photons at each; memory does not grow.
+    """Hit points with their statistics; memory does not grow with the passes.
 
     Parameters
     ----------
@@ -172,9 +172,9 @@ class ProgressiveStatistics(HitPointStatistics):
         Points on surfaces, m, and directions of any length. Photons on faces turned by more than
         60° are not counted.
     radius : float or (m,) array_like
-        Of the discs at the start, m; see `initial_radius`.
+        Initial radius, m; see `initial_radius`.
     alpha : float
-        Share of photons kept.
+        Share of the photons in a disc that is kept.
     n_threads : int, optional
         Threads; all available by default. Results do not depend on it.
 
@@ -209,22 +209,22 @@ class ProgressiveStatistics(HitPointStatistics):
         weight: float | None = None,
         least_radius: ArrayLike | None = None,
     ) -> None:
-        """Count in a pass of photons and shrink the discs.
+        """Add a pass of photons, and reduce the radii.
 
         Parameters
         ----------
         photons : PhotonMap
-            Of flux in W, divided by the number emitted in this pass, as traced maps are.
+            With flux in W, divided by the number emitted in this pass, as in traced maps.
         weight : float, optional
-            How much this pass counts beside the others: by default its `n_emitted`, so that all
-            photons emitted count alike whatever the sizes of passes.
+            Weight of this pass: by default its `n_emitted`, so that all photons emitted count
+            alike whatever the sizes of passes.
         least_radius : float or (m,) array_like, optional
-            Discs do not shrink below it, m; where they stay as they are all photons are kept.
+            Radii are not reduced below it, m; where they stay as they are all photons are kept.
 
         Raises
         ------
         ValueError
-            If the map does not say how many photons were emitted, and no weight is given.
+            If the map has no `n_emitted`, and no weight is given.
         """
         least = None
         if least_radius is not None:
@@ -237,12 +237,12 @@ class ProgressiveStatistics(HitPointStatistics):
         self.update(*found, weight, least)
 
     def irradiance(self) -> Floats:
-        """Return the irradiance (m, 3), W/m², as far as it is known by now."""
+        """Irradiance (m, 3) from all passes so far, W/m²."""
         return self.densities()
 
 
 def pass_weight(photons: PhotonMap) -> float:
-    """Number of photons emitted in a pass; raises ValueError if it is not known."""
+    """Number of photons emitted in a pass; raises ValueError if that is not known."""
     if not photons.n_emitted:
         raise ValueError(
             "photons.n_emitted should say how many photons were emitted in the pass, or weight "
@@ -252,7 +252,7 @@ def pass_weight(photons: PhotonMap) -> float:
 
 
 class PhotonPass:
-    """Photons of one pass, and numbers (n, c) they carry, ready to be summed within discs."""
+    """Photons of one pass, whose values (n, c) are summed within discs."""
 
     def __init__(self, trees: PhotonTrees, values: Floats, n_threads: int) -> None:
         self._trees = trees
@@ -263,9 +263,9 @@ class PhotonPass:
     def within(
         self, hits: tuple[Floats, Floats], radius: Floats, order: Order | None = None
     ) -> tuple[NDArray[np.int64], Floats]:
-        """Return numbers (m,) and sums (m, c) of photons within radii of positions and normals.
+        """Numbers (m,) and sums (m, c) of the photons within radii of positions and normals.
 
-        Hit points that are the same in every pass may bring their `morton_order`.
+        `order` is the `morton_order` of the positions, if it is known.
         """
         counts = np.zeros(len(radius), dtype=np.int64)
         sums = np.zeros((len(radius), self._values.shape[1]))
@@ -304,20 +304,20 @@ def _radii(value: ArrayLike, name: str, m: int) -> Floats:
 
 
 class InitialRadius:
-    """Radii to start with at any hit point, from the photons of the first pass.
+    """Initial radii at any hit points, from the photons of the first pass.
 
-    A disc reaches just short of the k-th nearest photon, so that of photons at random its k - 1
-    tell the density without bias; where fewer than k are within the `largest` radius it is that,
-    `automatic_gather_radius` of the pass, and regions farther from light stay black.
+    A radius is just short of the k-th nearest photon, so that the k - 1 photons in the disc, if
+    they are random, give the density without bias. It is at most the `largest`, the
+    `automatic_gather_radius` of the pass: regions farther from light stay black.
 
     Parameters
     ----------
     photons : PhotonMap
-        Of the first pass.
+        Photons of the first pass.
     settings : ProgressiveSettings
     n_threads : int
     trees : PhotonTrees, optional
-        Of these photons.
+        Trees of these photons.
     """
 
     def __init__(
@@ -330,7 +330,7 @@ class InitialRadius:
         self._settings = settings
         self._n_threads = n_threads
         self._trees = PhotonTrees(photons, n_threads) if trees is None else trees
-        # Of no photons none are found, however far.
+        # Without photons any radius does.
         self.largest = 1.0 if settings.radius is None else settings.radius
         if settings.radius is None and len(photons):
             self.largest = self._automatic(photons)
@@ -345,7 +345,7 @@ class InitialRadius:
         return automatic_gather_radius(tree, self._settings.k, n_threads=self._n_threads)
 
     def __call__(self, positions: Floats, normals: Floats) -> Floats:
-        """Return radii (m,), m, at positions (m, 3) on surfaces with the given normals."""
+        """Radii (m,), m, at positions (m, 3) on surfaces with the given normals."""
         radius = np.full(len(positions), self.largest)
         if self._settings.radius is not None:
             return radius
@@ -368,7 +368,7 @@ def initial_radius(
     *,
     n_threads: int | None = None,
 ) -> Floats:
-    """Return radii (m,), m, to start with at hit points; see `InitialRadius`.
+    """Initial radii (m,), m, at hit points; see `InitialRadius`.
 
     Raises
     ------

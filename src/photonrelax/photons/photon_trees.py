@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from .._ext.photons.normals import find_face_sets, group_normals
 from .._ext.spatial import morton
 from .._util import validation
-from .._util.progress import Reporter
 from .._util.validation import Floats, Rows
 from ..spatial.kdtree import KDTree
 from .neighbourhoods import MAX_FACES, MAX_NORMAL_CHORD, hstack_rows, leaf_rows, within_chord
@@ -106,18 +105,6 @@ class PhotonTrees:
             order = morton_order(points, self._n_threads)
         for one, rows in _divided(number, order):
             yield one, self._queries(one, points, normals), rows
-
-    def chunks(
-        self, points: Floats, normals: Floats, report: Reporter
-    ) -> Iterator[tuple[int, Floats, Order]]:
-        """Divide points as `parts` does, and each part into chunks that are reported when done."""
-        left = len(points)
-        for number, queries, rows in self.parts(points, normals):
-            for first, end in report.chunks(len(rows)):
-                yield number, queries, rows[first:end]
-            left -= len(rows)
-        if left:
-            report.advance(left)
 
     def _numbers(self, normals: Floats) -> NDArray[np.int8]:
         """Return the number of each point's tree, -1 where it sees no face."""
