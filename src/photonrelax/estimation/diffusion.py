@@ -1,4 +1,6 @@
-"""Diffusion-based photon mapping: kernels that are long along edges and short across (SSO08 §6).
+"""Diffusion based photon mapping: kernels long along edges and short across them (SSO08 §6).
+
+Schjøth, Sporring & Olsen 2008, *Diffusion Based Photon Mapping*.
 
 The gradient of irradiance is estimated at every photon with a bandwidth of its own, the noise
 scale (Eq. 13). Around a point the products ∇E ⊗ ∇E of the photons within the bandwidth h, the
@@ -18,12 +20,11 @@ itself the kernel would be long across edges. The normalisation is that of Eq. 1
 and the integral is one: in the coordinates y = D^(-1/2) d / h, an area element h² √det D dy, it is
 that of 2/π (1 − |y|²)₊ over the plane. As no eigenvalue exceeds one, the ellipse stays within h.
 
-Photons are put in the tangent plane of the point by projecting them along the direction they came
-from (Eq. A1–A2), which is exact for parallel light on curved surfaces, except for photons that
-would come in from beyond h. Light from behind the plane does not count. Photons that come in at
-less than 6° to the plane are moved no farther than at 6°. Those whose direction is not known are
-projected along the normal of the plane; those that came from below their own surface, along their
-own normal.
+Photons are projected onto the tangent plane of the point along the direction they came from (Eq.
+A1–A2), which is exact for parallel light on curved surfaces, except for photons that would come in
+from beyond h. Light from behind the plane does not count. Photons that come in at less than 6° to
+the plane are projected no farther than at 6°; those without a direction along the normal of the
+plane; those that came from below their own surface along their own normal.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ from numpy.typing import ArrayLike
 from .._ext.estimation import diffusion as _diffusion
 from .._ext.estimation import tangent_plane as _tangent
 from .._util import validation
+from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
@@ -47,13 +49,13 @@ from .field import Densities, Points, TreeField, check_points
 from .kernels import Scale, automatic_gather_radius, bandwidths
 
 NORMALISATIONS = ("maximum", "local")
-# The noise scale over the integration scale, unless it is given: SSO08 §6.4 wants it lower.
+# Noise scale over integration scale, by default: SSO08 §6.4 wants it lower.
 _NOISE_RATIO = 0.5
 
 
 @dataclass(frozen=True)
 class DiffusionSettings:
-    """Settings of kernels that adapt to the structure around a point.
+    """Kernel bandwidth, and its adaptation to the structure around a point.
 
     By default 500 photons set the bandwidth, as in SJ13 (§5), whose q is 0.02 (``edge_threshold``).
     SSO08 (§7) has a fixed bandwidth, one that "reduces noise to an acceptable level" (``k=None,
@@ -69,25 +71,26 @@ class DiffusionSettings:
     Attributes
     ----------
     k : int or None
-        The distance to the k-th nearest photon is the bandwidth, which is the integration scale
-        too; None for a fixed one.
+        The bandwidth, which is the integration scale too, is the distance to the k-th nearest
+        photon; None for a fixed one.
     bandwidth : float, optional
         h of Eq. 9 and 20, m: the fixed one, or the largest where `k` is given. By default,
-        with `k`, from the map; see `photonrelax.estimation.kernels.automatic_gather_radius`.
+        with `k`, that of `photonrelax.estimation.kernels.automatic_gather_radius`.
     noise_scale : float, optional
-        Bandwidth of the gradient, m (h of Eq. 13). By default half the integration scale: half of
-        a fixed bandwidth, or the distance of a photon to the k/4-th nearest.
+        Bandwidth of the gradient, m (h of Eq. 13). By default half of the integration scale: half
+        of a fixed bandwidth, or the distance of a photon to its k/4-th nearest.
     edge_threshold : float
-        q of Eq. 16: λ₁ from which on something is an edge, not noise. Infinite for none.
+        q of Eq. 16: λ₁ from which structure is an edge, not noise. Infinite for no edges.
     edge_steepness : float
         α of Eq. 16, positive.
     normalisation : {"maximum", "local"}
-        λ₁ over its largest value among the photons of the map, as published (§6.2); or over (E/h)²
-        at the point, so that it is the square of the relative change over a bandwidth, |∇E|·h/E,
-        and q means the same in every scene and in its dim parts.
+        Divisor of λ₁: its largest value among the photons of the map, as published (§6.2); or
+        (E/h)² at the point, so that it is the square of the relative change over a bandwidth,
+        |∇E|·h/E, and q means the same in every scene and in its dim parts.
     least_eigenvalue : float
-        Of D, in (0, 1]: kernels are no narrower than its square root times the bandwidth. SJ13
-        adjusts this, "the minimum diameter of the anisotropic kernel", to compare methods.
+        Least eigenvalue of D, in (0, 1]: kernels are no narrower than its square root times the
+        bandwidth. SJ13 adjusts this, "the minimum diameter of the anisotropic kernel", to compare
+        methods.
     """
 
     k: int | None = 500
@@ -100,39 +103,36 @@ class DiffusionSettings:
 
     def __post_init__(self) -> None:
         if self.k is not None:
-            self._set("k", validation.count(self.k, "DiffusionSettings.k", low=2))
+            set_field(self, "k", validation.count(self.k, "DiffusionSettings.k", low=2))
         elif self.bandwidth is None:
             raise ValueError("DiffusionSettings should have k or bandwidth, but both are None")
         for name in ("bandwidth", "noise_scale"):
             value = getattr(self, name)
             if value is not None:
-                self._set(name, validation.radius(value, f"DiffusionSettings.{name}"))
+                set_field(self, name, validation.radius(value, f"DiffusionSettings.{name}"))
         for name in ("edge_threshold", "edge_steepness"):
             label, infinite = f"DiffusionSettings.{name}", name == "edge_threshold"
-            self._set(name, validation.positive(getattr(self, name), label, allow_inf=infinite))
+            set_field(
+                self, name, validation.positive(getattr(self, name), label, allow_inf=infinite)
+            )
         least = validation.positive(self.least_eigenvalue, "DiffusionSettings.least_eigenvalue")
         if least > 1.0:
             raise ValueError(
                 f"DiffusionSettings.least_eigenvalue should be at most 1, but is {least}"
             )
-        self._set("least_eigenvalue", least)
-        if self.normalisation not in NORMALISATIONS:
-            raise ValueError(
-                f"DiffusionSettings.normalisation should be one of {', '.join(NORMALISATIONS)}, "
-                f"but is {self.normalisation!r}"
-            )
-
-    def _set(self, name: str, value: float) -> None:
-        object.__setattr__(self, name, value)
+        set_field(self, "least_eigenvalue", least)
+        validation.check_choice(
+            self.normalisation, "DiffusionSettings.normalisation", NORMALISATIONS
+        )
 
 
 class DiffusionField(TreeField):
-    """Irradiance by kernels that follow structure: a `photonrelax.estimation.field.Field`.
+    """Irradiance by kernels that follow structure.
 
     Parameters
     ----------
     photons : PhotonMap
-        As gathered from. Gradients are those of the mean over the channels of their flux.
+        Gradients are of the mean over the channels of their flux.
     settings : DiffusionSettings, optional
     isotropic : bool
         Kernels shrink in both directions where there is structure (SSO08 §7.3).
@@ -145,9 +145,9 @@ class DiffusionField(TreeField):
     Attributes
     ----------
     photons, settings
-        As given; `settings.bandwidth` holds the one in use, None for an empty map.
+        As given; `settings.bandwidth` is the one in use, None for an empty map.
     structure, seconds, used
-        As in every field; no structure.
+        See `PhotonField`; no structure.
 
     Raises
     ------
@@ -186,7 +186,7 @@ class DiffusionField(TreeField):
 
     @property
     def gradient(self) -> Floats:
-        """Of irradiance at the photons (n, 3), W/m³, in their tangent planes (Eq. 13)."""
+        """Gradients of irradiance at the photons (n, 3), in their tangent planes, W/m³ (Eq. 13)."""
         return self._in_watts(self._columns[:, 1:])
 
     @property
@@ -197,12 +197,12 @@ class DiffusionField(TreeField):
         return float(self._in_watts(self._in_watts(np.full(1, self._largest)))[0])
 
     def _in_watts(self, slopes: Floats) -> Floats:
-        """Return gradients in W/m³; infinite beyond the range of floats."""
+        """Gradients in W/m³; infinite beyond the range of floats."""
         with np.errstate(over="ignore"):
             return slopes * self._flux_unit / self._unit / self._unit / self._unit
 
     def half_axes(self, points: ArrayLike, normals: ArrayLike) -> Floats:
-        """Return the half-axes of the ellipses in which kernels weigh photons.
+        """Half-axes of the elliptical kernels.
 
         Parameters
         ----------
@@ -235,7 +235,7 @@ class DiffusionField(TreeField):
         _diffusion.densities(photons, laid_out, around, shape, out, n_threads=self._n_threads)
 
     def _with_bandwidth(self, settings: DiffusionSettings) -> DiffusionSettings:
-        """Return settings with the largest bandwidth taken from the map, if left open."""
+        """Settings with the largest bandwidth of the map, if it is left open."""
         if settings.bandwidth is not None or settings.k is None or not len(self.photons):
             return settings
         try:
@@ -276,7 +276,7 @@ class DiffusionField(TreeField):
         return float(out.max(initial=0.0)) or None
 
     def _integration_scale(self) -> Scale:
-        # Only an empty map leaves it open, and there it does not matter.
+        # It is open for an empty map alone, where it does not matter.
         return self.settings.bandwidth or np.inf, self.settings.k
 
     def _noise_scale(self) -> Scale:
@@ -327,7 +327,7 @@ class DiffusionField(TreeField):
 
 
 def _towards(photons: PhotonMap) -> Floats | None:
-    """Directions towards the light, the normal where that is below the surface."""
+    """Directions towards the light (n, 3), the normal where that is below the surface."""
     if photons.wi is None:
         return None
     above = np.einsum("ij,ij->i", photons.wi, photons.normal) > 0.0

@@ -1,25 +1,25 @@
-"""Frequency-driven progressive photon mapping (FPPM).
+"""Frequency-driven progressive photon mapping of one photon map (FPPM).
 
-Progressive photon mapping shrinks every disc for ever, at the expense of noise. Here a disc is left
-as it is while the local frequency spectra of the light (see
-`photonrelax.transport.frequency.operators`) say that its mean is off by no more than 5 % of the
-amplitude of the light, so that smooth regions keep large discs and all their photons.
+After the poster *Frequency Based Kernel Estimation for Progressive Photon Mapping*. Progressive
+photon mapping reduces the radius of every disc for ever, at the expense of noise. Here a radius
+stays as it is while the local frequency spectra of the light (see
+`photonrelax.transport.frequency.operators`) bound the bias of its disc by 5 % of the amplitude of
+the light, so that smooth regions keep large discs and all their photons.
 
-Some of the photons carry spectra (see `trace_photons`). At every pass a hit point takes the largest
-of each coefficient among those in and around its disc, as diffuse surfaces reflect them, and the
-disc shrinks, by the rule of progressive photon mapping, no farther than this bound allows. FPPM
-keeps the largest of all that were ever seen; here the bound is that of the disc as it is, so that
-an edge the disc no longer reaches is forgotten, and it is taken from the photons of all passes, not
-of those gone by. Where none of the photons carries a spectrum it shrinks as ever. So do all discs
-of a map so small that none was chosen to carry one, whose estimates are those of progressive photon
-mapping.
+Some of the photons carry spectra (see `trace_photons`). In every pass the bound of a hit point is
+that of the largest variance among those in and around its disc, after reflection by a diffuse
+surface, and the rule of progressive photon mapping reduces the radius no farther than it allows.
+FPPM keeps the largest variance ever seen; here it is that of the present disc, so that an edge
+beyond the disc is forgotten, and of the photons of all passes, not of those before. Where no photon
+carries a spectrum radii are reduced as in progressive photon mapping; so are all radii of a map so
+small that no photon was chosen to carry one.
 
-The 5 % are those of a disc. An estimate is the mean over passes of discs as they were: of one that
-stays at its first size it has the bias, at most 5 %; of one that shrank all the way to the size
-allowed, R² ~ i^(α - 1), that of a disc of R²/α, at most 5 %/α = 7 %; and of one that has not come
-down to it yet, what progressive photon mapping has.
+The 5 % are those of a disc. An estimate is the mean over passes of discs as they were: its bias is
+at most 5 % if the disc keeps its initial radius; at most 5 %/α = 7 % if it shrank all the way to
+the radius allowed, R² ~ i^(α - 1), which is the bias of a disc of R²/α; and that of progressive
+photon mapping while the radius is larger than allowed.
 
-One photon map is split into passes. Passes of fresh photons, as of `render_progressive`, do not
+One map of photons is split into passes. Passes of fresh photons, as of `render_progressive`, do not
 carry spectra.
 """
 
@@ -32,6 +32,7 @@ import numpy as np
 from .._ext.estimation.frequency import MaxInRadius
 from .._ext.spatial.blocks import to_soa_blocks
 from .._util import validation
+from .._util.frozen import set_field
 from .._util.validation import Floats
 from ..photons.neighbourhoods import normal_range
 from ..photons.photon_map import PhotonMap
@@ -43,20 +44,20 @@ from .split_passes import ProgressiveField
 
 @dataclass(frozen=True)
 class FrequencySettings:
-    """Share of photons with local frequency spectra, and the bias that these allow.
+    """Share of the photons that carry spectra, and the bias that these allow.
 
     Attributes
     ----------
     share : float
-        Of the photons that carry spectra, in (0, 1], where `render` traces them. Each is chosen
-        or not by itself, so that of few photons perhaps none is.
+        Share of the photons that carry spectra, in (0, 1], where `render` traces them. Each is
+        chosen independently: of few photons possibly none.
     bias : float
         Largest bias of a disc over the amplitude of the light it averages, in (0, 1) (5 %); that
         of an estimate is up to 1/α times as large.
     reach : float
-        Spectra are looked for within so many radii of a disc. FPPM looks within the disc; but few
-        photons carry spectra, and none of these may be among the first of brighter light that a
-        disc in dim light reaches over an edge.
+        Radius within which spectra are searched, in radii of the disc. FPPM has 1; but few photons
+        carry spectra, and possibly none of the first photons of brighter light that a disc in dim
+        light extends to over an edge.
     """
 
     share: float = 0.02
@@ -70,21 +71,21 @@ class FrequencySettings:
         bias = validation.positive(self.bias, "FrequencySettings.bias")
         if bias >= 1.0:
             raise ValueError(f"FrequencySettings.bias should be less than 1, but is {bias}")
-        object.__setattr__(self, "share", share)
-        object.__setattr__(self, "bias", bias)
+        set_field(self, "share", share)
+        set_field(self, "bias", bias)
         reach = validation.positive(self.reach, "FrequencySettings.reach")
-        object.__setattr__(self, "reach", reach)
+        set_field(self, "reach", reach)
 
 
 class FrequencyField(ProgressiveField):
-    """Frequency-driven progressive photon mapping of one photon map at any points: a `Field`.
+    """Frequency-driven progressive photon mapping of one photon map at any points.
 
     Parameters
     ----------
     photons : PhotonMap
-        Traced with a `frequency_share`, whichever were chosen; an empty map needs none.
+        Traced with a `frequency_share`, unless it is empty.
     settings : ProgressiveSettings, optional
-        Of the passes, first radii and the rule by which these shrink.
+        Passes, initial radii and radius reduction.
     frequency : FrequencySettings, optional
     n_threads : int, optional
         Threads; all available by default. Results do not depend on it.
@@ -107,7 +108,7 @@ class FrequencyField(ProgressiveField):
         super().__init__(photons, settings, n_threads=n_threads)
         self.frequency = frequency or FrequencySettings()
         self.used["frequency"] = asdict(self.frequency)
-        assert carriers.spectrum is not None, "photons with spectra"
+        assert carriers.spectrum is not None, "carriers have spectra"
         self._trees = PhotonTrees(carriers, self._n_threads)
         # Variance of all light that diffuse surfaces reflect.
         self._variance = np.ascontiguousarray(operators.diffused(carriers.spectrum)[:, :1])

@@ -27,31 +27,31 @@ KERNELS = {
     "epanechnikov": _nearest.EPANECHNIKOV,
 }
 WELL_SPACED_BIAS = {"constant": (0.43, -1.0), "cone": (0.45, -1.5), "epanechnikov": (0.57, -1.5)}
-# What the automatic gather radius looks at: no more photons than this, these two quantiles.
+# Largest number of photons, and two quantiles, that the automatic gather radius is taken from.
 _SAMPLE = 10_000
 _SHARE_OF_PHOTONS = 0.95
 _SHARE_OF_AREA = 0.05
 
 
 def well_spaced_mean(k: int, kernel: str) -> float:
-    """Return the mean k-nearest estimate of a uniform field from evenly spaced photons over truth.
+    """Mean k-nearest estimate of a uniform field from evenly spaced photons, over its value.
 
-    For independent photons it is one, whatever the kernel. Evenly spaced photons number k − 1/2,
-    not k − 1, within the distance to the k-th, and are missing from its rim. The constants lie
-    between those fitted to uniform fields of Halton and of relaxed photons, which they bring to
-    within 0.3 % of the truth for k of 15 and more.
+    It is one for independent photons and any kernel. Evenly spaced photons number k − 1/2, not
+    k − 1, within the distance to the k-th, and are missing from its rim. The constants lie between
+    those fitted to uniform fields of Halton and of relaxed photons, which they bring to within
+    0.3 % of the value for k of 15 and more.
     """
     factor, exponent = WELL_SPACED_BIAS[kernel]
     return 1.0 - factor * k**exponent
 
 
 def automatic_gather_radius(tree: KDTree, k: int, *, n_threads: int | None = None) -> float:
-    """Return a radius, m, that reaches k photons nearly everywhere there is light.
+    """Radius, m, that holds k photons nearly everywhere there is light.
 
-    The larger of two quantiles of the distance to the k-th photon: within the first, 95 % of the
-    photons have theirs; within the second, 5 % of the lit area has, a photon standing for an
-    area that goes with the square of its distance. The second keeps a bright spot, which may
-    hold nearly all photons, from setting the radius for the dim light around it.
+    The larger of two quantiles of the distance to the k-th photon: the 95 % quantile over photons,
+    and the 5 % quantile over the lit area, of which a photon has a share proportional to the
+    square of its distance. The second keeps a bright spot, which may hold nearly all photons, from
+    setting the radius for the dim light around it.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def automatic_gather_radius(tree: KDTree, k: int, *, n_threads: int | None = Non
     lit = distance[np.searchsorted(area, _SHARE_OF_AREA * area[-1])]
     radius = float(max(np.quantile(distance, _SHARE_OF_PHOTONS), lit))
     if radius == 0.0:
-        # Photons that each face another way have no neighbours; their extent must do.
+        # Photons that all face different ways have no neighbours: the extent of the map.
         radius = float(np.linalg.norm(np.subtract(tree.kernel.high, tree.kernel.low)[:3]))
     if radius == 0.0:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Irradiance at points from photons."""
+"""Irradiance from the k nearest photons (Jensen's estimate; SJ13 §5)."""
 
 from __future__ import annotations
 
@@ -25,29 +25,28 @@ from .refinement import REFINEMENTS
 
 @dataclass(frozen=True)
 class GatherSettings:
-    """Number, weights and largest distance of the photons gathered at a point.
+    """Number of photons in an estimate, kernel and gather radius.
 
     Attributes
     ----------
     k : int
         Photons gathered (K = 15, SJ13 §5); the bandwidth is the distance to the k-th. With a
-        refinement these are the most, and have to be given: 200, say.
+        refinement it is their largest number, and has to be given: 200, say.
     kernel : {"epanechnikov", "cone", "constant"}
         Each normalised so that a uniform field returns its own value; from well-spaced photons
         within 0.3 % for k of 15 and more.
     gather_radius : float, optional
-        Largest distance, m, from which photons are gathered; where it holds fewer than k it is the
-        bandwidth, so that black regions stay black; so it is where k photons lie at the very
-        point, of which only these count. By default `automatic_gather_radius` takes it from the
-        map: the radius within which 95 % of the photons, and 5 % of the area they light, have
-        their k-th nearest. Infinite for no limit. With a refinement it limits the
-        first k_min photons, and reaches twice as many; k are gathered from √(k / k_min) times as
-        far.
+        Largest distance, m, from which photons are gathered. Where it holds fewer than k it is the
+        bandwidth, so that black regions stay black; also where k photons lie at the very point,
+        of which only these count. By default it is the `automatic_gather_radius` of the map: the
+        radius within which 95 % of the photons, and 5 % of the area they light, have their k-th
+        nearest. Infinite for no limit. With a refinement it limits the first k_min photons, and
+        holds twice as many by default; k are gathered from √(k / k_min) times as far.
     refinement : {"none", "differential-checking", "bias-compensation"}
-        How the number of photons adapts to the light around a point; see
+        Rule by which the number of photons adapts to the light around a point; see
         `photonrelax.estimation.refinement`.
     k_min : int
-        The fewest photons gathered with a refinement; ignored without.
+        Least number of photons gathered with a refinement; not read without.
     """
 
     k: int = 15
@@ -75,7 +74,7 @@ class GatherSettings:
 
     @property
     def k_reached(self) -> int:
-        """Photons that the automatic gather radius reaches: where there is light, k_min surely."""
+        """Number of photons within the automatic gather radius: with a refinement, 2 k_min."""
         return self.k if self.refinement == "none" else 2 * self.k_min
 
 
@@ -172,7 +171,7 @@ def estimate_irradiance(
     *,
     n_threads: int | None = None,
 ) -> Floats:
-    """Return the irradiance at points from the photons as they are (Jensen's estimate).
+    """Irradiance at points from the k nearest photons (Jensen's estimate).
 
     Parameters
     ----------
@@ -182,7 +181,6 @@ def estimate_irradiance(
         Points on surfaces, m, and the normals there. Photons on faces turned by more than 60°
         are not counted.
     settings : GatherSettings, optional
-        Photons, kernel and gather radius.
     n_threads : int, optional
         Threads; all available by default. The result does not depend on it.
 
