@@ -1,4 +1,4 @@
-"""Commands: from arguments by settings and stages to files, and what is printed."""
+"""Commands: from arguments by settings and stages to files and printed reports."""
 
 from __future__ import annotations
 
@@ -319,7 +319,7 @@ def _info(options: argparse.Namespace, interrupts: Interrupts) -> None:
         raise ValueError(f"{options.file} should be an EXR file or a photon map, but is neither")
 
 
-# --- what is printed --------------------------------------------------------------------------
+# --- reports ------------------------------------------------------------------------------------
 
 
 def _report(options: argparse.Namespace, *texts: str) -> None:

@@ -57,7 +57,7 @@ class Image:
     stats: dict[str, Any] = field(default_factory=dict)
 
     if TYPE_CHECKING:
-        # What may be given is wider than what the fields then hold.
+        # Arguments may be of wider types than the fields.
         def __init__(
             self,
             layers: Mapping[str, ArrayLike],

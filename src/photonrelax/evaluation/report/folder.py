@@ -30,7 +30,7 @@ def prepare_folder(folder: Path, methods: tuple[str, ...]) -> None:
     Raises
     ------
     OSError
-        If it cannot be made or written to.
+        If it cannot be created or written to.
     """
     if folder.exists() and not folder.is_dir():
         raise NotADirectoryError(f"cannot write into {folder}: it is not a folder")

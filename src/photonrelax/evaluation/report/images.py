@@ -30,7 +30,7 @@ _CONSTRAINED = np.array([1.0, 0.08, 0.05])
 
 @dataclass(frozen=True, eq=False)
 class PhotonImage:
-    """Image (height, width, 3) of an attribute of the photons, and what its colours mean."""
+    """Image (height, width, 3) of an attribute of the photons, and the meaning of its colours."""
 
     image: Bytes
     about: str
@@ -79,7 +79,7 @@ def displayed(radiance: ArrayLike, exposure: float) -> Floats:
 
 
 def _path_edges(bounces: Floats) -> tuple[Floats, str]:
-    """Colours of the mean number of path edges, and what they mean."""
+    """Colours of the mean number of path edges, and their meaning."""
     edges = bounces + 1.0
     seen = edges[bounces > 0.0]
     # Without the rarest, longest paths, which would take most of the colours.
