@@ -18,8 +18,8 @@ def tree_and_rows(n_axes=6):
 
 
 def gathers(queries=(5, 6), out=(5, 3), values=(N, 3), flux=N):
-    tree, rows = tree_and_rows()
-    blocks = to_soa_blocks(np.ones(values), rows[: values[0]], 1)
+    tree, _ = tree_and_rows()
+    blocks = to_soa_blocks(np.ones(values), np.arange(values[0]), 1)
     where = tree, blocks, np.zeros(queries), np.arange(5), np.zeros(out)
     how = {"k": 15, "kernel": nearest.CONSTANT, "radius": 0.5, "range_radius": 1.0, "n_threads": 1}
     yield lambda: nearest.gather(*where, kth_scale=1.0, **how)
