@@ -5,9 +5,9 @@ from libc.math cimport sqrt
 from .batch cimport LISTED_STRIDE
 from .simd.kernels cimport LIMIT_KEY, MAX_FLOAT_AXES, FloatQuery
 
-# Constants of `error_bound`, derived in docs/methods/neighbour-selection.md: coordinates are at most
-# about 1, on up to MAX_FLOAT_AXES axes. The bound is ROUNDING * (r + r²) for small radii r, which
-# is MAX_RANK_SLACK keys at r = MIN_RADIUS, and ROUNDING * 2 * MAX_SQUARED for all others.
+# Constants of `error_bound`, derived in docs/methods/neighbour-selection.md: coordinates are at
+# most about 1, on up to MAX_FLOAT_AXES axes. The bound is ROUNDING * (r + r²) for small radii r,
+# which is MAX_RANK_SLACK keys at r = MIN_RADIUS, and ROUNDING * 2 * MAX_SQUARED for all others.
 cdef double ROUNDING = 1e-6
 cdef double MIN_RADIUS = 1e-3
 cdef double MAX_RANK_SLACK = 0.25
