@@ -3,11 +3,12 @@
 from cython cimport final
 from libc.math cimport M_PI
 
+from ..common.prefetch cimport prefetch_row
 from ..spatial.batch cimport Batch, Query
 from ..spatial.query_loop cimport BatchWork, search_queries
 from ..spatial.simd.kernels cimport (
     CONE_WEIGHTS, CONSTANT_WEIGHTS, EPANECHNIKOV_WEIGHTS, OUTSIDE_KEY, Weights,
-    farthest_candidate, prefetch_row,
+    farthest_candidate,
 )
 from ..spatial.tree cimport Tree
 

@@ -5,10 +5,11 @@ from libc.math cimport INFINITY, sqrt
 
 import numpy as np
 
+from ..common.prefetch cimport prefetch_row
 from ..common.vec3 cimport cross, dot
 from ..spatial.batch cimport Batch, Query, gather_points, limit_radius, limit_range
 from ..spatial.query_loop cimport BatchWork, search_points
-from ..spatial.simd.kernels cimport BLOCK, prefetch_row
+from ..spatial.simd.kernels cimport BLOCK
 from ..spatial.tree cimport Tree
 
 cdef enum:

@@ -6,10 +6,11 @@ from libc.math cimport INFINITY, M_PI, erf, fabs, sqrt
 
 import numpy as np
 
+from ..common.prefetch cimport prefetch_row
 from ..common.vec3 cimport orthonormal_frame
 from ..spatial.batch cimport Batch, Query, limit_radius, limit_range
 from ..spatial.query_loop cimport BatchWork, search_points
-from ..spatial.simd.kernels cimport BLOCK, prefetch_row
+from ..spatial.simd.kernels cimport BLOCK
 from ..spatial.tree cimport Tree
 
 cdef enum:

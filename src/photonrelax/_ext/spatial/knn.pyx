@@ -4,6 +4,7 @@ from libc.float cimport DBL_MAX
 from libc.math cimport INFINITY, sqrt
 from libc.stdint cimport int32_t, int64_t
 
+from ..common.prefetch cimport prefetch_row
 from .batch cimport (
     LISTED, LISTED_STRIDE, Query, candidates_before_drop, copy_neighbours, same_result,
 )
@@ -11,7 +12,7 @@ from .float_blocks cimport quantise_listed, set_float_query, set_quantisation
 from .tree cimport fan_out, first_block, last_kept
 from .simd.kernels cimport (
     BLOCK, INTERLEAVED, OUTSIDE_KEY, Candidates, SearchBounds, count_bits, farthest_candidate,
-    highest_bit, lowest_bit, prefetch_row,
+    highest_bit, lowest_bit,
 )
 
 cdef enum:

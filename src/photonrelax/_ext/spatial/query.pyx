@@ -7,9 +7,10 @@ from libc.stdint cimport int64_t
 
 import numpy as np
 
+from ..common.prefetch cimport prefetch_row
 from .batch cimport Batch, Query, gather_neighbours, limit_range
 from .query_loop cimport BatchWork, search_points, search_queries
-from .simd.kernels cimport KEY_CHUNK, LANES, Candidates, prefetch_row, store_fence
+from .simd.kernels cimport KEY_CHUNK, LANES, Candidates, store_fence
 from .tree cimport Tree
 
 from .tree import aligned

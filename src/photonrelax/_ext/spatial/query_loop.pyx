@@ -2,9 +2,10 @@
 
 from cython.parallel cimport prange, threadid
 
+from ..common.prefetch cimport prefetch_row
 from .batch cimport allocate_batches, limit_radius, limit_range, open_block, open_query
 from .knn cimport query_batch
-from .simd.kernels cimport BLOCK, prefetch_row
+from .simd.kernels cimport BLOCK
 
 
 cdef class BatchWork:

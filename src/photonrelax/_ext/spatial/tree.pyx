@@ -10,7 +10,8 @@ from libc.math cimport INFINITY
 
 import numpy as np
 
-from .simd.kernels cimport simd_kernels_named, prefetch_row
+from ..common.prefetch cimport prefetch_row
+from .simd.kernels cimport simd_kernels_named
 
 from .build import median_order
 

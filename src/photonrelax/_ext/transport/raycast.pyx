@@ -7,17 +7,8 @@ in float64, from the original ray. Every loop body writes row i only.
 cimport cython
 from libc.math cimport NAN, INFINITY, isfinite, sqrt
 
+from ..common.prefetch cimport prefetch_row
 from ..common.vec3 cimport cross, dot, normalise
-
-cdef extern from *:
-    """
-    #if defined(__GNUC__)
-    #define prefetch_line(address) __builtin_prefetch(address)
-    #else
-    #define prefetch_line(address) ((void)0)
-    #endif
-    """
-    void prefetch_line(const void* address) noexcept nogil
 
 # Barycentric coordinates may leave [0, 1] by this much through embree's rounding.
 cdef double OUTSIDE = 1e-4
@@ -176,14 +167,13 @@ cdef class Triangles:
         if ray + 2 * PREFETCH_DISTANCE < found.n_rays:
             triangle = found.triangle[ray + 2 * PREFETCH_DISTANCE]
             if triangle >= 0:
-                prefetch_line(&self.faces[triangle, 0])
+                prefetch_row(&self.faces[triangle, 0], 3 * sizeof(int))
         if ray + PREFETCH_DISTANCE < found.n_rays:
             triangle = found.triangle[ray + PREFETCH_DISTANCE]
             if triangle >= 0:
                 for corner in range(3):
                     row = &self.corners[self.faces[triangle, corner], 0]
-                    prefetch_line(row)
-                    prefetch_line(row + 5)
+                    prefetch_row(row, 6 * sizeof(double))
 
     cdef bint refine_hit(
         self, EmbreeHits found, Py_ssize_t ray, const double* origin, const double* direction,

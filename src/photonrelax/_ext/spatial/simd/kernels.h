@@ -176,13 +176,6 @@ static inline int64_t farthest_candidate(const Candidates *found, const int64_t 
     return farthest;
 }
 
-/* Prefetch a row for writing. */
-static inline void prefetch_row(const void *row, int64_t n_bytes)
-{
-    for (int64_t i = 0; i < n_bytes - 1; i += 64) __builtin_prefetch((const char *)row + i, 1);
-    __builtin_prefetch((const char *)row + n_bytes - 1, 1);
-}
-
 /* Order non-temporal stores before the stores that follow. */
 static inline void store_fence(void)
 {

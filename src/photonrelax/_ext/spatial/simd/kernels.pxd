@@ -115,5 +115,4 @@ cdef extern from "kernels.h" nogil:
     int count_bits(unsigned int bits)
     int highest_bit(unsigned int bits)
     void store_fence()
-    void prefetch_row(const void* row, int64_t n_bytes)
     const SimdKernels* simd_kernels_named(const char* name)
