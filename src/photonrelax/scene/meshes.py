@@ -37,7 +37,7 @@ def nondegenerate_vertices(mesh: trimesh.Trimesh) -> Floats:
 
 
 def vertices_of(faces: NDArray, n_vertices: int) -> NDArray[np.bool_]:
-    """Return which vertices belong to a face, (n_vertices,)."""
+    """Mask of the vertices that belong to a face, (n_vertices,)."""
     used = np.zeros(n_vertices, dtype=bool)
     used[faces] = True
     return used
