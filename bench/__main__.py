@@ -11,7 +11,7 @@ python -m bench equal-error       SSO08's Table 1: photons for the error of diff
 python -m bench frequency         frequency-driven beside progressive photon mapping, on `reflector`
 python -m bench methods           errors and times of every method on the same photons
 python -m bench refinements       refinements of standard estimates beside relaxations
-python -m bench first-discs       progressive photon mapping by its initial radius
+python -m bench initial-radius    progressive photon mapping by its initial radius
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from bench.speed import memory, memory_stage, side_by_side, simd, versions
 from bench.studies import (
     equal_error,
     figure7,
-    first_discs,
     frequency,
+    initial_radius,
     methods,
     progressive,
     refinements,
@@ -45,7 +45,7 @@ _COMMANDS = {
     "equal-error": equal_error,
     "frequency": frequency,
     "refinements": refinements,
-    "first-discs": first_discs,
+    "initial-radius": initial_radius,
     # The processes that `compare` and `memory` start.
     "simd": simd,
     "stage": memory_stage,

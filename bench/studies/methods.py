@@ -46,7 +46,7 @@ _ROUNDS = 3
 _OWN_SEED = 2
 _BRIGHTEST = 50
 REFERENCES = ReferenceSettings(passes=200, photons=2_000_000)
-"""Settings of the references; `refinements` and `first_discs` share the files."""
+"""Settings of the references; `refinements` and `initial_radius` share the files."""
 FOLDER = Path("build/bench/methods")
 # Fresh photons are given the initial radius of references.
 _FRESH = pr.ProgressiveSettings(k=REFERENCES.k)

@@ -39,7 +39,7 @@ class Case:
 
     scene: pr.Scene
     points: np.ndarray
-    truth: np.ndarray
+    exact: np.ndarray
     radius: float
 
 
@@ -65,8 +65,8 @@ def sphere() -> Case:
     distance = np.repeat(np.linspace(0.25, 0.45, 9), 64)
     turn = np.tile(2 * np.pi * np.arange(64) / 64, 9)
     points = np.column_stack([distance * np.cos(turn), distance * np.sin(turn), 0 * turn])
-    truth = GlassSphere(gap=0.2, irradiance=0.8).irradiance_at(distance, orders=range(-1, 12))
-    return Case(gallery.scene("sphere"), points, truth, 0.08)
+    exact = GlassSphere(gap=0.2, irradiance=0.8).irradiance_at(distance, orders=range(-1, 12))
+    return Case(gallery.scene("sphere"), points, exact, 0.08)
 
 
 @cache
@@ -132,7 +132,7 @@ def _first_pass(
 
 
 def _errors(case: Case, runs: list[pr.ProgressiveStatistics]) -> tuple[float, float, float]:
-    one, other = (run.irradiance()[:, 0] / case.truth - 1.0 for run in runs)
+    one, other = (run.irradiance()[:, 0] / case.exact - 1.0 for run in runs)
     total = np.sqrt((one**2 + other**2).mean() / 2)
     noise = np.sqrt(((one - other) ** 2).mean() / 2)
     return total, noise, np.sqrt(max((one * other).mean(), 0.0))

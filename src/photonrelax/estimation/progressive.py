@@ -54,7 +54,7 @@ class ProgressiveSettings:
     Notes
     -----
     The defaults are a compromise: small discs keep filaments, large ones are less noisy where light
-    is smooth or photons are random. ``python -m bench first-discs`` prints relative L1 errors of
+    is smooth or photons are random. ``python -m bench initial-radius`` prints relative L1 errors of
     the caustic, 256 x 256 pixels of 2 x 2 samples, by k and the number of passes that photons are
     split into; last, noise and bias of the reference:
 
