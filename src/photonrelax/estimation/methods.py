@@ -1,4 +1,4 @@
-"""The methods: one record each, and the call that prepares one for irradiance anywhere.
+"""Table of methods, a record each, and preparation of a method's field of irradiance.
 
 A new method is its module and one `Method` among the records here, or one handed to `register`.
 A new stage with settings of its own is one line in `StageSettings`.
@@ -66,7 +66,7 @@ def irradiance_field(
     progress: Progress | None = None,
     **settings: Unpack[StageSettings],
 ) -> PhotonField:
-    """Do a method's preparation once; the result gives irradiance anywhere.
+    """Field of irradiance at any points, prepared once by a method.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def _parameterised(inputs: MethodInput) -> PhotonField:
     relax = inputs.settings.of(RelaxSettings)
     used = {"structure": asdict(settings), "relax": asdict(relax)}
     return _relaxed(
-        inputs, lambda **how: detect_structure(inputs.photons, settings, **how), relax, used
+        inputs, lambda **options: detect_structure(inputs.photons, settings, **options), relax, used
     )
 
 
@@ -219,7 +219,7 @@ def _relaxation(inputs: MethodInput) -> PhotonField:
     relax = replace(relax, n_iterations=(0, sum(relax.n_iterations)))
     used = {"gradient": asdict(settings), "relax": asdict(relax)}
     return _relaxed(
-        inputs, lambda **how: detect_gradient(inputs.photons, settings, **how), relax, used
+        inputs, lambda **options: detect_gradient(inputs.photons, settings, **options), relax, used
     )
 
 
@@ -230,11 +230,11 @@ def _relaxed(
     used: dict[str, Any],
 ) -> PhotonField:
     """Field of photons relaxed as far as the structure detected allows."""
-    how: dict[str, Any] = {"n_threads": inputs.n_threads, "progress": inputs.progress}
+    options: dict[str, Any] = {"n_threads": inputs.n_threads, "progress": inputs.progress}
     started = perf_counter()
-    structure = detect(**how)
+    structure = detect(**options)
     detected = perf_counter()
-    relaxed = relax_photons(inputs.photons, structure, relax, scene=inputs.scene, **how)
+    relaxed = relax_photons(inputs.photons, structure, relax, scene=inputs.scene, **options)
     return IrradianceField(
         relaxed,
         inputs.settings.of(GatherSettings),

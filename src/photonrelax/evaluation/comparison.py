@@ -230,7 +230,7 @@ def _entry(run: Run, reference: Reference) -> Entry:
 
 
 def run_methods(request: ComparisonRequest, *, progress: Progress | None = None) -> Runs:
-    """Do all of `compare` that needs no reference; parameters and exceptions are the same."""
+    """Runs of all methods, without errors; parameters and exceptions are those of `compare`."""
     return _Workbench(request, _trace(request, progress), progress).runs()
 
 

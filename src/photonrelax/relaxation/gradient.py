@@ -72,9 +72,9 @@ def detect_gradient(
     n_threads: int | None = None,
     progress: Progress | None = None,
 ) -> Structure:
-    """Find how strongly each photon must be kept from moving along the gradient of flux density.
+    """Constraint of each photon's moves along the gradient of flux density, and its direction.
 
-    That of the density of photons, which is the same where all carry equal flux.
+    The gradient is that of the density of photons, the same where all carry equal flux.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def detect_gradient(
         inputs = _structure.StructureInputs(
             rows=leaf_rows(tree, rows), normal=photons.normal, range_radius=facing, reach=None
         )
-        how = {"k": settings.k, "gain": settings.gain, "n_threads": threads}
+        options = {"k": settings.k, "gain": settings.gain, "n_threads": threads}
         for first, end in report.chunks(len(tree)):
-            _structure.detect(tree.kernel, first, end, inputs, found, **how)
+            _structure.detect(tree.kernel, first, end, inputs, found, **options)
     return Structure(**found, emitter_range=None)

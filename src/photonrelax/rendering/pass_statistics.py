@@ -77,7 +77,7 @@ class PassState:
     def from_arrays(
         cls, arrays: dict[str, NDArray], settings: PassSettings, n_threads: int
     ) -> PassState:
-        """The state that `arrays` was called of."""
+        """State of which `arrays` are the arrays."""
         prefix = "seen_"
         combined = {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
         if "radius" not in arrays:

@@ -193,7 +193,7 @@ def _locked(state: str | os.PathLike[str] | None) -> Iterator[None]:
 def _loop(
     run: _Run, stop: _StopCondition, checkpointer: _Checkpointer, progress: Progress | None
 ) -> None:
-    """Do passes until the run ends, and save it at intervals and whatever ends it."""
+    """Do passes until the run ends; save it at intervals, at the end, and on any error."""
     started = perf_counter()
     try:
         # At least one pass is done, however short the time.
@@ -326,7 +326,7 @@ class _Run:
         return {"n_passes": done.n_passes, "n_stored": done.n_stored, **done.state.arrays()}
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
-        """Continue after the passes that `arrays` was called of."""
+        """Continue after the passes saved as `arrays`."""
         state = PassState.from_arrays(arrays, self._settings, self._view.n_threads)
         self._completed = _Completed(int(arrays["n_passes"]), int(arrays["n_stored"]), state)
 

@@ -33,7 +33,7 @@ cdef class MaxInRadius:
     ----------
     tree : Tree
     values : (n_blocks, c, 16) float64 array
-        Values of the photons at each place.
+        Values of the photons, in tree order.
     range_radius : float
         Radius of the ball over the tree's range axes; negative for none.
     """

@@ -40,7 +40,7 @@ cdef class TangentPhotons:
     tree : Tree
         Its first three axes are positions.
     rows : (n,) intp array
-        Row of the photon at each place.
+        Rows of the photons, in tree order.
     towards : (m, 3) float64 array or None
         Directions towards the origin of the light; None projects along the normal of the plane.
     columns : (m, c) float64 array
@@ -64,7 +64,7 @@ cdef class TangentPhotons:
 
 
 cdef bint fit(TangentPhotons photons, EvaluationPoints points, Py_ssize_t n_columns):
-    """Whether points have all axes of the photons' tree, and photons at least these columns."""
+    """True if points have all axes of the photons' tree, and photons at least these columns."""
     return points.queries.shape[1] >= photons.tree.n_axes and (
         photons.columns.shape[1] in (n_columns, 4)
     )

@@ -130,7 +130,7 @@ cdef class RadiusGather:
     values : (m, c) float64 array
         Summands.
     rows : (n,) intp array
-        Row of the photon at each place of the tree.
+        Rows of the photons, in tree order.
     kernel : int
         CONSTANT, CONE or EPANECHNIKOV of nearest.pyx.
     normal_range : float

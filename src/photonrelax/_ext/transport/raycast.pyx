@@ -1,7 +1,7 @@
 """Conversion of rays to embree's float32 frame, and refinement of embree's hits in float64.
 
-Embree works in float32 and only tells which triangle a ray hits; the intersection is computed here
-in float64, from the original ray. Every loop body writes row i only.
+Embree works in float32 and only names the triangle that a ray hits; the intersection is computed
+here in float64, from the original ray. Every loop body writes row i only.
 """
 
 cimport cython

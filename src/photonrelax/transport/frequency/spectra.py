@@ -190,7 +190,7 @@ class _Step:
 
 
 def _path_events(steps: list[_Step], n: int, is_diffuse: NDArray[np.bool_]) -> PathEvents:
-    """Collect the steps of n paths; flags tell which objects are diffuse."""
+    """Collect the steps of n paths; `is_diffuse` (n_objects,) flags objects."""
     events = PathEvents(
         np.full((n, len(steps)), -1, dtype=np.int32),
         np.zeros((n, len(steps)), dtype=bool),
