@@ -94,7 +94,7 @@ class HalfEmitter(Emitter):
 
 
 def test_an_emitter_is_one_class(scene):
-    """Photons, direct light and pictures are those of a point emitter of half the power."""
+    """Photons, direct light and images are those of a point emitter of half the power."""
     lit = [
         pr.Scene(scene.objects, [emitter], scene.camera)
         for emitter in (HalfEmitter((0.3, 0.2, 3.0)), pr.PointEmitter((0.3, 0.2, 3.0)))

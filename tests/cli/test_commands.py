@@ -175,7 +175,7 @@ def test_a_folder_that_takes_no_files_is_an_error_before_the_work(small_map, no_
         (OSError("disk full"), "disk full"),
     ],
 )
-def test_what_goes_wrong_is_told_in_one_line(error, message, tmp_path, capsys, monkeypatch):
+def test_errors_are_printed_in_one_line(error, message, tmp_path, capsys, monkeypatch):
     def fails(*_, **__):
         raise error
 

@@ -14,7 +14,7 @@ from tests.helpers.photon_maps import flat_map, plane, uniform_map, unit_square
 
 
 def landed(photons, point, normal):
-    """Where on the tangent plane photons would have landed (SSO08 Eq. A1–A2), and if at all."""
+    """Photons projected on the tangent plane (SSO08 Eq. A1–A2), and flags of those that land."""
     apart = photons.position - point
     above = (photons.wi * photons.normal).sum(axis=1) > 0.0
     towards = np.where(above[:, None], photons.wi, photons.normal)
@@ -161,11 +161,11 @@ def test_a_linear_field_is_kept(method):
     photons = flat_map(np.column_stack([np.sqrt(uv[:, 0]), uv[:, 1]]), 60_000)
     points, normals = plane(np.random.default_rng(1).uniform(0.1, 0.9, (8000, 2)))
     strip = np.digitize(points[:, 0], np.linspace(0.1, 0.9, 9)) - 1
-    truth = np.bincount(strip, 2 * points[:, 0])
+    expected = np.bincount(strip, 2 * points[:, 0])
     for settings in (None, replace(LOCAL, bandwidth=0.05)):
         field = pr.irradiance_field(photons, method=method, diffusion=settings)
         sums = np.bincount(strip, field(points, normals)[:, 0])
-        np.testing.assert_allclose(sums, truth, rtol=0.01)
+        np.testing.assert_allclose(sums, expected, rtol=0.01)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -191,11 +191,11 @@ def test_light_is_projected_along_its_direction_over_a_crease():
     x, y = np.random.default_rng(0).uniform([0.0, -0.3], [0.04, 0.3], (1000, 2)).T
     points = np.column_stack([x, y, -slope * x])
     normals = np.tile([slope, 0.0, 1.0], (1000, 1))
-    truth = np.cos(np.radians(25.0))
+    expected = np.cos(np.radians(25.0))
     never = replace(LOCAL, edge_threshold=np.inf)
-    along = DiffusionField(photons, never)(points, normals)[:, 0] / truth
+    along = DiffusionField(photons, never)(points, normals)[:, 0] / expected
     np.testing.assert_allclose(along, 1.0, atol=0.02)
-    upright = DiffusionField(photons.replace(wi=None), never)(points, normals)[:, 0] / truth
+    upright = DiffusionField(photons.replace(wi=None), never)(points, normals)[:, 0] / expected
     assert upright.mean() > 1.05
 
 
@@ -214,7 +214,7 @@ def test_rotation_place_unit_and_order_do_not_matter(method, settings):
     scaled = replace(settings, bandwidth=scale * settings.bandwidth)
     field = pr.irradiance_field(moved, method=method, diffusion=scaled)
     other = field(scale * points @ q.T + shift, normals @ q.T)
-    # Rounding may tell two photons apart that are as far.
+    # Rounding may order two photons at the same distance.
     np.testing.assert_allclose(scale**2 * other, one, rtol=1e-6)
 
 
@@ -258,14 +258,14 @@ def test_other_faces_do_not_matter():
     assert (DiffusionField(top, LOCAL)(points, -normals) == 0.0).all()
 
 
-# --- what is told and refused ------------------------------------------------------------------
+# --- reports and refusals -----------------------------------------------------------------------
 
 
-def test_fields_tell_what_they_did():
+def test_fields_report_their_stages_and_settings():
     said = []
 
-    def progress(*told):
-        said.append(told)
+    def progress(*report):
+        said.append(report)
 
     photons = uniform_map(3000, "random")
     for normalisation, stages in (("local", ["gradient"]), ("maximum", ["gradient", "normalise"])):

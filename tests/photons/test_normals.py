@@ -49,7 +49,7 @@ def test_roundings_do_not_make_faces():
     np.testing.assert_array_equal(face, np.arange(3).repeat(200))
 
 
-def test_many_normals_are_not_told_apart():
+def test_many_normals_are_not_separated():
     assert normals_kernel.group_normals(random_directions(65), 64)[0] is None
 
 

@@ -86,7 +86,7 @@ def test_photons_end_where_rays_would_put_them(scene, side):
 
 @pytest.fixture
 def rays_cast(monkeypatch):
-    """How many rays each call of embree was for."""
+    """Numbers of rays in the calls of embree."""
     counts, find = [], RayCaster.find
 
     def counted(self, origins, directions):

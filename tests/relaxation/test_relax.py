@@ -189,8 +189,8 @@ def test_however_few_photons_are_put_back_on_a_floor_as_if_it_were_not_there(n):
 @pytest.mark.parametrize("same_object", [True, False])
 def test_a_sheet_close_above_neither_takes_nor_blocks_photons(gap, same_object):
     floor, above = square(), square(gap)
-    joined = trimesh.util.concatenate([floor, above])
-    scene = scene_of(joined) if same_object else scene_of(floor, above)
+    both = trimesh.util.concatenate([floor, above])
+    scene = scene_of(both) if same_object else scene_of(floor, above)
     photons = uniform_map(4000, "random").replace(object_id=np.zeros(4000, dtype=int))
     after = relaxed(photons, scene).position
     assert (after[:, 2] == 0.0).all()

@@ -100,7 +100,7 @@ def test_a_run_goes_on_over_passes_that_store_nothing(ring, stochastic, tmp_path
 
 
 def test_passes_that_store_nothing_count_as_such(ring, monkeypatch):
-    """A third of what the third pass tells alone."""
+    """A third of the image of the third pass alone."""
     store_nothing(monkeypatch, 2)
     three = pr.render_progressive(ring, n_passes=3, **FEW).layers["caustic"]
     monkeypatch.setattr(progressive_render, "pass_seed", lambda seed, number: pass_seed(seed, 2))

@@ -1,4 +1,4 @@
-"""What every path of the search finds is what a sort of all distances finds, bit for bit."""
+"""Every path of the search finds the neighbours of a sort of all distances, bit for bit."""
 
 import numpy as np
 import pytest
@@ -244,7 +244,7 @@ def test_ties_are_broken_by_id_across_many_blocks(path, k):
 @on_each_path
 @pytest.mark.parametrize("k", [3, 16, 17, 40])
 def test_density_that_jumps_from_batch_to_batch(path, k):
-    """What one batch found is no guide to the next: too little by far, or too much."""
+    """Radii of one batch are no guess for the next: too small by far, or too large."""
     rng = np.random.default_rng(k)
     sparse, dense = rng.random((40, 16, 3)), 1e-6 * rng.random((40, 16, 3))
     places = 2.0 * np.arange(40)[:, np.newaxis, np.newaxis] * [1.0, 0.0, 0.0]
@@ -314,7 +314,7 @@ def test_searches_of_a_refitted_tree_equal_those_of_a_new_one(path, n):
 
 
 def moved(tree, guess, k=16, reach=None):
-    """Return new positions and squared radii, by place, of free photons in the plane z = 0."""
+    """New positions and squared radii, in tree order, of free photons in the plane z = 0."""
     n = tree.n_points
     squared_radius = np.array(np.broadcast_to(guess, n), dtype=float)
     inputs = relax.RelaxInputs(

@@ -46,7 +46,7 @@ def at(tilt, distance, power=(1.0, 2.0, 3.0)):
 
 
 def impact(rays):
-    """How far each ray's line passes from the ball's centre."""
+    """Distance of each ray's line from the ball's centre."""
     return np.linalg.norm(np.cross(CENTRE - rays.origin, rays.direction), axis=1)
 
 
