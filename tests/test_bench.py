@@ -208,7 +208,7 @@ def test_tables_show_medians_the_fastest_peer_and_nothing_unmeasured():
     assert "| all neighbours, K = 50 | 1 s | fast | 20 s | 20× |" in cpu
 
 
-def test_degenerate_photons_stand_beside_a_caustic():
+def test_degenerate_photons_are_compared_with_a_caustic():
     times = {"generic: gathering": 2.0, "lattice: gathering": 3.0, "generic: structure": 1.0}
     degenerate = {name: Timing([seconds], [seconds]) for name, seconds in times.items()}
     text = report.Report(863_000, 1, "here", degenerate=degenerate).markdown()
@@ -307,7 +307,7 @@ def test_figure_7_has_the_distance_of_the_eigenvalues_from_a_gaussian(tmp_path):
     assert "| mean | 0.2219 | 0.22" in figure7.markdown(found)
 
 
-def test_frequency_stands_beside_progressive_in_every_region():
+def test_frequency_is_compared_with_progressive_in_every_region():
     text = frequency.markdown(
         [20_000], samplers=("random",), n_seeds=1, passes=4, n_reference=50_000
     )

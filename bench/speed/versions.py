@@ -1,4 +1,4 @@
-"""Every stage beside another build of photonrelax, that of another Python interpreter.
+"""Every stage compared with another build of photonrelax, that of another interpreter.
 
 ``python -m bench versions --other PYTHON`` starts a process of each interpreter and times tasks
 in turns: a busy machine slows both alike. Photons and hit points are the same for both, from a

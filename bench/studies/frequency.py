@@ -1,4 +1,4 @@
-"""Frequency-driven beside progressive photon mapping of the same photons, on `reflector`.
+"""Frequency-driven compared with progressive photon mapping, same photons, on `reflector`.
 
 Errors on the floor, by the variation of irradiance around each point.
 """

@@ -28,8 +28,8 @@ from photonrelax.imaging.metrics import check_installed, relative_l1
 
 SCENES = ("prism", "ring", "ripples", "shapes")
 SAMPLERS = ("halton", "random")
-# Measured beside the methods with their default settings. SJ13's diffusion is that of SSO08 with
-# eigenvalues over the largest of the map.
+# Measured in addition to the methods with their default settings. SJ13's diffusion is that of
+# SSO08 with eigenvalues over the largest of the map.
 VARIANTS = {
     "standard, K = 50": ("standard", Settings(gather=pr.GatherSettings(k=50))),
     "parameterised, 3 + 3": (

@@ -34,7 +34,7 @@ MOST_CONTRAST = 1.45
 class Case:
     """A scene, points (m, 3) of its floor away from singularities, their irradiance (m,), W/m².
 
-    With an initial `radius`, m, at which bias is seen beside noise.
+    With an initial `radius`, m, at which bias is seen against noise.
     """
 
     scene: pr.Scene

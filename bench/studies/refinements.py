@@ -1,4 +1,4 @@
-"""Refinements of standard estimates beside relaxations: relative L1, the best of several k."""
+"""Refinements of standard estimates compared with relaxations: least relative L1 of several k."""
 
 from __future__ import annotations
 

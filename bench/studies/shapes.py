@@ -267,7 +267,7 @@ def _comparison(adaptive: dict[str, Measures], seeds: int) -> str:
         ]
         rows.append([name, f"{found.line:.1%}", *cells])
     titles = ["line kept", "best standard estimate of equal noise", "best of the refined"]
-    return markdown_table(["beside", *titles], rows)
+    return markdown_table(["compared with", *titles], rows)
 
 
 def save(path: Path, pixels: int = 300) -> None:
