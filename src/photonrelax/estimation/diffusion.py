@@ -61,12 +61,8 @@ class DiffusionSettings:
     SSO08 (§7) has a fixed bandwidth, one that "reduces noise to an acceptable level" (``k=None,
     bandwidth=…, normalisation="maximum"``), and q from 0.8 to 0.1.
 
-    The default normalisation and q are neither paper's, but measured. Over the largest eigenvalue
-    next to nothing of a caustic with a bright focus is an edge, and kernels stay round: on `ring`,
-    95,000 random photons, relative L1 is 0.34 with SJ13's q, against 0.13 with the same q and
-    "local", as noise becomes structure, and 0.09 with 0.5 and "local"; the best k-nearest estimate
-    has 0.20. On `prism`, 93,000 Halton photons, it is 0.51, 0.29 and 0.30, and the best k-nearest
-    is ahead with 0.21, as 500 photons reach over its shards.
+    The default normalisation and q are neither paper's: docs/methods/diffusion.md has the errors
+    measured with theirs and with these.
 
     Attributes
     ----------

@@ -16,15 +16,8 @@ brightness. At a straight edge to darkness the neighbourhood is a half disc, who
 
     constraint = min(1, gain · 3π/4 · |m|).
 
-Noise has a mean shift too and, as in the original, nothing is done about it: in uniform light k
-independent photons have a constraint of mean gain · 1.48/√k in any direction. With a gain of one it
-does little harm. Measured with 50,000 random photons a square metre and K = 15 for gathering, 14
-iterations bring the noise of uniform light from 32 % to 10.5 %, with hardly any constraint to
-9.3 %. A gain of 2 leaves 13.9 %, one of 4 leaves 19.8 %: the contouring of SJ13 §3. Around a line
-12 mm wide and ten times as bright as what it lies on, errors are 54 %, 44 % and 46 % of the mean
-for gains of 1, 2 and 4. Fewer photons in the neighbourhood are noisier (11.1 % for k = 25), more
-do not see the line (61 % for k = 100); k = 50 lies between, and is SJ13's number for its own
-structure.
+Noise has a mean shift too and, as in the original, nothing is done about it; errors measured
+for gains and numbers of photons are in docs/methods/relaxation.md.
 """
 
 from __future__ import annotations
