@@ -38,13 +38,14 @@ class MeanField(PhotonField):
 
 
 def mean_field(inputs):
-    return MeanField(inputs.photons, inputs.settings.of(MeanSettings))
+    return MeanField(inputs.photons, inputs.settings.of("mean"))
 
 
 @pytest.fixture
 def mean_method(monkeypatch):
-    monkeypatch.setitem(methods.METHODS, "mean", None)
-    monkeypatch.setitem(methods.SETTINGS_CLASSES, "mean", None)
+    for known in (methods.METHODS, methods.SETTINGS_CLASSES):
+        monkeypatch.setitem(known, "mean", None)  # to be deleted afterwards
+        del known["mean"]
     methods.register(methods.Method("mean", ("mean",), mean_field), mean=MeanSettings)
 
 
@@ -70,6 +71,24 @@ def test_a_method_is_its_module_and_one_record(scene, tmp_path):
     options = ("--methods", "mean", "standard", "--reference-passes", "1", "-o", str(folder))
     assert commands.main(["compare", "ring", *options, *size, "--reference-photons", "2000"]) == 0
     assert (folder / "mean.exr").exists()
+
+
+@pytest.mark.usefixtures("mean_method")
+def test_names_of_methods_and_stages_are_taken_once():
+    mean = methods.METHODS["mean"]
+    methods.register(mean, mean=MeanSettings)
+    with pytest.raises(ValueError, match="method 'standard' should have a name of its own"):
+        methods.register(methods.Method("standard", ("mean",), mean_field))
+    with pytest.raises(ValueError, match="stage 'gather' should have a name of its own"):
+        methods.register(mean, gather=MeanSettings)
+    assert methods.SETTINGS_CLASSES["gather"] is pr.GatherSettings
+
+
+@pytest.mark.usefixtures("mean_method")
+def test_stages_that_share_a_class_have_settings_of_their_own(monkeypatch):
+    monkeypatch.setitem(methods.SETTINGS_CLASSES, "mode", MeanSettings)
+    given = methods.Settings(mean=MeanSettings(2.0), mode=MeanSettings(3.0))
+    assert (given.of("mean").factor, given.of("mode").factor) == (2.0, 3.0)
 
 
 @dataclass(frozen=True)
