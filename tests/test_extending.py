@@ -13,6 +13,7 @@ from photonrelax.estimation.field import PhotonField
 from photonrelax.rendering import layers
 from photonrelax.scene.emission_region import cap_region, start_distance
 from photonrelax.scene.emitters import DirectLight, Emitter
+from photonrelax.scene.materials import Material, MaterialRow
 from tests.helpers.photon_maps import uniform_map
 
 
@@ -110,6 +111,31 @@ class HalfEmitter(Emitter):
         return DirectLight(
             offset / distance[:, None], distance, np.repeat(irradiance[:, None], 3, axis=1)
         )
+
+
+@dataclass(frozen=True)
+class HalfMirror(Material):
+    """A mirror that reflects half of the light."""
+
+    def row(self):
+        return MaterialRow("mirror", reflectance=np.full(3, 0.5))
+
+
+def test_a_material_is_one_class(scene):
+    """Pictures are those of a mirror of half the reflectance."""
+    floor = scene.objects[0]
+    metal = next(item for item in scene.objects if item.material.is_specular)
+    ours, expected = (
+        pr.render(
+            pr.Scene([floor, pr.SceneObject(metal.mesh, material)], scene.emitters, scene.camera),
+            n_emitted=2000,
+            method="standard",
+        )
+        for material in (HalfMirror(), pr.Mirror(0.5))
+    )
+    assert expected.layers["caustic"].max() > 0.0
+    for name, layer in expected.layers.items():
+        np.testing.assert_array_equal(ours.layers[name], layer, err_msg=name)
 
 
 def test_an_emitter_is_one_class(scene):
