@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import norm
 
+from bench.markdown import markdown_table
 from bench.speed.inputs import Floats
-from photonrelax.evaluation.report.markdown import markdown_table
 from photonrelax.relaxation import structure as st
 
 K = 100

@@ -17,10 +17,10 @@ from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 import photonrelax as pr
 from bench.arguments import numbers
+from bench.markdown import markdown_table
 from bench.speed import machine
 from bench.speed.inputs import Floats
 from photonrelax import gallery
-from photonrelax.evaluation.report.markdown import markdown_table
 
 METHODS = ("progressive", "frequency")
 # The floor in front of the strip, in cells, m.

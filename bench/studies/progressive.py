@@ -16,9 +16,9 @@ from tests.analytic.glass_sphere import GlassSphere
 from tests.analytic.metal_ring import MetalRing
 
 import photonrelax as pr
+from bench.markdown import markdown_table
 from photonrelax import gallery
 from photonrelax.estimation.progressive import initial_radius
-from photonrelax.evaluation.report.markdown import markdown_table
 from photonrelax.rendering.progressive_render import pass_seed
 from photonrelax.transport.raycast import RayCaster
 

@@ -17,9 +17,10 @@ from pathlib import Path
 import numpy as np
 
 import photonrelax as pr
+from bench.markdown import markdown_table
 from bench.speed.inputs import Floats
+from bench.studies.fields import field_with
 from photonrelax import gallery
-from photonrelax.evaluation.report.markdown import markdown_table
 from photonrelax.gallery import shapes as layout
 from photonrelax.gallery.photon_pattern import PhotonPattern
 from photonrelax.imaging.metrics import relative_l1
@@ -48,8 +49,7 @@ class Estimate:
     settings: object
 
     def prepare(self, photons: pr.PhotonMap) -> Callable[[Floats, Floats], Floats]:
-        name = "gather" if self.method == "standard" else "diffusion"
-        return pr.irradiance_field(photons, method=self.method, **{name: self.settings})
+        return field_with(photons, self.method, self.settings)
 
 
 @dataclass(frozen=True)
