@@ -25,6 +25,11 @@ def ball(radius, centre, subdivisions=3):
     return mesh
 
 
+def scene_of(*meshes):
+    """A scene of diffuse meshes under light from above."""
+    return pr.Scene([pr.SceneObject(mesh, pr.Diffuse()) for mesh in meshes], [DOWN])
+
+
 def floor(size=4.0, albedo=0.8):
     return pr.SceneObject(sheet(size), pr.Diffuse(albedo))
 
