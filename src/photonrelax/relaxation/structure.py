@@ -206,7 +206,7 @@ def emitter_range(photons: PhotonMap, settings: StructureSettings) -> Floats | N
     return settings.range_scale * np.sqrt(settings.k / (np.pi * density))
 
 
-def principal_components(offsets: Floats, *, n_threads: int | None = None) -> tuple[Floats, Floats]:
+def principal_components(offsets: Floats) -> tuple[Floats, Floats]:
     """Return the principal components of sets of points in a plane (SJ13 §4.3.1).
 
     Parameters
@@ -228,7 +228,7 @@ def principal_components(offsets: Floats, *, n_threads: int | None = None) -> tu
     """
     array = validation.float_array(offsets, "offsets", (None, None, 2))
     validation.count(array.shape[1], "k, the second axis of offsets,")
-    return _structure.principal_components(array, thread_count(n_threads))
+    return _structure.principal_components(array, thread_count(None))
 
 
 def chosen(array: NDArray | None, rows: validation.Rows) -> NDArray | None:
