@@ -90,11 +90,11 @@ def counted_reference(floor: Floor, passes: int, n_emitted: int) -> Floats:
     return total / passes
 
 
-def tracing(scene: str, n: int, sampler: str, seed: int = 0) -> Callable[[], pr.PhotonMap]:
+def tracing(scene: str, n: int, sampler: str) -> Callable[[], pr.PhotonMap]:
     """Return a call that traces about n photons."""
     built = gallery.scene(scene)
     share = len(pr.trace_photons(built, 20_000)) / 20_000
-    return partial(pr.trace_photons, built, int(n / share), seed=seed, sampler=sampler)
+    return partial(pr.trace_photons, built, int(n / share), sampler=sampler)
 
 
 def best(
