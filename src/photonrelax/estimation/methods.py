@@ -308,7 +308,7 @@ def _check_new(what: str, added: Mapping[str, object], known: Mapping[str, objec
     for name, value in added.items():
         if known.get(name, value) != value:
             raise ValueError(
-                f"{what} {name!r} should have a name of its own, but is {known[name]!r} already"
+                f"{what} {name!r} should have a name of its own, but {known[name]!r} has that"
             )
 
 
