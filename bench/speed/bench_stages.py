@@ -10,7 +10,7 @@ ALTERNATIVES = [(task, who) for task, row in TASKS.items() for who in (*row.peer
 
 
 @pytest.mark.parametrize(("task", "who"), ALTERNATIVES)
-def test_task(timed, workbench, n, n_threads, task, who):
+def test_task(timed, workbench, n, n_threads, *, task, who):
     try:
         case = workbench.case(task, who)
     except peers.UnavailableError as error:

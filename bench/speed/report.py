@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Any, NamedTuple
 
+from bench.markdown import markdown_table
 from bench.speed import inputs
 from bench.speed.timing import Timing
-from photonrelax.evaluation.report.markdown import markdown_table
 
 Results = dict[str, Timing]
 

@@ -14,6 +14,7 @@ import numpy as np
 
 import photonrelax as pr
 from bench.arguments import numbers
+from bench.markdown import markdown_table
 from bench.speed import machine
 from photonrelax.estimation.methods import Settings
 from photonrelax.evaluation import ComparisonRequest, Entry, compare, gallery_subject
@@ -23,7 +24,6 @@ from photonrelax.evaluation.reference import (
     cached_reference,
     uncertainty_of,
 )
-from photonrelax.evaluation.report.markdown import markdown_table
 from photonrelax.imaging.metrics import check_installed, relative_l1
 
 SCENES = ("prism", "ring", "ripples", "shapes")

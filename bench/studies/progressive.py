@@ -16,9 +16,9 @@ from tests.analytic.glass_sphere import GlassSphere
 from tests.analytic.metal_ring import MetalRing
 
 import photonrelax as pr
+from bench.markdown import markdown_table
 from photonrelax import gallery
 from photonrelax.estimation.progressive import initial_radius
-from photonrelax.evaluation.report.markdown import markdown_table
 from photonrelax.rendering.progressive_render import pass_seed
 from photonrelax.transport.raycast import RayCaster
 
@@ -92,16 +92,9 @@ SAMPLERS = ("random", "halton")
 THEORY = {"total": "", "noise": f"{-ALPHA / 2:.2f}", "bias": f"{ALPHA - 1:.2f}"}
 
 
-def converge(
-    case: Case,
-    n_passes: int,
-    photons_per_pass: int,
-    *,
-    sampler: str = "halton",
-    settings: pr.ProgressiveSettings | None = None,
-) -> Errors:
+def converge(case: Case, n_passes: int, photons_per_pass: int, *, sampler: str) -> Errors:
     """Return the errors after 1, 2, 4, … passes."""
-    settings = settings or pr.ProgressiveSettings(alpha=ALPHA, radius=case.radius)
+    settings = pr.ProgressiveSettings(alpha=ALPHA, radius=case.radius)
     caster = RayCaster(case.scene.objects)
     runs: list[pr.ProgressiveStatistics] = []
     wanted, found = [2**i for i in range(n_passes.bit_length())], []

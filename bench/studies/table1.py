@@ -8,8 +8,8 @@ from time import perf_counter
 from typing import Any
 
 import photonrelax as pr
+from bench.markdown import markdown_table
 from bench.speed import inputs, machine
-from photonrelax.evaluation.report.markdown import markdown_table
 
 # Rows of the table by stage; every other stage of a method counts as feature detection.
 _FEATURES = "structure (feature detect)"

@@ -145,7 +145,7 @@ def no_work(monkeypatch):
     ],
 )
 def test_statistics_go_to_a_file_of_their_own(
-    stats, complaint, small_map, no_work, tmp_path, capsys
+    stats, complaint, small_map, no_work, *, tmp_path, capsys
 ):
     (tmp_path / "link.json").symlink_to(tmp_path / "a.exr")
     maps = ("--photon-map", tmp_path / "photons.npz")

@@ -329,7 +329,7 @@ def test_constraints_are_those_of_sj13_where_they_are_known(
 
 def test_constrained_photons_are_red(comparison):
     red = np.array([[0.0, 1.0]])
-    colours = images._constraint_colours(red)[0]
+    colours = images._constraint_colours(red)[0][0]
     assert np.ptp(colours[0]) == 0.0
     assert colours[1, 0] > 10 * colours[1, 1]
 

@@ -8,13 +8,7 @@ import photonrelax as pr
 from photonrelax.relaxation import projection
 from photonrelax.relaxation.projection import SurfaceProjector
 from photonrelax.transport.raycast import RayCaster
-
-
-def scene_of(*meshes):
-    return pr.Scene(
-        [pr.SceneObject(mesh, pr.Diffuse()) for mesh in meshes],
-        [pr.CollimatedEmitter(direction=(0, 0, -1))],
-    )
+from tests.helpers.tracing_scenes import scene_of
 
 
 def square(z=0.0):

@@ -6,6 +6,7 @@ import trimesh
 
 import photonrelax as pr
 from tests.helpers.photon_maps import flat_map, uniform_map, unit_square
+from tests.helpers.tracing_scenes import scene_of
 
 
 def relaxed(photons, scene=None, n_threads=None, **settings):
@@ -132,13 +133,6 @@ def test_rotation_turns_the_result_with_it():
     )
     np.testing.assert_allclose(
         relaxed(turned).position, relaxed(photons).position @ rotation.T, atol=1e-6
-    )
-
-
-def scene_of(*meshes):
-    return pr.Scene(
-        [pr.SceneObject(mesh, pr.Diffuse()) for mesh in meshes],
-        [pr.CollimatedEmitter(direction=(0, 0, -1))],
     )
 
 

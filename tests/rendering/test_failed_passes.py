@@ -23,7 +23,9 @@ PLACES = {
 @pytest.mark.parametrize("stochastic", [False, True])
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
 @pytest.mark.parametrize("where", PLACES)
-def test_errors_and_ctrl_c_keep_whole_passes(ring, where, error, stochastic, tmp_path, monkeypatch):
+def test_errors_and_ctrl_c_keep_whole_passes(
+    ring, where, error, stochastic, *, tmp_path, monkeypatch
+):
     """In the middle of the third pass, long before an interval is over."""
     interrupt_call(monkeypatch, PLACES[where], where, error, number=3)
     state = pr.Checkpoints(state=tmp_path / "run.npz", interval=np.inf)

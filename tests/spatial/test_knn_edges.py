@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 import photonrelax as pr
 from tests.helpers import simd_paths
-from tests.spatial.test_knn import assert_nearest, assert_same, lattice, moved, nearest, uniform
+from tests.helpers.neighbours import nearest
+from tests.spatial.test_knn import assert_nearest, assert_same, lattice, moved, uniform
 
 on_each_path = simd_paths.each("path")
 

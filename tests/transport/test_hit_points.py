@@ -6,6 +6,7 @@ import trimesh
 
 import photonrelax as pr
 from photonrelax.scene.camera import pixel_rays
+from photonrelax.transport import hit_points
 from photonrelax.transport.direct_light import direct_irradiance
 from photonrelax.transport.hit_points import trace_hit_points
 from photonrelax.transport.raycast import RayCaster
@@ -36,6 +37,11 @@ def trace_view(objects, camera, **options):
     caster = RayCaster(scene.objects)
     options.setdefault("rows", range(camera.height))
     return trace_hit_points(scene, caster, camera, **options)
+
+
+def trace_weights_from(least, monkeypatch):
+    """Leave rays out only if they have less weight."""
+    monkeypatch.setattr(hit_points, "_MIN_WEIGHT", least)
 
 
 def one_ray(origin, target):
@@ -145,14 +151,15 @@ def test_a_mirror_shows_what_a_mirrored_camera_sees():
 
 
 @pytest.mark.parametrize("degrees", [0.0, 30.0, 75.0])
-def test_a_slab_transmits_what_all_its_internal_reflections_let_through(degrees):
+def test_a_slab_transmits_what_all_its_internal_reflections_let_through(degrees, monkeypatch):
+    trace_weights_from(1e-12, monkeypatch)
     thickness, ior, absorption = 0.5, 1.5, np.array([0.0, 0.4, 2.0])
     slab = box((-40, -40, 1), (40, 40, 1 + thickness), pr.Dielectric(ior, 1.0, absorption))
     angle = np.radians(degrees)
     toward = np.array([np.sin(angle), 0, -np.cos(angle)])
     start = np.array([0.1, 0.2, 1.7])
     camera = one_ray(start, start + toward)
-    points, _ = trace_view([slab, plane()], camera, max_depth=40, min_weight=1e-12)
+    points, _ = trace_view([slab, plane()], camera, max_depth=40)
 
     inner = np.arcsin(np.sin(angle) / ior)
     reflected = fresnel(np.cos(angle), 1.0, ior)
@@ -201,31 +208,34 @@ def test_a_smooth_mirror_ball_reflects_like_a_sphere():
 
 
 @pytest.mark.parametrize(("smooth", "fov"), [(False, 30), (True, 15)])
-def test_in_a_closed_room_weights_add_up_to_one(smooth, fov):
+def test_in_a_closed_room_weights_add_up_to_one(smooth, fov, monkeypatch):
     """White furnace: whatever glass does to the rays, radiance that is 1 everywhere stays 1.
 
     A crystal holds light for many reflections. A smooth ball is looked at away from its rim,
     where interpolated normals can hold light for ever.
     """
+    trace_weights_from(1e-6, monkeypatch)
     room = box((-6, -6, -6), (6, 6, 6), pr.Diffuse(1.0))
     mesh = trimesh.creation.icosphere(subdivisions=5 if smooth else 1)
     ball = pr.SceneObject(mesh, pr.Dielectric(1.5), smooth=smooth)
     camera = pr.Camera((4, 1, 2), (0, 0, 0), width=40, height=40, vertical_fov=fov)
-    points, first = trace_view([room, ball], camera, max_depth=300, min_weight=1e-6)
+    points, first = trace_view([room, ball], camera, max_depth=300)
     assert (first.depth < 4.6).mean() > 0.3
     assert len(points) > 1.5 * 40**2
     np.testing.assert_allclose(pixel_sums(points, camera), 1.0, atol=2e-5)
 
 
-def test_faint_rays_and_long_paths_are_left_out():
+def test_faint_rays_and_long_paths_are_left_out(monkeypatch):
+    trace_weights_from(1e-9, monkeypatch)
     slab = box((-40, -40, 1), (40, 40, 1.5), pr.Dielectric())
     camera = one_ray((0.1, 0.2, 3), (0.1, 0.2, 0))
     seen = {
-        depth: len(trace_view([slab, plane()], camera, max_depth=depth, min_weight=1e-9)[0])
+        depth: len(trace_view([slab, plane()], camera, max_depth=depth)[0])
         for depth in (0, 1, 2, 3, 4)
     }
     assert seen == {0: 0, 1: 0, 2: 1, 3: 1, 4: 2}
-    assert len(trace_view([slab, plane()], camera, max_depth=9, min_weight=0.5)[0]) == 0
+    trace_weights_from(0.5, monkeypatch)
+    assert len(trace_view([slab, plane()], camera, max_depth=9)[0]) == 0
 
 
 def test_bands_of_rows_and_threads_do_not_change_a_bit():

@@ -93,9 +93,7 @@ class HitPointStatistics:
         Number of passes.
     """
 
-    def __init__(
-        self, radius: Floats, n_channels: int, *, alpha: float = 0.7, n_threads: int = 1
-    ) -> None:
+    def __init__(self, radius: Floats, n_channels: int, *, alpha: float, n_threads: int) -> None:
         self.radius = radius.copy()
         self.n = np.zeros(len(radius))
         self.tau = np.zeros((len(radius), n_channels))
@@ -344,8 +342,6 @@ def initial_radius(
     positions: ArrayLike,
     normals: ArrayLike,
     settings: ProgressiveSettings | None = None,
-    *,
-    n_threads: int | None = None,
 ) -> Floats:
     """Initial radii (m,), m, at hit points; see `InitialRadius`.
 
@@ -357,5 +353,5 @@ def initial_radius(
     """
     positions = validation.float_array(positions, "positions", (None, 3))
     normals = validation.float_array(normals, "normals", positions.shape)
-    start = InitialRadius(photons, settings or ProgressiveSettings(), thread_count(n_threads))
+    start = InitialRadius(photons, settings or ProgressiveSettings(), thread_count(None))
     return start(positions, normals)

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from .._ext.relaxation import structure as _structure
 from .._ext.relaxation.structure import gradient_constraint
 from .._util import validation
+from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from ..photons.neighbourhoods import leaf_rows, neighbour_groups, photon_tree
@@ -54,8 +55,8 @@ class GradientSettings:
     gain: float = 1.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "k", validation.count(self.k, "GradientSettings.k", low=4))
-        object.__setattr__(self, "gain", validation.positive(self.gain, "GradientSettings.gain"))
+        set_field(self, "k", validation.count(self.k, "GradientSettings.k", low=4))
+        set_field(self, "gain", validation.positive(self.gain, "GradientSettings.gain"))
 
 
 def detect_gradient(

@@ -9,6 +9,7 @@ import numpy as np
 
 from .._ext.relaxation import relax as _relax
 from .._util import validation
+from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, Rows
@@ -56,13 +57,13 @@ class RelaxSettings:
         numbers = tuple(
             validation.count(n, "RelaxSettings.n_iterations", low=0) for n in iterations
         )
-        object.__setattr__(self, "n_iterations", numbers)
-        object.__setattr__(self, "k", validation.count(self.k, "RelaxSettings.k", low=4))
-        object.__setattr__(self, "step", validation.positive(self.step, "RelaxSettings.step"))
+        set_field(self, "n_iterations", numbers)
+        set_field(self, "k", validation.count(self.k, "RelaxSettings.k", low=4))
+        set_field(self, "step", validation.positive(self.step, "RelaxSettings.step"))
         largest = validation.positive(
             self.largest_step, "RelaxSettings.largest_step", allow_inf=True
         )
-        object.__setattr__(self, "largest_step", largest)
+        set_field(self, "largest_step", largest)
 
 
 def relax(

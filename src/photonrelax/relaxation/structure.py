@@ -17,6 +17,7 @@ from .._ext.relaxation.structure import (
     noise_attenuation,
 )
 from .._util import validation
+from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
@@ -62,13 +63,13 @@ class StructureSettings:
     reach_scale: float = 3.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "k", validation.count(self.k, "StructureSettings.k", low=4))
+        set_field(self, "k", validation.count(self.k, "StructureSettings.k", low=4))
         scale = validation.positive(self.range_scale, "StructureSettings.range_scale")
-        object.__setattr__(self, "range_scale", scale)
+        set_field(self, "range_scale", scale)
         reach = validation.positive(
             self.reach_scale, "StructureSettings.reach_scale", allow_inf=True
         )
-        object.__setattr__(self, "reach_scale", reach)
+        set_field(self, "reach_scale", reach)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,13 +115,13 @@ class Structure:
         n = len(self.constraint)
         shapes = {"eigenvalues": (n, 2), "constraint": (n,), "basis": (n, 2, 3), "radius": (n,)}
         for name, shape in shapes.items():
-            object.__setattr__(self, name, validation.float_array(getattr(self, name), name, shape))
+            set_field(self, name, validation.float_array(getattr(self, name), name, shape))
         for name in ("emitter_range", "reach"):
             if getattr(self, name) is not None:
                 array = validation.float_array(getattr(self, name), name, (n,), finite=False)
-                object.__setattr__(self, name, array)
+                set_field(self, name, array)
         n_found = validation.int_array(self.n_found, "n_found", (n,), np.int32)
-        object.__setattr__(self, "n_found", n_found)
+        set_field(self, "n_found", n_found)
         if n and not (self.constraint.min() >= 0.0 and self.constraint.max() <= 1.0):
             raise ValueError("constraint should lie in [0, 1]")
         if n and n_found.min() < 1:
@@ -205,7 +206,7 @@ def emitter_range(photons: PhotonMap, settings: StructureSettings) -> Floats | N
     return settings.range_scale * np.sqrt(settings.k / (np.pi * density))
 
 
-def principal_components(offsets: Floats, *, n_threads: int | None = None) -> tuple[Floats, Floats]:
+def principal_components(offsets: Floats) -> tuple[Floats, Floats]:
     """Principal components of sets of points in a plane (SJ13 §4.3.1).
 
     Parameters
@@ -227,7 +228,7 @@ def principal_components(offsets: Floats, *, n_threads: int | None = None) -> tu
     """
     array = validation.float_array(offsets, "offsets", (None, None, 2))
     validation.count(array.shape[1], "k, the second axis of offsets,")
-    return _structure.principal_components(array, thread_count(n_threads))
+    return _structure.principal_components(array, thread_count(None))
 
 
 def take_rows(array: NDArray | None, rows: validation.Rows) -> NDArray | None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from .._util import validation
 from .._util.files import check_writable, file_lock
+from .._util.frozen import set_field
 from .._util.progress import Progress
 from .._util.validation import check_seed
 from .._version import __version__
@@ -63,7 +64,7 @@ class Checkpoints:
 
     def __post_init__(self) -> None:
         interval = validation.positive(self.interval, "Checkpoints.interval", allow_inf=True)
-        object.__setattr__(self, "interval", interval)
+        set_field(self, "interval", interval)
 
 
 def render_progressive(

@@ -209,7 +209,12 @@ class RayCaster:
             np.empty(origins.shape, dtype=np.float32),
             np.empty(limits.shape, dtype=np.float32),
         )
-        bad = self.frame.to_embree(origins, directions, origin_normal, limits, *out)
+        bad = self.frame.to_embree(
+            *(origins, directions, origin_normal, limits),
+            out_origins=out[0],
+            out_directions=out[1],
+            out_limits=out[2],
+        )
         if bad >= 0:
             raise ValueError(
                 "origins and directions should be finite and directions not zero, but ray "

@@ -1,6 +1,7 @@
 """The evaluation points, photons and planes of tangent_plane.pxd."""
 
 from ..common.vec3 cimport orthonormal_frame
+from ..spatial.radius cimport ball
 
 from ..spatial.blocks import to_soa_blocks
 
@@ -75,7 +76,6 @@ cdef void open_plane(
 ) noexcept nogil:
     """Set the plane at one of the points."""
     cdef double bandwidth = points.bandwidth[i]
-    cdef double range_radius = photons.range_radius
     cdef Py_ssize_t axis
     plane.at = &points.queries[points.rows[i], 0]
     orthonormal_frame(plane.frame, plane.frame + 3, &points.normals[i, 0])
@@ -84,9 +84,4 @@ cdef void open_plane(
     plane.bandwidth = bandwidth
     plane.scale = 1.0 / bandwidth
     plane.towards = NULL if photons.towards is None else &photons.towards[0, 0, 0]
-    plane.bounds.low = plane.bounds.high = plane.at
-    plane.bounds.squared_limit = bandwidth * bandwidth
-    plane.bounds.squared_range = range_radius * range_radius if range_radius >= 0.0 else -1.0
-    plane.bounds.half_range = NULL
-    plane.bounds.n_metric = photons.tree.n_metric
-    plane.bounds.n_axes = photons.tree.n_axes
+    plane.bounds = ball(photons.tree, plane.at, bandwidth, photons.range_radius)

@@ -129,7 +129,7 @@ cdef class Move(BatchWork):
 
 
 def move(
-    Tree tree, Py_ssize_t first, Py_ssize_t end, RelaxInputs inputs, Py_ssize_t k, double step,
+    Tree tree, Py_ssize_t first, Py_ssize_t end, RelaxInputs inputs, *, Py_ssize_t k, double step,
     double[:, ::1] moved, int n_threads
 ):
     """Write the new positions of the photons at tree positions first … end, whole blocks.

@@ -36,7 +36,7 @@ cdef class EmbreeFrame:
 
     def to_embree(
         self, const double[:, ::1] origins, const double[:, ::1] directions,
-        const double[:, ::1] origin_normal, const double[::1] limits,
+        const double[:, ::1] origin_normal, const double[::1] limits, *,
         float[:, ::1] out_origins, float[:, ::1] out_directions, float[::1] out_limits,
     ):
         """Write rays in embree's frame; return the index of the first invalid one, or -1.
