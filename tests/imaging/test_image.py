@@ -101,16 +101,6 @@ def test_srgb_is_continuous_and_increasing():
     np.testing.assert_allclose(srgb([-1.0, 0.0, 2.0]), [0.0, 0.0, 1.0])
 
 
-def test_new_layers_need_no_more_than_their_name(layers, tmp_path):
-    """Of one capital letter for vectors; those of one value per pixel may be infinite."""
-    new = {"P": layers["N"] + 1.0, "age": np.full((HEIGHT, WIDTH), np.inf)}
-    pr.Image(layers | new).write_exr(tmp_path / "image.exr")
-    found = read_exr(tmp_path / "image.exr").layers
-    assert found.keys() == (layers | new).keys()
-    np.testing.assert_array_equal(found["P"], np.float32(new["P"]))
-    np.testing.assert_array_equal(found["age"], new["age"])
-
-
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [

@@ -15,8 +15,10 @@ from .._util.files import whole_file
 from .._util.frozen import set_field
 from .._util.validation import Floats, float_array
 
-# The layer whose channels, R, G and B, do not bear its name.
-_RADIANCE = "radiance"
+# Channels of layers with three values per pixel that are not NAME.R, NAME.G and NAME.B.
+_CHANNELS = {"radiance": ("R", "G", "B"), "N": ("N.X", "N.Y", "N.Z")}
+# Layers that may hold inf: the depth where nothing is seen.
+_MAY_BE_INFINITE = ("Z",)
 _MAX_FLOAT32 = float(np.finfo(np.float32).max)
 # Stops, in either direction; larger ones would overflow.
 MAX_EXPOSURE = 100.0
@@ -38,8 +40,8 @@ class Image:
     ----------
     layers : mapping of str to (height, width) or (height, width, 3)
         Row 0 is at the top. ``radiance`` is in W/(m² sr); ``N`` holds normals; ``Z`` is the
-        depth, m, inf where nothing is seen. Written files hold finite values, and inf where
-        layers have one value per pixel; files that were read may hold any.
+        depth, m, inf where nothing is seen. Written files hold finite values otherwise; files
+        that were read may hold any.
     metadata : mapping of str to str
         Written into the header of EXR files.
     stats : dict
@@ -77,15 +79,14 @@ class Image:
     def write_exr(self, path: str | os.PathLike[str]) -> None:
         """Write all layers as one part of an EXR file, float32 and ZIP, atomically.
 
-        ``radiance`` becomes the channels R, G, B; another layer becomes NAME.R, NAME.G, NAME.B,
-        or the channel NAME if it has one value per pixel. Layers named by one capital letter are
-        vectors, as ``N``: NAME.X, NAME.Y, NAME.Z.
+        ``radiance`` becomes the channels R, G, B; ``N`` becomes N.X, N.Y, N.Z; another layer
+        becomes NAME.R, NAME.G, NAME.B, or the channel NAME if it has one value per pixel.
 
         Raises
         ------
         ValueError
-            If a layer holds NaN or values that float32 cannot, other than inf where it has one
-            value per pixel, or ``radiance`` has one value per pixel.
+            If a layer holds NaN or values that float32 cannot, or ``radiance`` or ``N`` have one
+            value per pixel.
         OSError
             If the file cannot be written.
         """
@@ -177,10 +178,7 @@ def srgb(linear: ArrayLike) -> Floats:
 
 
 def _channel_names(layer: str) -> tuple[str, ...]:
-    if layer == _RADIANCE:
-        return tuple("RGB")
-    is_vector = len(layer) == 1 and layer.isupper()
-    return tuple(f"{layer}.{c}" for c in ("XYZ" if is_vector else "RGB"))
+    return _CHANNELS.get(layer, tuple(f"{layer}.{c}" for c in "RGB"))
 
 
 def _group(channels: dict[str, NDArray]) -> dict[str, NDArray]:
@@ -194,7 +192,7 @@ def _group(channels: dict[str, NDArray]) -> dict[str, NDArray]:
 
 def _triple_names(channels: Iterable[str]) -> list[str]:
     present = set(channels)
-    candidates = [_RADIANCE, *(c[:-2] for c in channels if c.endswith((".R", ".X")))]
+    candidates = [*_CHANNELS, *(c[:-2] for c in present if c.endswith(".R"))]
     return [
         name
         for name in candidates
@@ -216,11 +214,10 @@ def _checked_layer(name: str, layer: ArrayLike) -> Floats:
 
 
 def _check_to_write(name: str, values: Floats) -> None:
-    if name == _RADIANCE and values.ndim == 2:
+    if name in _CHANNELS and values.ndim == 2:
         raise ValueError(f"layer {name} should have three values per pixel, but has one")
     bad = ~(np.abs(values) <= _MAX_FLOAT32)
-    if values.ndim == 2:
-        # As the depth where nothing is seen.
+    if name in _MAY_BE_INFINITE:
         bad &= values != np.inf
     if bad.any():
         row, column = np.argwhere(bad)[0][:2]
