@@ -19,12 +19,14 @@ from .camera import Camera
 from .emission_region import Sphere
 from .emitters import Emitter
 from .materials import Dielectric, Diffuse, Material, MaterialTable
-from .meshes import check_mesh, check_winding, nondegenerate_vertices
+from .meshes import check_mesh, check_winding, nondegenerate_faces, nondegenerate_vertices
+from .resolution import Resolution
 
 if TYPE_CHECKING:
     import trimesh
 
-_EMITTER_OFFSET = 1e-5  # of the scene's size
+# Least distance from a point-like emitter to the origins of its rays over what rays resolve there.
+_EMITTER_OFFSET = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,13 +104,22 @@ class Scene:
         low, high = self._bounds(range(len(self.objects)))
         return float(np.linalg.norm(high - low))
 
-    @property
-    def emitter_offset(self) -> float:
-        """Least distance from a point-like emitter to the origins of its rays, m.
+    @cached_property
+    def resolution(self) -> Resolution:
+        """Distance that rays resolve, by position."""
+        return Resolution.of(
+            np.concatenate(
+                [np.asarray(o.mesh.vertices)[nondegenerate_faces(o.mesh)[1]] for o in self.objects]
+            )
+        )
 
-        The emitter may lie on a surface, which its rays must not hit.
+    def emitter_offset(self, emitter: Emitter) -> float:
+        """Return the least distance from an emitter to the origins of its rays, m.
+
+        A point-like emitter may lie on a surface, which its rays must not hit.
         """
-        return _EMITTER_OFFSET * self.scale
+        point = emitter.point
+        return 0.0 if point is None else _EMITTER_OFFSET * float(self.resolution.at(point))
 
     def bounding_sphere(self, object_ids: Iterable[int] | None = None) -> Sphere:
         """Return centre (3,) and radius of a sphere around the objects, by default all.
