@@ -114,19 +114,21 @@ def kernels():
     ]
 
 
-setup(
-    cmdclass={"build_ext": BuildKernels},
-    options={"build": {"build_base": BUILD_DIR}, "build_ext": {"parallel": os.cpu_count()}},
-    ext_modules=cythonize(
-        kernels(),
-        build_dir=BUILD_DIR,
-        nthreads=os.cpu_count(),
-        compiler_directives={
-            "language_level": 3,
-            "boundscheck": BOUNDS_CHECK,
-            "wraparound": False,
-            "initializedcheck": False,
-            "cdivision": True,
-        },
-    ),
-)
+# Processes that Cython starts may import this file.
+if __name__ == "__main__":
+    setup(
+        cmdclass={"build_ext": BuildKernels},
+        options={"build": {"build_base": BUILD_DIR}, "build_ext": {"parallel": os.cpu_count()}},
+        ext_modules=cythonize(
+            kernels(),
+            build_dir=BUILD_DIR,
+            nthreads=os.cpu_count(),
+            compiler_directives={
+                "language_level": 3,
+                "boundscheck": BOUNDS_CHECK,
+                "wraparound": False,
+                "initializedcheck": False,
+                "cdivision": True,
+            },
+        ),
+    )

@@ -1,17 +1,17 @@
 """Comparisons by one command each; run from the root of a checkout.
 
 python -m bench                   compare with peers: tables, JSON and a plot
-python -m bench versions          every stage beside another build of photonrelax
-python -m bench table1            SJ13's Table I beside the paper's own figures
+python -m bench versions          every stage compared with another build
+python -m bench table1            SJ13's Table I compared with the paper's own figures
 python -m bench memory            bytes a photon takes in each stage
 python -m bench figure7           SJ13's Fig. 7: λ₂ of uniform photons, and the constraint
 python -m bench progressive       convergence of progressive photon mapping to analytic irradiance
 python -m bench shapes            SSO08's Fig. 4: shapes in twelve ways, as an image and as figures
 python -m bench equal-error       SSO08's Table 1: photons for the error of diffusion
-python -m bench frequency         frequency-driven beside progressive photon mapping, on `reflector`
+python -m bench frequency         frequency-driven and progressive photon mapping, on `reflector`
 python -m bench methods           errors and times of every method on the same photons
-python -m bench refinements       refinements of standard estimates beside relaxations
-python -m bench first-discs       progressive photon mapping by its initial radius
+python -m bench refinements       refinements of standard estimates compared with relaxations
+python -m bench initial-radius    progressive photon mapping by its initial radius
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from bench.speed import memory, memory_stage, side_by_side, simd, versions
 from bench.studies import (
     equal_error,
     figure7,
-    first_discs,
     frequency,
+    initial_radius,
     methods,
     progressive,
     refinements,
@@ -45,7 +45,7 @@ _COMMANDS = {
     "equal-error": equal_error,
     "frequency": frequency,
     "refinements": refinements,
-    "first-discs": first_discs,
+    "initial-radius": initial_radius,
     # The processes that `compare` and `memory` start.
     "simd": simd,
     "stage": memory_stage,

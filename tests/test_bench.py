@@ -12,8 +12,8 @@ from bench.speed.timing import Case, Timing, interleave
 from bench.studies import (
     equal_error,
     figure7,
-    first_discs,
     frequency,
+    initial_radius,
     methods,
     refinements,
     shapes,
@@ -158,7 +158,7 @@ def test_cases_of_a_workbench_are_those_of_its_tasks_and_of_the_peers_at_hand():
         bench.case("constrained 6", "ball recipe")
 
 
-def test_iterations_are_told_from_the_tree_they_share():
+def test_iterations_are_separated_from_the_tree_they_share():
     tasks = ["1 collapsed", "8 collapsed"]
     results = workbench.Workbench(inputs.caustic(2_000), 1, 8).measured(tasks, 2)
     assert list(results) == ["collapsed iteration"]
@@ -166,7 +166,7 @@ def test_iterations_are_told_from_the_tree_they_share():
 
 
 def test_builds_are_compared_on_the_same_inputs(tmp_path):
-    """A build beside itself, as no other is at hand."""
+    """A build compared with itself, as no other is at hand."""
     versions.save_inputs(tmp_path, 2_000, 8)
     python, arguments = Path(sys.executable), [str(tmp_path), "1", "8"]
     tasks = ("build", "gather", "neighbours 15")
@@ -208,7 +208,7 @@ def test_tables_show_medians_the_fastest_peer_and_nothing_unmeasured():
     assert "| all neighbours, K = 50 | 1 s | fast | 20 s | 20× |" in cpu
 
 
-def test_degenerate_photons_stand_beside_a_caustic():
+def test_degenerate_photons_are_compared_with_a_caustic():
     times = {"generic: gathering": 2.0, "lattice: gathering": 3.0, "generic: structure": 1.0}
     degenerate = {name: Timing([seconds], [seconds]) for name, seconds in times.items()}
     text = report.Report(863_000, 1, "here", degenerate=degenerate).markdown()
@@ -216,12 +216,12 @@ def test_degenerate_photons_stand_beside_a_caustic():
     assert "| gathering | | | 1.50 | |" in text
 
 
-def test_table_1_is_told_stage_by_stage(capsys):
+def test_table_1_has_a_row_a_stage(capsys):
     text = table1.markdown(20_000, 3_000, 1)
     assert [line.split(" | ")[0][2:] for line in text.splitlines()[2:9]] == list(table1.PAPER)
     assert "| photons emitted | 20,000,000 | 20,000 | 9,677 |" in text
-    told = [line.split(":")[0] for line in capsys.readouterr().err.splitlines()]
-    assert told == 2 * ["... trace", "... structure", "... relax", "... render"]
+    stages = [line.split(":")[0] for line in capsys.readouterr().err.splitlines()]
+    assert stages == 2 * ["... trace", "... structure", "... relax", "... render"]
 
 
 def test_table_1_has_a_column_for_every_method(monkeypatch):
@@ -250,19 +250,19 @@ def test_table_1_has_a_column_for_every_method(monkeypatch):
     assert cells["total"][0].endswith("(14.8 s)")
 
 
-def test_squared_errors_are_told_by_the_brightest_pixels():
+def test_squared_errors_are_located_in_the_brightest_pixels():
     exact = np.ones((4, 5, 3))
     exact[1, 2], exact[2, 3] = 9.0, 7.0
     found = exact.copy()
     found[1, 2], found[0, 0] = 5.0, 3.0
-    told = methods.at_the_brightest(*(pr.Image({"caustic": a}) for a in (found, exact)), 2)
-    assert told == "80% of it is in the 2 brightest pixels, which it shows at 75%"
+    text = methods.at_the_brightest(*(pr.Image({"caustic": a}) for a in (found, exact)), 2)
+    assert text == "80% of it is in the 2 brightest pixels, which it shows at 75%"
 
 
 def test_refinements_and_initial_radii_are_measured_against_references(tmp_path, monkeypatch):
     ring = gallery_subject("ring", 16)
-    monkeypatch.setattr(first_discs, "gallery_subject", lambda *_: ring)
-    monkeypatch.setattr(first_discs, "KS", (15, 4))
+    monkeypatch.setattr(initial_radius, "gallery_subject", lambda *_: ring)
+    monkeypatch.setattr(initial_radius, "KS", (15, 4))
     monkeypatch.setattr(refinements, "MOST_KS", (30,))
     few = ReferenceSettings(passes=2, photons=1_000)
     cases = (("shapes", 3_000, "random"), ("ring", 3_000, "halton"))
@@ -273,18 +273,18 @@ def test_refinements_and_initial_radii_are_measured_against_references(tmp_path,
         *("relaxation", "parameterised"),
     ]
     assert ", k = " in lines[2]
-    text = first_discs.markdown(1, 1_000, pixels=16, references=few, folder=tmp_path)
+    text = initial_radius.markdown(1, 1_000, pixels=16, references=few, folder=tmp_path)
     assert text.count("initial radius of k = ") == 2
     assert "The reference: its own noise" in text
     cases = (("ring", 3_000, "halton"), ("ring", 3_000, "random"))
-    text = first_discs.split(cases, pixels=16, references=few, folder=tmp_path)
+    text = initial_radius.split(cases, pixels=16, references=few, folder=tmp_path)
     titles, _, *rows = text.splitlines()
     assert [row.split(" | ")[0] for row in rows] == ["| ring, 3,000 halton", "| ring, 3,000 random"]
-    assert all(row.count("%") == len(first_discs.SPLIT) + 2 for row in rows)
-    assert titles.count("| k = ") == len(first_discs.SPLIT)
+    assert all(row.count("%") == len(initial_radius.SPLIT) + 2 for row in rows)
+    assert titles.count("| k = ") == len(initial_radius.SPLIT)
 
 
-def test_a_best_at_the_border_of_what_was_tried_is_told():
+def test_a_best_at_the_border_of_the_settings_tried_is_marked():
     floor = equal_error.Floor("ring", 1.0, 4)
     estimates = [(f"k = {k}", "standard", pr.GatherSettings(k=k)) for k in (5, 20)]
     run = equal_error.best(floor, np.ones((4, 4)), 300, "random", estimates)
@@ -298,7 +298,7 @@ def test_lines_kept_at_a_noise_that_is_not_reached_are_not_made_up():
     assert shapes.line_at_equal_noise(found, 0.09) is None
 
 
-def test_figure_7_tells_how_far_the_eigenvalues_are_from_a_gaussian(tmp_path):
+def test_figure_7_has_the_distance_of_the_eigenvalues_from_a_gaussian(tmp_path):
     found = figure7.second_eigenvalues(20_000)
     assert found.mean() == pytest.approx(figure7.PAPER["mean"], abs=5e-4)
     gaussian = np.random.default_rng(1).normal(0.2, 0.01, 20_000)
@@ -307,7 +307,7 @@ def test_figure_7_tells_how_far_the_eigenvalues_are_from_a_gaussian(tmp_path):
     assert "| mean | 0.2219 | 0.22" in figure7.markdown(found)
 
 
-def test_frequency_stands_beside_progressive_in_every_region():
+def test_frequency_is_compared_with_progressive_in_every_region():
     text = frequency.markdown(
         [20_000], samplers=("random",), n_seeds=1, passes=4, n_reference=50_000
     )

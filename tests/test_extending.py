@@ -13,6 +13,7 @@ from photonrelax.estimation.field import PhotonField
 from photonrelax.rendering import layers
 from photonrelax.scene.emission_region import cap_region, start_distance
 from photonrelax.scene.emitters import DirectLight, Emitter
+from photonrelax.scene.materials import Material, MaterialRow
 from tests.helpers.photon_maps import uniform_map
 
 
@@ -38,13 +39,14 @@ class MeanField(PhotonField):
 
 
 def mean_field(inputs):
-    return MeanField(inputs.photons, inputs.settings.of(MeanSettings))
+    return MeanField(inputs.photons, inputs.settings.of("mean"))
 
 
 @pytest.fixture
 def mean_method(monkeypatch):
-    monkeypatch.setitem(methods.METHODS, "mean", None)
-    monkeypatch.setitem(methods.SETTINGS_CLASSES, "mean", None)
+    for known in (methods.METHODS, methods.SETTINGS_CLASSES):
+        monkeypatch.setitem(known, "mean", None)  # to be deleted afterwards
+        del known["mean"]
     methods.register(methods.Method("mean", ("mean",), mean_field), mean=MeanSettings)
 
 
@@ -72,6 +74,24 @@ def test_a_method_is_its_module_and_one_record(scene, tmp_path):
     assert (folder / "mean.exr").exists()
 
 
+@pytest.mark.usefixtures("mean_method")
+def test_names_of_methods_and_stages_are_taken_once():
+    mean = methods.METHODS["mean"]
+    methods.register(mean, mean=MeanSettings)
+    with pytest.raises(ValueError, match="method 'standard' should have a name of its own"):
+        methods.register(methods.Method("standard", ("mean",), mean_field))
+    with pytest.raises(ValueError, match="stage 'gather' should have a name of its own"):
+        methods.register(mean, gather=MeanSettings)
+    assert methods.SETTINGS_CLASSES["gather"] is pr.GatherSettings
+
+
+@pytest.mark.usefixtures("mean_method")
+def test_stages_that_share_a_class_have_settings_of_their_own(monkeypatch):
+    monkeypatch.setitem(methods.SETTINGS_CLASSES, "mode", MeanSettings)
+    given = methods.Settings(mean=MeanSettings(2.0), mode=MeanSettings(3.0))
+    assert (given.of("mean").factor, given.of("mode").factor) == (2.0, 3.0)
+
+
 @dataclass(frozen=True)
 class HalfEmitter(Emitter):
     """A point of half of the power that it is given."""
@@ -93,8 +113,33 @@ class HalfEmitter(Emitter):
         )
 
 
+@dataclass(frozen=True)
+class HalfMirror(Material):
+    """A mirror that reflects half of the light."""
+
+    def row(self):
+        return MaterialRow("mirror", reflectance=np.full(3, 0.5))
+
+
+def test_a_material_is_one_class(scene):
+    """Pictures are those of a mirror of half the reflectance."""
+    floor = scene.objects[0]
+    metal = next(item for item in scene.objects if item.material.is_specular)
+    ours, expected = (
+        pr.render(
+            pr.Scene([floor, pr.SceneObject(metal.mesh, material)], scene.emitters, scene.camera),
+            n_emitted=2000,
+            method="standard",
+        )
+        for material in (HalfMirror(), pr.Mirror(0.5))
+    )
+    assert expected.layers["caustic"].max() > 0.0
+    for name, layer in expected.layers.items():
+        np.testing.assert_array_equal(ours.layers[name], layer, err_msg=name)
+
+
 def test_an_emitter_is_one_class(scene):
-    """Photons, direct light and pictures are those of a point emitter of half the power."""
+    """Photons, direct light and images are those of a point emitter of half the power."""
     lit = [
         pr.Scene(scene.objects, [emitter], scene.camera)
         for emitter in (HalfEmitter((0.3, 0.2, 3.0)), pr.PointEmitter((0.3, 0.2, 3.0)))

@@ -16,7 +16,7 @@ from tests.helpers.photon_maps import plane
 def test_relaxed_sphere_profile():
     """Away from the focus, within 3 % of the quadrature of Snell and Fresnel."""
     edges = np.array([0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6])
-    truth = GlassSphere(gap=0.2, irradiance=0.8).annulus_irradiance(edges, orders=range(-1, 8))
+    expected = GlassSphere(gap=0.2, irradiance=0.8).annulus_irradiance(edges, orders=range(-1, 8))
     rng = np.random.default_rng(0)
     inner, outer = edges[:-1, np.newaxis], edges[1:, np.newaxis]
     radius = np.sqrt(inner**2 + (outer**2 - inner**2) * rng.random((6, 4000)))
@@ -24,7 +24,7 @@ def test_relaxed_sphere_profile():
     around = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
     photons = pr.trace_photons(gallery.scene("sphere", gap=0.2, irradiance=0.8), 300_000)
     estimates = pr.irradiance_field(photons)(*plane(around.reshape(-1, 2)))[:, 0]
-    np.testing.assert_allclose(estimates.reshape(6, -1).mean(axis=1), truth, rtol=0.03)
+    np.testing.assert_allclose(estimates.reshape(6, -1).mean(axis=1), expected, rtol=0.03)
 
 
 def test_relaxed_ring_equals_the_reflection_map():
@@ -34,7 +34,7 @@ def test_relaxed_ring_equals_the_reflection_map():
     photons = pr.trace_photons(scene, 600_000)
     edges = np.linspace(-1, 1, 41)
     ring = MetalRing(elevation=np.radians(28.0), **sizes)
-    truth = ring.pixel_irradiance(edges)
+    expected = ring.pixel_irradiance(edges)
     centres = 0.5 * (edges[1:] + edges[:-1])
     inside = np.hypot(*np.meshgrid(centres, centres, indexing="ij")) < 0.93
     fine = (np.arange(320) + 0.5) / 160 - 1
@@ -43,7 +43,7 @@ def test_relaxed_ring_equals_the_reflection_map():
     for method in ("standard", "parameterised"):
         estimates = pr.irradiance_field(photons, method=method)(points, normals)[:, 0]
         pixels = estimates.reshape(40, 8, 40, 8).mean(axis=(1, 3))
-        error[method] = relative_l1(pixels[inside], truth[inside])
+        error[method] = relative_l1(pixels[inside], expected[inside])
     assert error["parameterised"] < 0.025
     assert error["parameterised"] < error["standard"]
 
@@ -54,9 +54,9 @@ def test_relaxed_prism_comes_closer_to_a_much_larger_run():
     few = pr.trace_photons(scene, 250_000, sampler="random")
     many = pr.trace_photons(scene, 2_500_000, seed=1)
     points, normals = plane(np.random.default_rng(0).uniform([0.8, 0.3], [1.8, 1.2], (20_000, 2)))
-    truth = pr.estimate_irradiance(many, points, normals, pr.GatherSettings(k=50))
+    expected = pr.estimate_irradiance(many, points, normals, pr.GatherSettings(k=50))
     standard, relaxed = (
-        relative_l1(pr.irradiance_field(few, method=m)(points, normals), truth)
+        relative_l1(pr.irradiance_field(few, method=m)(points, normals), expected)
         for m in ("standard", "parameterised")
     )
     assert relaxed < 0.8 * standard

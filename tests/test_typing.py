@@ -1,4 +1,4 @@
-"""What a user's script sees of the types: lists and float32 pass, wrong keywords do not."""
+"""Types as a user's script sees them: lists and float32 pass, wrong keywords do not."""
 
 import os
 import subprocess

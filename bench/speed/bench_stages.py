@@ -10,17 +10,17 @@ ALTERNATIVES = [(task, who) for task, row in TASKS.items() for who in (*row.peer
 
 
 @pytest.mark.parametrize(("task", "who"), ALTERNATIVES)
-def test_task(timed, workbench, n, n_threads, task, who):
+def test_task(timed, workbench, n, n_threads, *, task, who):
     try:
         case = workbench.case(task, who)
     except peers.UnavailableError as error:
         pytest.skip(str(error))
     size = f"{n} photons, {n_threads=}"
     with peers.threads(n_threads):
-        timed(case, n, f"{task}: {size}", who, f"{TASKS[task].beside or task}: {size}")
+        timed(case, n, f"{task}: {size}", who, f"{TASKS[task].compared_with or task}: {size}")
 
 
-def test_shading_beside_embree(benchmark, n):
+def test_shading_compared_with_embree(benchmark, n):
     """On one thread; the time is that of both and of emission."""
     inputs.scene()
     parts = benchmark.pedantic(stages.tracing_parts, args=(n,))

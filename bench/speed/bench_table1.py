@@ -1,4 +1,4 @@
-"""SJ13's Table I as one benchmark; ``python -m bench table1`` prints it beside the paper's."""
+"""SJ13's Table I as one benchmark; ``python -m bench table1`` prints it with the paper's."""
 
 import pytest
 

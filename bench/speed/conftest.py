@@ -49,14 +49,14 @@ def medians():
 
 @pytest.fixture
 def timed(benchmark, medians):
-    """Function that times and checks a case of n photons: ``timed(case, n, task, who, beside)``.
+    """Function that times and checks a case: ``timed(case, n, task, who, compared_with)``.
 
-    Alternatives for one task share its name; peers come before photonrelax. Extra information
-    has photons per second, and how many times as long others took for the task `beside`, which
-    is another one where peers do not do the same.
+    A case has n photons. Alternatives for one task share its name; peers come before
+    photonrelax. Extra information has photons per second, and how many times as long others took
+    for the task `compared_with`, which is another one where peers do not do the same.
     """
 
-    def run(case, n, task, who, beside=""):
+    def run(case, n, task, who, compared_with=""):
         benchmark.group = task
         benchmark.extra_info["who"] = who
         rounds = ROUNDS if case.rounds is None else min(case.rounds, ROUNDS)
@@ -67,7 +67,7 @@ def timed(benchmark, medians):
         if benchmark.enabled:
             seconds = benchmark.stats.stats.median
             benchmark.extra_info["photons_per_second"] = (case.size or n) / seconds
-            for name, other in medians.get(beside or task, {}).items():
+            for name, other in medians.get(compared_with or task, {}).items():
                 benchmark.extra_info[f"times_as_fast_as_{name}"] = other / seconds
             medians.setdefault(task, {})[who] = seconds
 

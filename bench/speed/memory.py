@@ -7,8 +7,8 @@ import tempfile
 from typing import Any
 
 from bench.arguments import numbers
+from bench.markdown import markdown_table
 from bench.speed import child, machine
-from photonrelax.evaluation.report.markdown import markdown_table
 
 STAGES = ("trace", "tree", "structure", "relax", "relax on the scene", "gather")
 # Every array in pages of its own, returned when freed, so that the count is of memory in use.

@@ -186,9 +186,11 @@ class Ordered:
         return ids, np.where(none, np.inf, distance)
 
 
-def constrained_by_block(
-    photons: RangedPhotons, k: int, n_threads: int = 1, size: int = 32
-) -> KnnResult:
+# Photons of a block of the first recipe, and those that the second one lists together.
+_BLOCK_SIZE, _LISTS_AT_ONCE = 32, 2000
+
+
+def constrained_by_block(photons: RangedPhotons, k: int, n_threads: int = 1) -> KnnResult:
     """Return the exact k nearest in range, by blocks of photons that are near on the emitter.
 
     Each photon of a block is compared with all photons in range of the block: the fastest recipe
@@ -202,7 +204,7 @@ def constrained_by_block(
     def work(rows: Ids) -> None:
         ids[rows], distance[rows] = _block(photons, tree, rows, k)
 
-    blocks = [order[first : first + size] for first in range(0, len(order), size)]
+    blocks = [order[first : first + _BLOCK_SIZE] for first in range(0, len(order), _BLOCK_SIZE)]
     with ThreadPoolExecutor(n_threads) as pool:
         for _ in pool.map(work, blocks):
             pass
@@ -221,9 +223,7 @@ def _block(photons: RangedPhotons, tree: cKDTree, rows: Ids, k: int) -> KnnResul
     return _nearest(np.broadcast_to(near, squared.shape), squared, k, len(photons.position))
 
 
-def constrained_by_ball(
-    photons: RangedPhotons, k: int, n_threads: int = 1, size: int = 2000
-) -> KnnResult:
+def constrained_by_ball(photons: RangedPhotons, k: int, n_threads: int = 1) -> KnnResult:
     """Return the exact k nearest in range, from a list of the photons in range of each: the
     obvious recipe.
     """
@@ -231,8 +231,8 @@ def constrained_by_ball(
     order = morton_order(photons.coords)
     ids = np.empty((len(order), k), dtype=np.intp)
     distance = np.empty((len(order), k))
-    for first in range(0, len(order), size):
-        rows = order[first : first + size]
+    for first in range(0, len(order), _LISTS_AT_ONCE):
+        rows = order[first : first + _LISTS_AT_ONCE]
         lists = tree.query_ball_point(
             photons.coords[rows], photons.radius[rows], workers=n_threads, return_sorted=False
         )

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Any, NamedTuple
 
+from bench.markdown import markdown_table
 from bench.speed import inputs
 from bench.speed.timing import Timing
-from photonrelax.evaluation.report.markdown import markdown_table
 
 Results = dict[str, Timing]
 
@@ -89,7 +89,7 @@ class Report:
 
     def _speed_titles(self) -> list[str]:
         others = [f"times as fast, {_threads(n)}" for n in self.by_threads]
-        return [f"{self.n:,} photons of a caustic", "time", "beside", "its time", *others]
+        return [f"{self.n:,} photons of a caustic", "time", "compared with", "its time", *others]
 
     def _speed_rows(self) -> Iterable[list[str]]:
         for row in SPEED:
@@ -161,21 +161,23 @@ SPEED = (
     Speed("all neighbours, K = 50", "neighbours 50", "neighbours 50"),
     Speed("all neighbours, K = 16", "neighbours 16", "neighbours 16"),
     Speed(
-        "structure detection, beside the plain search for K = 50 alone",
+        "structure detection, compared with the plain search for K = 50 alone",
         "structure",
         "neighbours 50",
     ),
     Speed("the same, its two trees built before", "structure, trees built", "neighbours 50"),
     Speed(
-        "one iteration of relaxation, beside the plain search for K = 16 alone",
+        "one iteration of relaxation, compared with the plain search for K = 16 alone",
         "collapsed iteration",
         "neighbours 16",
     ),
     Speed("constrained neighbours, K = 50, 5-D", "constrained 5", "constrained 5", "block recipe"),
     Speed("constrained neighbours, K = 50, 6-D", "constrained 6", "constrained 6", "block recipe"),
-    Speed("the same beside the usual recipe", "constrained 6", "constrained 6", "ball recipe"),
     Speed(
-        "irradiance at the hit points of a camera, K = 15, beside the search alone",
+        "the same, compared with the usual recipe", "constrained 6", "constrained 6", "ball recipe"
+    ),
+    Speed(
+        "irradiance at the hit points of a camera, K = 15, compared with the search alone",
         "gather",
         "gather",
     ),

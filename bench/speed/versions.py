@@ -1,4 +1,4 @@
-"""Every stage beside another build of photonrelax, that of another Python interpreter.
+"""Every stage compared with another build of photonrelax, that of another interpreter.
 
 ``python -m bench versions --other PYTHON`` starts a process of each interpreter and times tasks
 in turns: a busy machine slows both alike. Photons and hit points are the same for both, from a
@@ -22,13 +22,13 @@ from statistics import median
 
 import numpy as np
 
+from bench.markdown import markdown_table
 from bench.speed import inputs, machine
 from bench.speed.child import ROOT
 from bench.speed.peers import UnavailableError
 from bench.speed.timing import Timing
 from bench.speed.version_worker import HITS, PHOTONS
 from bench.speed.workbench import TASKS
-from photonrelax.evaluation.report.markdown import markdown_table
 
 Builds = tuple[subprocess.Popen[str], subprocess.Popen[str]]
 STAGES = (

@@ -269,14 +269,14 @@ class Task(NamedTuple):
         Its arguments.
     peers : tuple of str
         Names of the peers.
-    beside : str
+    compared_with : str
         Task whose peers do the nearest thing to this one, if none does the same.
     """
 
     method: str
     arguments: tuple[Any, ...] = ()
     peers: tuple[str, ...] = ()
-    beside: str = ""
+    compared_with: str = ""
 
 
 _PEERS = tuple(peer.name for peer in peers.ALL)
@@ -284,12 +284,12 @@ _RECIPES = tuple(peers.RECIPES)
 _MANY = 1 + _ITERATIONS
 STAGES = {
     "build": Task("build"),
-    "structure": Task("detection", beside="neighbours 50"),
-    "relaxation": Task("relaxation", (7, 7), beside="neighbours 16"),
-    "1 constrained": Task("relaxation", (1, 0), beside="neighbours 16"),
-    "1 collapsed": Task("relaxation", (0, 1), beside="neighbours 16"),
-    f"{_MANY} constrained": Task("relaxation", (_MANY, 0), beside="neighbours 16"),
-    f"{_MANY} collapsed": Task("relaxation", (0, _MANY), beside="neighbours 16"),
+    "structure": Task("detection", compared_with="neighbours 50"),
+    "relaxation": Task("relaxation", (7, 7), compared_with="neighbours 16"),
+    "1 constrained": Task("relaxation", (1, 0), compared_with="neighbours 16"),
+    "1 collapsed": Task("relaxation", (0, 1), compared_with="neighbours 16"),
+    f"{_MANY} constrained": Task("relaxation", (_MANY, 0), compared_with="neighbours 16"),
+    f"{_MANY} collapsed": Task("relaxation", (0, _MANY), compared_with="neighbours 16"),
     "gather": Task("gather", (), _PEERS),
     "emission": Task("emission"),
     "emission, rays that miss": Task("misses"),
@@ -301,7 +301,7 @@ TASKS = {
     "neighbours 16": Task("neighbours", (16,), _PEERS),
     "neighbours 15": Task("neighbours", (15,), _PEERS),
     "neighbours 50, order of emission": Task(
-        "neighbours_as_emitted", (50,), beside="neighbours 50"
+        "neighbours_as_emitted", (50,), compared_with="neighbours 50"
     ),
     "constrained 5": Task("constrained", (5,), _RECIPES),
     "constrained 6": Task("constrained", (6,), _RECIPES),
@@ -309,7 +309,7 @@ TASKS = {
     "build, 5 axes": Task("build_ordered", (5,)),
     "build, 6 axes": Task("build_ordered", (6,)),
     **STAGES,
-    "structure, trees built": Task("detection_with_trees_built", beside="neighbours 50"),
+    "structure, trees built": Task("detection_with_trees_built", compared_with="neighbours 50"),
     "render, standard": Task("render", ("standard",)),
     "render, parameterised": Task("render", ("parameterised",)),
 }

@@ -18,9 +18,10 @@ from time import perf_counter
 import numpy as np
 
 import photonrelax as pr
+from bench.markdown import markdown_table
 from bench.speed.inputs import Floats
+from bench.studies.fields import field_with
 from photonrelax import gallery
-from photonrelax.evaluation.report.markdown import markdown_table
 
 # Photons of SSO08's Fig. 6(d) and 7(d), and how many times as many its Table 1 has for (c).
 PAPER = {"ring": (40_000, 160_000 / 40_000), "ripples": (70_000, 520_000 / 70_000)}
@@ -89,11 +90,11 @@ def counted_reference(floor: Floor, passes: int, n_emitted: int) -> Floats:
     return total / passes
 
 
-def tracing(scene: str, n: int, sampler: str, seed: int = 0) -> Callable[[], pr.PhotonMap]:
+def tracing(scene: str, n: int, sampler: str) -> Callable[[], pr.PhotonMap]:
     """Return a call that traces about n photons."""
     built = gallery.scene(scene)
     share = len(pr.trace_photons(built, 20_000)) / 20_000
-    return partial(pr.trace_photons, built, int(n / share), seed=seed, sampler=sampler)
+    return partial(pr.trace_photons, built, int(n / share), sampler=sampler)
 
 
 def best(
@@ -118,8 +119,7 @@ def best(
 
 def image_of(floor: Floor, photons: pr.PhotonMap, estimate: Estimate) -> Floats:
     _, method, settings = estimate
-    name = "gather" if method == "standard" else "diffusion"
-    return floor.image(pr.irradiance_field(photons, method=method, **{name: settings}))
+    return floor.image(field_with(photons, method, settings))
 
 
 def nearest() -> list[Estimate]:

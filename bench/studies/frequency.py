@@ -1,4 +1,4 @@
-"""Frequency-driven beside progressive photon mapping of the same photons, on `reflector`.
+"""Frequency-driven compared with progressive photon mapping, same photons, on `reflector`.
 
 Errors on the floor, by the variation of irradiance around each point.
 """
@@ -17,10 +17,10 @@ from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 import photonrelax as pr
 from bench.arguments import numbers
+from bench.markdown import markdown_table
 from bench.speed import machine
 from bench.speed.inputs import Floats
 from photonrelax import gallery
-from photonrelax.evaluation.report.markdown import markdown_table
 
 METHODS = ("progressive", "frequency")
 # The floor in front of the strip, in cells, m.
@@ -78,7 +78,7 @@ def _regions(reference: Floats) -> NDArray[np.intp]:
 
 
 def errors(
-    on: Floor, n_emitted: int, sampler: str, seeds: range, passes: int, share: float
+    on: Floor, n_emitted: int, sampler: str, seeds: range, *, passes: int, share: float
 ) -> tuple[dict[str, Floats], dict[str, float]]:
     """Return squared relative errors (seeds, points) of each method, and seconds in all.
 
@@ -157,7 +157,9 @@ def markdown(
     parts = []
     for n_emitted in photons:
         for sampler in samplers:
-            squared, seconds = errors(on, n_emitted, sampler, range(n_seeds), passes, share)
+            squared, seconds = errors(
+                on, n_emitted, sampler, range(n_seeds), passes=passes, share=share
+            )
             title = f"reflector, {n_emitted:,} {sampler}, {passes} passes"
             parts += [
                 markdown_table(

@@ -14,6 +14,7 @@ import numpy as np
 
 import photonrelax as pr
 from bench.arguments import numbers
+from bench.markdown import markdown_table
 from bench.speed import machine
 from photonrelax.estimation.methods import Settings
 from photonrelax.evaluation import ComparisonRequest, Entry, compare, gallery_subject
@@ -23,13 +24,12 @@ from photonrelax.evaluation.reference import (
     cached_reference,
     uncertainty_of,
 )
-from photonrelax.evaluation.report.markdown import markdown_table
 from photonrelax.imaging.metrics import check_installed, relative_l1
 
 SCENES = ("prism", "ring", "ripples", "shapes")
 SAMPLERS = ("halton", "random")
-# Measured beside the methods with their default settings. SJ13's diffusion is that of SSO08 with
-# eigenvalues over the largest of the map.
+# Measured in addition to the methods with their default settings. SJ13's diffusion is that of
+# SSO08 with eigenvalues over the largest of the map.
 VARIANTS = {
     "standard, K = 50": ("standard", Settings(gather=pr.GatherSettings(k=50))),
     "parameterised, 3 + 3": (
@@ -46,7 +46,7 @@ _ROUNDS = 3
 _OWN_SEED = 2
 _BRIGHTEST = 50
 REFERENCES = ReferenceSettings(passes=200, photons=2_000_000)
-"""Settings of the references; `refinements` and `first_discs` share the files."""
+"""Settings of the references; `refinements` and `initial_radius` share the files."""
 FOLDER = Path("build/bench/methods")
 # Fresh photons are given the initial radius of references.
 _FRESH = pr.ProgressiveSettings(k=REFERENCES.k)

@@ -16,9 +16,9 @@ from tests.analytic.glass_sphere import GlassSphere
 from tests.analytic.metal_ring import MetalRing
 
 import photonrelax as pr
+from bench.markdown import markdown_table
 from photonrelax import gallery
 from photonrelax.estimation.progressive import initial_radius
-from photonrelax.evaluation.report.markdown import markdown_table
 from photonrelax.rendering.progressive_render import pass_seed
 from photonrelax.transport.raycast import RayCaster
 
@@ -34,12 +34,12 @@ MOST_CONTRAST = 1.45
 class Case:
     """A scene, points (m, 3) of its floor away from singularities, their irradiance (m,), W/m².
 
-    With an initial `radius`, m, at which bias is seen beside noise.
+    With an initial `radius`, m, at which bias is seen against noise.
     """
 
     scene: pr.Scene
     points: np.ndarray
-    truth: np.ndarray
+    exact: np.ndarray
     radius: float
 
 
@@ -65,8 +65,8 @@ def sphere() -> Case:
     distance = np.repeat(np.linspace(0.25, 0.45, 9), 64)
     turn = np.tile(2 * np.pi * np.arange(64) / 64, 9)
     points = np.column_stack([distance * np.cos(turn), distance * np.sin(turn), 0 * turn])
-    truth = GlassSphere(gap=0.2, irradiance=0.8).irradiance_at(distance, orders=range(-1, 12))
-    return Case(gallery.scene("sphere"), points, truth, 0.08)
+    exact = GlassSphere(gap=0.2, irradiance=0.8).irradiance_at(distance, orders=range(-1, 12))
+    return Case(gallery.scene("sphere"), points, exact, 0.08)
 
 
 @cache
@@ -92,16 +92,9 @@ SAMPLERS = ("random", "halton")
 THEORY = {"total": "", "noise": f"{-ALPHA / 2:.2f}", "bias": f"{ALPHA - 1:.2f}"}
 
 
-def converge(
-    case: Case,
-    n_passes: int,
-    photons_per_pass: int,
-    *,
-    sampler: str = "halton",
-    settings: pr.ProgressiveSettings | None = None,
-) -> Errors:
+def converge(case: Case, n_passes: int, photons_per_pass: int, *, sampler: str) -> Errors:
     """Return the errors after 1, 2, 4, … passes."""
-    settings = settings or pr.ProgressiveSettings(alpha=ALPHA, radius=case.radius)
+    settings = pr.ProgressiveSettings(alpha=ALPHA, radius=case.radius)
     caster = RayCaster(case.scene.objects)
     runs: list[pr.ProgressiveStatistics] = []
     wanted, found = [2**i for i in range(n_passes.bit_length())], []
@@ -132,7 +125,7 @@ def _first_pass(
 
 
 def _errors(case: Case, runs: list[pr.ProgressiveStatistics]) -> tuple[float, float, float]:
-    one, other = (run.irradiance()[:, 0] / case.truth - 1.0 for run in runs)
+    one, other = (run.irradiance()[:, 0] / case.exact - 1.0 for run in runs)
     total = np.sqrt((one**2 + other**2).mean() / 2)
     noise = np.sqrt(((one - other) ** 2).mean() / 2)
     return total, noise, np.sqrt(max((one * other).mean(), 0.0))

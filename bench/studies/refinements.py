@@ -1,4 +1,4 @@
-"""Refinements of standard estimates beside relaxations: relative L1, the best of several k."""
+"""Refinements of standard estimates compared with relaxations: least relative L1 of several k."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import photonrelax as pr
+from bench.markdown import markdown_table
 from bench.studies.methods import FOLDER, REFERENCES, reference_of
 from photonrelax.estimation.methods import Settings
 from photonrelax.evaluation import ComparisonRequest, compare, gallery_subject
 from photonrelax.evaluation.reference import ReferenceSettings, uncertainty_of
-from photonrelax.evaluation.report.markdown import markdown_table
 
 RELAXATIONS = ("relaxation", "parameterised")
 KS = (15, 50, 100, 200)

@@ -17,9 +17,10 @@ from pathlib import Path
 import numpy as np
 
 import photonrelax as pr
+from bench.markdown import markdown_table
 from bench.speed.inputs import Floats
+from bench.studies.fields import field_with
 from photonrelax import gallery
-from photonrelax.evaluation.report.markdown import markdown_table
 from photonrelax.gallery import shapes as layout
 from photonrelax.gallery.photon_pattern import PhotonPattern
 from photonrelax.imaging.metrics import relative_l1
@@ -48,8 +49,7 @@ class Estimate:
     settings: object
 
     def prepare(self, photons: pr.PhotonMap) -> Callable[[Floats, Floats], Floats]:
-        name = "gather" if self.method == "standard" else "diffusion"
-        return pr.irradiance_field(photons, method=self.method, **{name: self.settings})
+        return field_with(photons, self.method, self.settings)
 
 
 @dataclass(frozen=True)
@@ -78,14 +78,12 @@ def nearest(k: int, **settings: object) -> Estimate:
     return Estimate(f"k = {k}", "standard", pr.GatherSettings(k=k, **settings))
 
 
-def diffusion(
-    threshold: float, *, isotropic: bool = False, normalisation: str = "maximum", **settings: float
-) -> Estimate:
+def diffusion(threshold: float, *, isotropic: bool = False, **settings: float) -> Estimate:
     """Return an estimate of SSO08: a fixed bandwidth, λ₁ over its largest value."""
     chosen = pr.DiffusionSettings(
         k=None,
         edge_threshold=threshold,
-        normalisation=normalisation,
+        normalisation="maximum",
         **{"bandwidth": BANDWIDTH, "noise_scale": NOISE_SCALE, "least_eigenvalue": 1e-3} | settings,
     )
     method = "isotropic-diffusion" if isotropic else "diffusion"
@@ -140,8 +138,9 @@ def pattern(seed: int) -> PhotonPattern:
     return gallery.pattern("shapes", seed=seed)
 
 
-def regions(n: int = _POINTS) -> dict[str, Floats]:
+def regions() -> dict[str, Floats]:
     """Return points deep inside, along edges and on the thinnest line, (n, 2) each."""
+    n = _POINTS
     rng = np.random.default_rng(0)
     (centre, radius), (middle, half) = layout.DISC, layout.SQUARE
     turn = 2 * np.pi * rng.random(n // 2)
@@ -267,7 +266,7 @@ def _comparison(adaptive: dict[str, Measures], seeds: int) -> str:
         ]
         rows.append([name, f"{found.line:.1%}", *cells])
     titles = ["line kept", "best standard estimate of equal noise", "best of the refined"]
-    return markdown_table(["beside", *titles], rows)
+    return markdown_table(["compared with", *titles], rows)
 
 
 def save(path: Path, pixels: int = 300) -> None:

@@ -1,4 +1,4 @@
-"""SJ13's Table I: the prism stage by stage, beside the paper's figures."""
+"""SJ13's Table I: the prism stage by stage, compared with the paper's figures."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from time import perf_counter
 from typing import Any
 
 import photonrelax as pr
+from bench.markdown import markdown_table
 from bench.speed import inputs, machine
-from photonrelax.evaluation.report.markdown import markdown_table
 
 # Rows of the table by stage; every other stage of a method counts as feature detection.
 _FEATURES = "structure (feature detect)"
@@ -117,7 +117,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print photonrelax's column beside the paper's, or all columns."""
+    """Print photonrelax's column next to the paper's, or all columns."""
     stored, emitted = (2e4, 2e5) if options.quick else (options.stored, options.emitted)
     if options.methods:
         print(every_method(int(stored), options.passes, options.threads))

@@ -26,7 +26,7 @@ class GlassSphere:
     irradiance: float = 1.0
 
     def landing(self, impact: Floats, reflections: int = 0) -> tuple[Floats, Floats]:
-        """Return where rays land, as a signed distance from the axis, and the weight of the path.
+        """Landing points of rays, as signed distances from the axis, and weights of their paths.
 
         Positive is the side the ray came in on; NaN where the ray leaves upwards. The weight is
         the fraction of the ray's flux that takes the path.

@@ -26,7 +26,7 @@ class MetalRing:
     reflectance: float = 1.0
 
     def deposits(self, n_samples: int = 1_000_000) -> tuple[Floats, Floats]:
-        """Return where light lands on the floor (m, 2) and the flux (m,) in W.
+        """Points of the floor (m, 2) that light lands at, and its flux (m,) in W.
 
         A vertical mirror turns the horizontal heading and leaves the rate of descent alone, so
         light falls tan e per metre travelled along the floor, whatever it bounced off.

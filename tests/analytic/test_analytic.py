@@ -133,7 +133,7 @@ def test_dark_ring_reflects_by_its_reflectance():
 
 
 def trace_through_sphere(impact: float, sphere: GlassSphere, reflections: int = 0) -> float:
-    """Return where `landing` says rays land, by turning 2-D vectors; NaN if upward."""
+    """Landing points, as of `landing`, by rotation of 2-D vectors; NaN if upward."""
     centre_height = sphere.radius + sphere.gap
     point = np.array([impact, np.sqrt(sphere.radius**2 - impact**2)])
     heading = refracted(np.array([0.0, -1.0]), point / sphere.radius, 1 / sphere.ior)

@@ -145,7 +145,7 @@ def no_work(monkeypatch):
     ],
 )
 def test_statistics_go_to_a_file_of_their_own(
-    stats, complaint, small_map, no_work, tmp_path, capsys
+    stats, complaint, small_map, no_work, *, tmp_path, capsys
 ):
     (tmp_path / "link.json").symlink_to(tmp_path / "a.exr")
     maps = ("--photon-map", tmp_path / "photons.npz")
@@ -175,7 +175,7 @@ def test_a_folder_that_takes_no_files_is_an_error_before_the_work(small_map, no_
         (OSError("disk full"), "disk full"),
     ],
 )
-def test_what_goes_wrong_is_told_in_one_line(error, message, tmp_path, capsys, monkeypatch):
+def test_errors_are_printed_in_one_line(error, message, tmp_path, capsys, monkeypatch):
     def fails(*_, **__):
         raise error
 

@@ -12,8 +12,8 @@ from photonrelax.imaging.image import read_exr
 
 SIZE = 32
 N = 10_000
-PICTURES = ("--width", SIZE, "--height", SIZE, "--supersampling", 1)
-ARGUMENTS = ("--photons", N, *PICTURES)
+VIEW = ("--width", SIZE, "--height", SIZE, "--supersampling", 1)
+ARGUMENTS = ("--photons", N, *VIEW)
 FEW = ("--reference-photons", N, "--reference-passes")
 PAIR = ("standard", "parameterised")
 
@@ -56,7 +56,7 @@ def test_compare_does_it_all_in_one_command(tmp_path, capsys):
 
 def test_compare_shapes_needs_no_reference(tmp_path, capsys):
     output = tmp_path / "shapes"
-    arguments = ("compare", "shapes", "-o", output, "--photons", 4000, *PICTURES)
+    arguments = ("compare", "shapes", "-o", output, "--photons", 4000, *VIEW)
     assert run_cli(*arguments, "--methods", "standard", "isotropic-diffusion") == 0
     assert "reference: exact irradiance at the same points" in capsys.readouterr().out
     assert not (output / "reference.exr").exists()
@@ -99,7 +99,7 @@ def test_what_cannot_be_leaves_no_folder(arguments, complaint, tmp_path, capsys,
 
 def test_photons_that_are_none_are_an_error_before_a_reference(tmp_path, capsys, no_reference):
     """The reference takes minutes."""
-    assert run_cli("compare", "ring", "--photons", 1, *PICTURES, "-o", tmp_path, "--quiet") == 1
+    assert run_cli("compare", "ring", "--photons", 1, *VIEW, "-o", tmp_path, "--quiet") == 1
     assert "no photons were stored" in capsys.readouterr().err
 
 
@@ -139,7 +139,7 @@ def test_options_of_a_reference_that_is_not_computed_are_wrong_usage(
 
 
 def test_ctrl_c_leaves_the_reference_alone(tmp_path, monkeypatch, capsys):
-    """It took longest, and the next run goes on from it."""
+    """It took longest, and the next run resumes it."""
 
     def interrupted(*_):
         raise KeyboardInterrupt

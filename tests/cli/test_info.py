@@ -24,7 +24,7 @@ def test_info_describes_a_photon_map(tmp_path, capsys):
     assert "flux: (1, 1, 1) W" in out
 
 
-def test_info_tells_the_ledger_of_each_emitter():
+def test_info_prints_the_ledger_of_each_emitter():
     flux = {name: np.full((1, 3), value) for name, value in LEDGER.items()}
     ends = {name: [10 * i] for i, name in enumerate(LEDGER) if name != "emitted"}
     photons = pr.PhotonMap(

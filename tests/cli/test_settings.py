@@ -14,8 +14,8 @@ from photonrelax.estimation.methods import METHODS, SETTINGS_CLASSES, MethodInpu
 from photonrelax.imaging.image import read_exr
 from photonrelax.rendering.view import resized
 
-PICTURE = ("--width", 12, "--height", 12, "--supersampling", 1)
-SMALL = ("--photons", 3000, "--quiet", *PICTURE)
+VIEW = ("--width", 12, "--height", 12, "--supersampling", 1)
+SMALL = ("--photons", 3000, "--quiet", *VIEW)
 
 
 def run(*arguments):
@@ -57,7 +57,7 @@ def test_values_are_of_the_kind_of_their_setting(text, expected):
         ("gather.k=none", "gather.k should be a whole number"),
     ],
 )
-def test_what_is_no_setting_is_refused_and_told(text, complaint, capsys):
+def test_text_that_is_no_setting_is_refused_with_the_reason(text, complaint, capsys):
     with pytest.raises(argparse.ArgumentTypeError, match=complaint):
         settings.assignment(text)
     with pytest.raises(SystemExit):
@@ -67,7 +67,7 @@ def test_what_is_no_setting_is_refused_and_told(text, complaint, capsys):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_says_what_it_reads(method):
-    """Settings that are not read are not among those that are told to have been used."""
+    """Settings that are not read are not among those reported as used."""
     photons = pr.trace_photons(gallery.scene("ring"), 2000, frequency_share=0.02)
     used = prepare(method, MethodInput(photons, Settings(), None, None, None)).used
     assert set(used) == set(METHODS[method].stages) <= set(SETTINGS_CLASSES)
@@ -104,17 +104,17 @@ def test_settings_reach_the_stages_of_render(tmp_path):
     path = tmp_path / "a.exr"
     arguments = ("--set", "structure.k=40", "--set", "relax.step=0.5", "--k", 20)
     assert run("render", "ring", "-o", path, *arguments, *SMALL) == 0
-    told = settings_of(path)
-    assert (told["structure"]["k"], told["relax"]["step"], told["gather"]["k"]) == (40, 0.5, 20)
-    assert told["relax"]["n_iterations"] == [7, 7]
+    used = settings_of(path)
+    assert (used["structure"]["k"], used["relax"]["step"], used["gather"]["k"]) == (40, 0.5, 20)
+    assert used["relax"]["n_iterations"] == [7, 7]
 
 
-def test_k_is_of_the_first_discs_where_passes_are(tmp_path):
-    for name, more in (("dealt", ()), ("fresh", ("--passes", 1))):
+def test_k_gives_the_initial_radius_of_progressive_renders(tmp_path):
+    for name, more in (("split", ()), ("fresh", ("--passes", 1))):
         path = tmp_path / f"{name}.exr"
         arguments = ("render", "ring", "-o", path, "--method", "progressive", "--k", 6)
         assert run(*arguments, *more, *SMALL) == 0
-    assert settings_of(tmp_path / "dealt.exr")["progressive"]["k"] == 6
+    assert settings_of(tmp_path / "split.exr")["progressive"]["k"] == 6
     assert settings_of(tmp_path / "fresh.exr")["k"] == 6
 
 
@@ -142,14 +142,14 @@ def test_render_takes_random_photons(tmp_path):
 
 
 def test_settings_reach_the_methods_of_compare(tmp_path, capsys):
-    arguments = ("compare", "shapes", "-o", tmp_path / "out", "--photons", 3000, *PICTURE)
+    arguments = ("compare", "shapes", "-o", tmp_path / "out", "--photons", 3000, *VIEW)
     methods = ("--methods", "standard", "diffusion")
     choices = ("--refinement", "bias-compensation", "--k", 30, "--set", "diffusion.k=200")
     assert run(*arguments, *methods, *choices) == 0
-    told = json.loads((tmp_path / "out" / "comparison.json").read_text())["methods"]
-    assert told["standard"]["settings"]["gather"]["refinement"] == "bias-compensation"
-    assert told["standard"]["settings"]["gather"]["k"] == 30
-    assert told["diffusion"]["settings"]["diffusion"]["k"] == 200
+    entries = json.loads((tmp_path / "out" / "comparison.json").read_text())["methods"]
+    assert entries["standard"]["settings"]["gather"]["refinement"] == "bias-compensation"
+    assert entries["standard"]["settings"]["gather"]["k"] == 30
+    assert entries["diffusion"]["settings"]["diffusion"]["k"] == 200
     with pytest.raises(SystemExit):
         run(*arguments, *methods, "--iterations", 3, 3)
     assert "standard, diffusion do not read" in capsys.readouterr().err

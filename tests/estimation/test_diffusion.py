@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import photonrelax as pr
+from photonrelax._util.validation import in_units
 from photonrelax.estimation.diffusion import DiffusionField
 from tests.helpers.diffusion_maps import FIXED, LOCAL, METHODS, rotation, steep_map, turned
 from tests.helpers.photon_maps import flat_map, plane, uniform_map, unit_square
@@ -14,7 +15,7 @@ from tests.helpers.photon_maps import flat_map, plane, uniform_map, unit_square
 
 
 def landed(photons, point, normal):
-    """Where on the tangent plane photons would have landed (SSO08 Eq. A1–A2), and if at all."""
+    """Photons projected on the tangent plane (SSO08 Eq. A1–A2), and flags of those that land."""
     apart = photons.position - point
     above = (photons.wi * photons.normal).sum(axis=1) > 0.0
     towards = np.where(above[:, None], photons.wi, photons.normal)
@@ -42,6 +43,13 @@ def gradient(photons, scale, k):
         inside = near & lands & ((offset**2).sum(axis=1) < h**2)
         out[i] = 4 / (np.pi * h**4) * photons.flux.mean(axis=1)[inside] @ offset[inside]
     return out
+
+
+def found_gradient(photons, settings):
+    """The field's, whose units keep squares of gradients within the range of floats, in W/m³."""
+    field = DiffusionField(photons, settings)
+    _, watts = in_units(photons.flux.mean(axis=1, keepdims=True))
+    return field._columns[:, 1:] * watts / field._unit**3
 
 
 def kernels(photons, slopes, points, normals, settings):
@@ -116,7 +124,7 @@ def test_gradients_equal_their_definition():
         (replace(FIXED, noise_scale=0.07), 0.07, None),
         (pr.DiffusionSettings(k=60, bandwidth=0.3), 0.15, 15),
     ):
-        found = DiffusionField(photons, settings).gradient
+        found = found_gradient(photons, settings)
         np.testing.assert_allclose(found, gradient(photons, scale, k), rtol=1e-9, atol=1e-12)
 
 
@@ -124,7 +132,7 @@ def test_the_gradient_of_a_linear_field_is_its_slope():
     """E = 2x over the unit square, by inversion: x = √u."""
     uv = unit_square(20_000, "halton")
     photons = flat_map(np.column_stack([np.sqrt(uv[:, 0]), uv[:, 1]]), 20_000)
-    slopes = DiffusionField(photons, replace(LOCAL, noise_scale=0.1)).gradient
+    slopes = found_gradient(photons, replace(LOCAL, noise_scale=0.1))
     inside = (np.abs(photons.position[:, :2] - 0.5) < 0.35).all(axis=1)
     np.testing.assert_allclose(slopes[inside].mean(axis=0), [2.0, 0.0, 0.0], atol=0.02)
     assert (slopes[:, 2] == 0.0).all()
@@ -161,11 +169,11 @@ def test_a_linear_field_is_kept(method):
     photons = flat_map(np.column_stack([np.sqrt(uv[:, 0]), uv[:, 1]]), 60_000)
     points, normals = plane(np.random.default_rng(1).uniform(0.1, 0.9, (8000, 2)))
     strip = np.digitize(points[:, 0], np.linspace(0.1, 0.9, 9)) - 1
-    truth = np.bincount(strip, 2 * points[:, 0])
+    expected = np.bincount(strip, 2 * points[:, 0])
     for settings in (None, replace(LOCAL, bandwidth=0.05)):
         field = pr.irradiance_field(photons, method=method, diffusion=settings)
         sums = np.bincount(strip, field(points, normals)[:, 0])
-        np.testing.assert_allclose(sums, truth, rtol=0.01)
+        np.testing.assert_allclose(sums, expected, rtol=0.01)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -191,11 +199,11 @@ def test_light_is_projected_along_its_direction_over_a_crease():
     x, y = np.random.default_rng(0).uniform([0.0, -0.3], [0.04, 0.3], (1000, 2)).T
     points = np.column_stack([x, y, -slope * x])
     normals = np.tile([slope, 0.0, 1.0], (1000, 1))
-    truth = np.cos(np.radians(25.0))
+    expected = np.cos(np.radians(25.0))
     never = replace(LOCAL, edge_threshold=np.inf)
-    along = DiffusionField(photons, never)(points, normals)[:, 0] / truth
+    along = DiffusionField(photons, never)(points, normals)[:, 0] / expected
     np.testing.assert_allclose(along, 1.0, atol=0.02)
-    upright = DiffusionField(photons.replace(wi=None), never)(points, normals)[:, 0] / truth
+    upright = DiffusionField(photons.replace(wi=None), never)(points, normals)[:, 0] / expected
     assert upright.mean() > 1.05
 
 
@@ -214,7 +222,7 @@ def test_rotation_place_unit_and_order_do_not_matter(method, settings):
     scaled = replace(settings, bandwidth=scale * settings.bandwidth)
     field = pr.irradiance_field(moved, method=method, diffusion=scaled)
     other = field(scale * points @ q.T + shift, normals @ q.T)
-    # Rounding may tell two photons apart that are as far.
+    # Rounding may order two photons at the same distance.
     np.testing.assert_allclose(scale**2 * other, one, rtol=1e-6)
 
 
@@ -258,14 +266,14 @@ def test_other_faces_do_not_matter():
     assert (DiffusionField(top, LOCAL)(points, -normals) == 0.0).all()
 
 
-# --- what is told and refused ------------------------------------------------------------------
+# --- reports and refusals -----------------------------------------------------------------------
 
 
-def test_fields_tell_what_they_did():
+def test_fields_report_their_stages_and_settings():
     said = []
 
-    def progress(*told):
-        said.append(told)
+    def progress(*report):
+        said.append(report)
 
     photons = uniform_map(3000, "random")
     for normalisation, stages in (("local", ["gradient"]), ("maximum", ["gradient", "normalise"])):

@@ -131,7 +131,7 @@ def test_estimates_of_known_light_keep_the_bias_stated(light, start, low, high):
     """On its peaks, of amplitude one: 5 % of discs that stay, 5 %/α of those that shrank.
 
     Discs start with so many times the radius allowed. Estimates of uniform light from the same
-    photons, whose mean is one, tell how many there are in the discs by chance.
+    photons, whose mean is one, give the number in the discs by chance.
     """
     allowed = kernel_radius(np.array([VARIANCE[light]]))[0]
     xy = unit_square(200_000, "random")
@@ -152,7 +152,7 @@ def test_estimates_of_known_light_keep_the_bias_stated(light, start, low, high):
 def reflector():
     """Squared errors (1, points) of 2,000,000 photons on the scene's floor, by method."""
     on = bench.floor(2_000_000)
-    return on, bench.errors(on, 2_000_000, "halton", range(1), 64, 0.02)[0]
+    return on, bench.errors(on, 2_000_000, "halton", range(1), passes=64, share=0.02)[0]
 
 
 def test_smooth_light_of_the_reflector_is_less_noisy_than_progressive(reflector):

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from photonrelax._ext.estimation.frequency import MaxInRadius
 from photonrelax._ext.spatial.blocks import to_soa_blocks
+from photonrelax._ext.spatial.radius import RadiusGather
 
 from photonrelax._ext.estimation import diffusion, nearest, refinement
 from photonrelax._ext.estimation import tangent_plane as tangent
@@ -105,9 +107,23 @@ def test_tensors_want_a_flux_and_a_gradient_and_all_axes(carried, queries):
         diffusion.densities(given, values, around, shape, np.zeros((5, 3)), n_threads=1)
 
 
+def test_maxima_want_values_in_the_blocks_of_the_tree():
+    tree, rows = tree_and_rows()
+    with pytest.raises(ValueError, match="do not fit the blocks"):
+        MaxInRadius(tree, to_soa_blocks(np.ones((N, 1)), rows[:16], 1), range_radius=1.0)
+
+
+def test_sums_want_a_row_for_each_point():
+    tree, rows = tree_and_rows()
+    with pytest.raises(ValueError, match="a row for each point"):
+        RadiusGather(
+            *(tree, np.ones((N, 1)), rows[:16], nearest.CONSTANT), normal_range=1.0, n_threads=1
+        )
+
+
 def test_distances_want_all_axes():
     tree, order = tree_and_rows()[0], np.arange(5)
-    for n_axes, range_radius in ((3, 1.0), (2, -1.0)):
+    for n_axes, range_radius in ((3, 1.0), (3, -1.0)):
         with pytest.raises(ValueError, match="queries do not fit"):
             kth_distance.of_queries(
                 tree, np.zeros((5, n_axes)), order, k=4, range_radius=range_radius, n_threads=1

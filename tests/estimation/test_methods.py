@@ -1,4 +1,4 @@
-"""What every method must do: keep constant and linear fields and energy; no matter how it is asked.
+"""Every method keeps constant and linear fields and energy, whatever the order and the threads.
 
 Photons lie on a plane whose coordinates are those of their emitter. A method that needs more than
 the defaults has a `Case` below that says why.
@@ -20,7 +20,7 @@ from tests.helpers.photon_maps import flat_map, plane, uniform_map, unit_square
 
 @dataclass(frozen=True)
 class Case:
-    """How a method is tested, which may be another's variant."""
+    """Parameters of the tests of a method, or of a variant of one."""
 
     method: str | None = None
     # Settings objects by name, for lengths in this unit.

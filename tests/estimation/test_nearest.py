@@ -77,11 +77,11 @@ def test_a_linear_field_is_kept():
     photons = flat_map(np.column_stack([np.sqrt(uv[:, 0]), uv[:, 1]]), 120_000, coords=uv)
     points, normals = plane(np.random.default_rng(1).uniform(0.1, 0.9, (40_000, 2)))
     strip = np.digitize(points[:, 0], np.linspace(0.1, 0.9, 9)) - 1
-    truth = np.bincount(strip, 2 * points[:, 0])
+    expected = np.bincount(strip, 2 * points[:, 0])
     for method in ("standard", "parameterised"):
         field = pr.irradiance_field(photons.replace(well_spaced=True), method=method)
         sums = np.bincount(strip, field(points, normals)[:, 0])
-        np.testing.assert_allclose(sums, truth, rtol=0.01)
+        np.testing.assert_allclose(sums, expected, rtol=0.01)
 
 
 def test_black_stays_black():

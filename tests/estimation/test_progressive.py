@@ -1,4 +1,4 @@
-"""Progressive photon mapping: what passes of photons tell about hit points."""
+"""Progressive photon mapping: statistics of hit points over passes of photons."""
 
 import numpy as np
 import pytest
@@ -72,7 +72,7 @@ def test_weights_take_the_place_of_numbers_emitted():
 
 
 def test_discs_do_not_shrink_below_their_least_radius():
-    """What is left in a disc keeps its density, and all photons count once it stays."""
+    """A reduced disc keeps its density, and all photons count once it stays."""
     points, normals = plane(np.tile([[0.5, 0.5]], (3, 1)))
     statistics = pr.ProgressiveStatistics(points, normals, 0.1, alpha=0.5)
     statistics.add(photons_at([0.0] * 8, 8), least_radius=[0.2, 0.09, 0.01])

@@ -96,7 +96,7 @@ def test_estimates_equal_their_definition(refinement, kernel, step):
 
 
 def numbers(refinement, photons, points):
-    """How many photons estimates use, and what they are, by the definition."""
+    """Numbers of photons that estimates use, by the definition."""
     distance = pr.KDTree(photons.position).query(points, K).distance
     flux = np.full(K, photons.flux[0, 0])
     return np.array([chosen(refinement, row**2, flux) for row in distance])

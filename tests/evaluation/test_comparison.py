@@ -53,7 +53,7 @@ class Exact(PhotonField):
 
 
 @pytest.fixture(scope="module")
-def truth():
+def reference_image():
     """An image of the scene from other and more photons."""
     return pr.render(ring(), method="standard", n_emitted=20 * N, seed=1, supersampling=1)
 
@@ -66,8 +66,8 @@ def comparison_request():
 
 
 @pytest.fixture(scope="module")
-def comparison(comparison_request, truth):
-    return compare(comparison_request, truth)
+def comparison(comparison_request, reference_image):
+    return compare(comparison_request, reference_image)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_every_method_makes_the_image_that_render_makes(comparison):
         assert (entry.n_emitted, entry.n_stored) == (N, image.stats["stages"]["trace"]["stored"])
 
 
-def test_photons_and_camera_rays_are_traced_once(comparison_request, truth, monkeypatch):
+def test_photons_and_camera_rays_are_traced_once(comparison_request, reference_image, monkeypatch):
     calls = []
     for owner, name in ((subject, "trace_photons"), (View, "bands")):
         work = getattr(owner, name)
@@ -94,22 +94,22 @@ def test_photons_and_camera_rays_are_traced_once(comparison_request, truth, monk
             name,
             lambda *a, _name=name, _work=work, **k: calls.append(_name) or _work(*a, **k),
         )
-    compare(comparison_request, truth)
+    compare(comparison_request, reference_image)
     assert calls == ["trace_photons", "bands"]
 
 
-def test_errors_are_those_of_the_layers(comparison, truth):
+def test_errors_are_those_of_the_layers(comparison, reference_image):
     for entry in comparison.entries:
         layers, errors = entry.image.layers, entry.errors
-        caustics = layers["caustic"], truth.layers["caustic"]
+        caustics = layers["caustic"], reference_image.layers["caustic"]
         assert errors.relative_l1 == metrics.relative_l1(*caustics) > 0.0
         assert errors.relative_l2 == metrics.relative_l2(*caustics)
         assert errors.energy_bias == metrics.energy_bias(*caustics)
-        shown = srgb(layers["radiance"]), srgb(truth.layers["radiance"])
+        shown = srgb(layers["radiance"]), srgb(reference_image.layers["radiance"])
         assert errors.ssim == metrics.ssim(*shown)
         assert errors.flip == metrics.flip_map(*shown).mean() == layers["flip"].mean()
         np.testing.assert_array_equal(
-            layers["difference"], layers["radiance"] - truth.layers["radiance"]
+            layers["difference"], layers["radiance"] - reference_image.layers["radiance"]
         )
 
 
@@ -121,15 +121,17 @@ def test_an_image_has_no_error_against_itself(comparison_request):
 
 
 def test_direct_light_is_taken_off_a_reference_that_is_one_image(
-    comparison_request, truth, comparison
+    comparison_request, reference_image, comparison
 ):
-    bare = compare(comparison_request, pr.Image({"radiance": truth.layers["radiance"]}))
+    bare = compare(comparison_request, pr.Image({"radiance": reference_image.layers["radiance"]}))
     for entry, expected in zip(bare.entries, comparison.entries, strict=True):
         assert entry.errors.relative_l1 == pytest.approx(expected.errors.relative_l1, rel=1e-9)
 
 
-def test_exposure_changes_what_is_seen_and_nothing_else(comparison_request, truth, comparison):
-    dark = compare(replace(comparison_request, exposure=-3.0), truth)
+def test_exposure_changes_what_is_seen_and_nothing_else(
+    comparison_request, reference_image, comparison
+):
+    dark = compare(replace(comparison_request, exposure=-3.0), reference_image)
     for entry, expected in zip(dark.entries, comparison.entries, strict=True):
         assert entry.errors.relative_l2 == expected.errors.relative_l2
         assert entry.errors.flip != expected.errors.flip
@@ -142,9 +144,11 @@ def test_methods_are_those_of_sj13(comparison_request):
         replace(comparison_request, methods=("magic",))
 
 
-def test_settings_and_sampler_reach_their_stages(comparison_request, truth):
+def test_settings_and_sampler_reach_their_stages(comparison_request, reference_image):
     settings = Settings(gather=pr.GatherSettings(k=20), relax=pr.RelaxSettings((1, 0)))
-    made = compare(replace(comparison_request, settings=settings, sampler="random"), truth)
+    made = compare(
+        replace(comparison_request, settings=settings, sampler="random"), reference_image
+    )
     assert made.entries[1].settings["relax"]["n_iterations"] == (1, 0)
     assert [entry.settings["gather"]["k"] for entry in made.entries] == [20, 20]
     photons = pr.trace_photons(ring(), N, sampler="random")
@@ -155,11 +159,11 @@ def test_photons_without_a_scene_are_measured_against_their_exact_irradiance(tmp
     comparison_request = ComparisonRequest(
         subject=PhotonPatternSubject("shapes", (40, 30)), n_emitted=4000, methods=PAIR
     )
-    truth = reference.cached_reference(tmp_path / "none.exr", comparison_request)
+    exact = reference.cached_reference(tmp_path / "none.exr", comparison_request)
     known = gallery.pattern("shapes")
     expected = known.image(lambda points, _: known.irradiance(points), 40, 30, 2) / np.pi
-    np.testing.assert_array_equal(truth.layers["radiance"], expected)
-    made = compare(comparison_request, truth)
+    np.testing.assert_array_equal(exact.layers["radiance"], expected)
+    made = compare(comparison_request, exact)
     assert made.reference.description == "exact irradiance at the same points"
     photons = gallery.pattern("shapes", n=4000, sampler="halton").photons
     seen = gallery.pattern("shapes").image(pr.irradiance_field(photons), 40, 30, 2)
@@ -219,24 +223,24 @@ def test_images_are_written_as_they_are(written, comparison):
             layers["radiance"], np.float32(entry.image.layers["radiance"])
         )
         assert {"difference", "flip", "caustic"} <= layers.keys()
-        told = read_exr(written / f"{entry.name}.exr").metadata
-        assert told["photonrelax.method"] == entry.method
-        assert json.loads(told["photonrelax.settings"])["gather"]["k"] == 15
-        assert told["photonrelax.photons_emitted"] == str(N)
+        metadata = read_exr(written / f"{entry.name}.exr").metadata
+        assert metadata["photonrelax.method"] == entry.method
+        assert json.loads(metadata["photonrelax.settings"])["gather"]["k"] == 15
+        assert metadata["photonrelax.photons_emitted"] == str(N)
         with PILImage.open(written / f"{entry.method}.png") as shown:
             expected = np.rint(255 * srgb(entry.image.layers["radiance"]))
             np.testing.assert_array_equal(np.asarray(shown), expected)
 
 
 def test_numbers_are_all_in_one_file(written, comparison):
-    told = json.loads((written / "comparison.json").read_text())
-    assert (told["scene"], told["n_emitted"], told["sampler"]) == ("ring", N, "halton")
-    assert list(told["methods"]) == list(PAIR)
+    numbers = json.loads((written / "comparison.json").read_text())
+    assert (numbers["scene"], numbers["n_emitted"], numbers["sampler"]) == ("ring", N, "halton")
+    assert list(numbers["methods"]) == list(PAIR)
     for entry in comparison.entries:
-        method = told["methods"][entry.method]
+        method = numbers["methods"][entry.method]
         assert method["errors"] == entry.errors.to_dict()
         assert method["total_seconds"] == pytest.approx(sum(method["seconds"].values()))
-    assert list(told["methods"]["parameterised"]["seconds"]) == [
+    assert list(numbers["methods"]["parameterised"]["seconds"]) == [
         *("cast", "camera", "structure", "relax", "gather")
     ]
 
@@ -250,14 +254,16 @@ def test_a_folder_used_again_keeps_nothing_of_other_methods(comparison, tmp_path
     assert not [name for name in left if name.startswith("diffusion")]
 
 
-def test_settings_without_limit_are_told_as_null(comparison_request, truth, tmp_path):
+def test_infinite_settings_are_written_as_null(comparison_request, reference_image, tmp_path):
     settings = Settings(gather=pr.GatherSettings(gather_radius=np.inf))
     folder.write(
-        compare(replace(comparison_request, settings=settings, methods=("standard",)), truth),
+        compare(
+            replace(comparison_request, settings=settings, methods=("standard",)), reference_image
+        ),
         tmp_path,
     )
-    told = json.loads((tmp_path / "comparison.json").read_text())
-    assert told["methods"]["standard"]["settings"]["gather"]["gather_radius"] is None
+    numbers = json.loads((tmp_path / "comparison.json").read_text())
+    assert numbers["methods"]["standard"]["settings"]["gather"]["gather_radius"] is None
 
 
 def test_the_page_needs_nothing_else(written):
@@ -284,7 +290,7 @@ def test_differences_are_orange_where_too_bright_and_blue_where_too_dark():
 
 
 def test_an_image_that_is_too_bright_is_orange_and_one_too_dark_blue(comparison):
-    """What is shown is the image less the reference, not the reverse."""
+    """The difference is the image less the reference, not the reverse."""
     entry = comparison.entries[0]
     for factor, much, little in ((0.5, 0, 2), (2.0, 2, 0)):
         scaled = pr.Image({"radiance": factor * np.asarray(entry.image.layers["radiance"])})
@@ -307,9 +313,11 @@ def test_path_edges_are_one_more_than_bounces(comparison):
     assert "2 (blue) to" in about
 
 
-def test_constraints_are_those_of_sj13_where_they_are_known(comparison_request, truth, comparison):
+def test_constraints_are_those_of_sj13_where_they_are_known(
+    comparison_request, reference_image, comparison
+):
     def seen(*methods):
-        return compare(replace(comparison_request, methods=methods), truth).photon_layers
+        return compare(replace(comparison_request, methods=methods), reference_image).photon_layers
 
     assert "photons.constraint" not in seen("standard")
     original = seen("standard", "relaxation")["photons.constraint"]
@@ -321,7 +329,7 @@ def test_constraints_are_those_of_sj13_where_they_are_known(comparison_request, 
 
 def test_constrained_photons_are_red(comparison):
     red = np.array([[0.0, 1.0]])
-    colours = images._constraint_colours(red)[0]
+    colours = images._constraint_colours(red)[0][0]
     assert np.ptp(colours[0]) == 0.0
     assert colours[1, 0] > 10 * colours[1, 1]
 

@@ -1,4 +1,4 @@
-"""References: computed with care for their own errors, kept, gone on with; foreign ones refused."""
+"""References: with estimates of their own errors, cached, resumed; foreign ones refused."""
 
 import json
 from dataclasses import replace
@@ -59,7 +59,7 @@ def test_photons_of_a_reference_are_not_those_compared(comparison_request, tmp_p
     assert ReferenceSettings().k <= 4
 
 
-def test_noise_and_bias_are_told_apart():
+def test_noise_and_bias_are_separated():
     """A step is blurred by so much, and by twice as much; noise is independent between runs."""
     rng = np.random.default_rng(0)
     x = np.linspace(-1.0, 1.0, 400)[np.newaxis, :, np.newaxis] * np.ones((300, 1, 3))
@@ -72,17 +72,17 @@ def test_noise_and_bias_are_told_apart():
     small = [blurred(0.1) + n for n in noise]
     wide = [blurred(0.2) + n + 0.02 * rng.normal(size=x.shape) for n in noise]
     found = reference.estimate_uncertainty(small, wide)
-    truth = 0.5 * (small[0] + small[1])
-    scale_l1, scale_l2 = np.abs(truth).sum(), np.linalg.norm(truth)
-    bias, left = blurred(0.1) - exact, truth - blurred(0.1)
+    mean = 0.5 * (small[0] + small[1])
+    scale_l1, scale_l2 = np.abs(mean).sum(), np.linalg.norm(mean)
+    bias, left = blurred(0.1) - exact, mean - blurred(0.1)
     assert found.noise_l1 == pytest.approx(np.abs(left).sum() / scale_l1, rel=0.02)
     assert found.noise_l2 == pytest.approx(np.linalg.norm(left) / scale_l2, rel=0.02)
     assert found.bias_l1 == pytest.approx(np.abs(bias).sum() / scale_l1, rel=0.2)
     assert found.bias_l2 == pytest.approx(np.linalg.norm(bias) / scale_l2, rel=0.3)
-    alike = reference.estimate_uncertainty(
+    independent = reference.estimate_uncertainty(
         small, [s + 0.02 * rng.normal(size=x.shape) for s in small]
     )
-    assert alike.bias_l1 < 0.05 * found.bias_l1
+    assert independent.bias_l1 < 0.05 * found.bias_l1
 
 
 def test_larger_discs_are_found_to_have_more_bias(comparison_request, tmp_path):
@@ -149,7 +149,7 @@ def test_a_reference_that_was_stopped_is_gone_on_with(comparison_request, tmp_pa
     assert not path.exists()
     again = []
     resumed = reference.cached_reference(
-        path, comparison_request, SETTINGS, lambda *told: again.append(told[:2])
+        path, comparison_request, SETTINGS, lambda *progress: again.append(progress[:2])
     )
     assert again[0][1] == 2
     assert "run 2" in again[0][0]
@@ -159,13 +159,13 @@ def test_a_reference_that_was_stopped_is_gone_on_with(comparison_request, tmp_pa
 
 
 def test_the_run_is_the_last_column_of_the_table(comparison_request, tmp_path):
-    truth = reference.cached_reference(tmp_path / "reference.exr", comparison_request, SETTINGS)
+    computed = reference.cached_reference(tmp_path / "reference.exr", comparison_request, SETTINGS)
     shown = tables.table(
-        compare(replace(comparison_request, methods=("standard", "progressive")), truth)
+        compare(replace(comparison_request, methods=("standard", "progressive")), computed)
     )
     assert shown.column_titles == ["standard", "progressive, split passes", "reference"]
     cells = {name: cells[-1] for name, cells, _ in shown.rows}
-    cost = json.loads(truth.metadata["photonrelax.reference_cost"])
+    cost = json.loads(computed.metadata["photonrelax.reference_cost"])
     assert cells["photons emitted"] == "20,000"
     assert cells["photons absorbed"] == f"{cost['stored']:,}"
     assert cells["total"] == f"{cost['seconds']:.2f} s"

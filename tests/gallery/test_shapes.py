@@ -34,7 +34,7 @@ def test_photons_lie_within_the_shapes_and_carry_their_light(shapes):
 
 
 def test_photons_are_equally_dense_everywhere(shapes):
-    """Counts in pixels of 2.5 cm over the truth: χ² of independent photons, or less."""
+    """Counts in pixels of 2.5 cm over the expected ones: χ² of independent photons, or less."""
     side, photons = 40, shapes.photons
     row = side - 1 - (photons.position[:, 1] * side).astype(int)
     column = (photons.position[:, 0] * side).astype(int)
@@ -104,7 +104,7 @@ def test_every_method_takes_its_photons():
 
 @pytest.fixture(scope="module")
 def diffused():
-    """What SSO08's diffusion, q = 0.1, makes of three maps: anisotropic, and isotropic."""
+    """Estimates of SSO08's diffusion, q = 0.1, from three maps: anisotropic, and isotropic."""
     return [figure4.measured(figure4.diffusion(0.1, isotropic=i), 3) for i in (False, True)]
 
 
@@ -130,7 +130,7 @@ def test_diffusion_keeps_more_of_the_thinnest_line_than_standard_estimates_as_qu
 
 
 def test_anisotropic_kernels_are_quieter_along_edges_than_isotropic(diffused):
-    """8 % beside 13 %, and on the line 14 % beside 24 %; they keep as much of the line."""
+    """8 % against 13 %, and on the line 14 % against 24 %; they keep as much of the line."""
     anisotropic, isotropic = diffused
     assert anisotropic.edge_noise < 0.7 * isotropic.edge_noise
     assert anisotropic.line_noise < 0.7 * isotropic.line_noise

@@ -25,6 +25,11 @@ def ball(radius, centre, subdivisions=3):
     return mesh
 
 
+def scene_of(*meshes):
+    """A scene of diffuse meshes under light from above."""
+    return pr.Scene([pr.SceneObject(mesh, pr.Diffuse()) for mesh in meshes], [DOWN])
+
+
 def floor(size=4.0, albedo=0.8):
     return pr.SceneObject(sheet(size), pr.Diffuse(albedo))
 
@@ -37,15 +42,15 @@ def glass_ball(smooth=True, **glass):
     return pr.SceneObject(ball(0.5, [0, 0, 1]), pr.Dielectric(**glass), smooth=smooth)
 
 
-def leaning(material, lean, z=1.0):
+def leaning(material, lean):
     """A flat sheet whose smooth normals lean towards +x by an angle."""
-    flat = sheet(1.0, z)
+    flat = sheet(1.0, z=1.0)
     normals = [[np.sin(lean), 0.0, np.cos(lean)]] * 4
     mesh = trimesh.Trimesh(flat.vertices, flat.faces, vertex_normals=normals, process=False)
     return pr.SceneObject(mesh, material, smooth=True)
 
 
-def mirror_ball(reflectance=1.0):
+def mirror_ball(reflectance):
     # Coarse and smooth: interpolated normals often point away from the rays.
     return pr.SceneObject(ball(0.5, [1, 0, 1], 1), pr.Mirror(reflectance), smooth=True)
 

@@ -113,7 +113,7 @@ def test_ssim_needs_room_for_its_window():
 @pytest.mark.parametrize(
     ("module", "package"), [("skimage", "scikit-image"), ("flip_evaluator", "flip-evaluator")]
 )
-def test_a_missing_library_is_told_with_what_brings_it(module, package, monkeypatch):
+def test_a_missing_library_is_named_with_the_extra_that_installs_it(module, package, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(
         ImportError, match=rf"needs {package}: pip install 'photonrelax\[compare\]'"

@@ -49,7 +49,7 @@ def test_roundings_do_not_make_faces():
     np.testing.assert_array_equal(face, np.arange(3).repeat(200))
 
 
-def test_many_normals_are_not_told_apart():
+def test_many_normals_are_not_separated():
     assert normals_kernel.group_normals(random_directions(65), 64)[0] is None
 
 
@@ -98,13 +98,13 @@ def test_columns_are_copied_side_by_side(rows):
     source = np.arange(10.0).reshape(5, 2)
     expected = source if rows is None else source[rows]
     target = np.zeros((len(expected), 4))
-    blocks.copy_scaled_rows(target, 1, source, rows, 0.5, 2)
+    blocks.copy_scaled_rows(target, 1, source, rows, scale=0.5, n_threads=2)
     np.testing.assert_array_equal(target[:, 1:3], 0.5 * expected)
     assert not target[:, [0, 3]].any()
     with pytest.raises(ValueError, match="columns do not fit the target"):
-        blocks.copy_scaled_rows(target, 3, source, rows, 0.5, 2)
+        blocks.copy_scaled_rows(target, 3, source, rows, scale=0.5, n_threads=2)
     with pytest.raises(ValueError, match="rows do not fit the target"):
-        blocks.copy_scaled_rows(target[1:], 0, source, rows, 0.5, 2)
+        blocks.copy_scaled_rows(target[1:], 0, source, rows, scale=0.5, n_threads=2)
 
 
 @pytest.mark.parametrize("n", [1, 1024, 5000])

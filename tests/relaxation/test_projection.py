@@ -8,13 +8,7 @@ import photonrelax as pr
 from photonrelax.relaxation import projection
 from photonrelax.relaxation.projection import SurfaceProjector
 from photonrelax.transport.raycast import RayCaster
-
-
-def scene_of(*meshes):
-    return pr.Scene(
-        [pr.SceneObject(mesh, pr.Diffuse()) for mesh in meshes],
-        [pr.CollimatedEmitter(direction=(0, 0, -1))],
-    )
+from tests.helpers.tracing_scenes import scene_of
 
 
 def square(z=0.0):
@@ -86,7 +80,7 @@ def test_photons_end_where_rays_would_put_them(scene, side):
 
 @pytest.fixture
 def rays_cast(monkeypatch):
-    """How many rays each call of embree was for."""
+    """Numbers of rays in the calls of embree."""
     counts, find = [], RayCaster.find
 
     def counted(self, origins, directions):

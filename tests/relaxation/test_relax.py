@@ -6,6 +6,7 @@ import trimesh
 
 import photonrelax as pr
 from tests.helpers.photon_maps import flat_map, uniform_map, unit_square
+from tests.helpers.tracing_scenes import scene_of
 
 
 def relaxed(photons, scene=None, n_threads=None, **settings):
@@ -135,13 +136,6 @@ def test_rotation_turns_the_result_with_it():
     )
 
 
-def scene_of(*meshes):
-    return pr.Scene(
-        [pr.SceneObject(mesh, pr.Diffuse()) for mesh in meshes],
-        [pr.CollimatedEmitter(direction=(0, 0, -1))],
-    )
-
-
 def on_faces(mesh, n, faces=slice(None), seed=8):
     """Photons scattered evenly over some faces of a mesh, all of object 0."""
     part = mesh.submesh([np.arange(len(mesh.faces))[faces]], append=True)
@@ -189,8 +183,8 @@ def test_however_few_photons_are_put_back_on_a_floor_as_if_it_were_not_there(n):
 @pytest.mark.parametrize("same_object", [True, False])
 def test_a_sheet_close_above_neither_takes_nor_blocks_photons(gap, same_object):
     floor, above = square(), square(gap)
-    joined = trimesh.util.concatenate([floor, above])
-    scene = scene_of(joined) if same_object else scene_of(floor, above)
+    both = trimesh.util.concatenate([floor, above])
+    scene = scene_of(both) if same_object else scene_of(floor, above)
     photons = uniform_map(4000, "random").replace(object_id=np.zeros(4000, dtype=int))
     after = relaxed(photons, scene).position
     assert (after[:, 2] == 0.0).all()

@@ -11,7 +11,7 @@ N_PASSES, N_PHOTONS = 32, 5000
 def test_errors_fall_over_passes_against_known_irradiance(scene):
     """Noise goes as i^(-α/2), bias as i^(α - 1); with α = 0.7 by powers of -0.35 and -0.3.
 
-    ``python -m bench progressive`` tells them apart, over longer runs.
+    ``python -m bench progressive`` separates them, over longer runs.
     """
     case = progressive.CASES[scene]()
     assert len(case.points) > 100

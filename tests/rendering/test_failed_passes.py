@@ -23,7 +23,9 @@ PLACES = {
 @pytest.mark.parametrize("stochastic", [False, True])
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
 @pytest.mark.parametrize("where", PLACES)
-def test_errors_and_ctrl_c_keep_whole_passes(ring, where, error, stochastic, tmp_path, monkeypatch):
+def test_errors_and_ctrl_c_keep_whole_passes(
+    ring, where, error, stochastic, *, tmp_path, monkeypatch
+):
     """In the middle of the third pass, long before an interval is over."""
     interrupt_call(monkeypatch, PLACES[where], where, error, number=3)
     state = pr.Checkpoints(state=tmp_path / "run.npz", interval=np.inf)
@@ -100,7 +102,7 @@ def test_a_run_goes_on_over_passes_that_store_nothing(ring, stochastic, tmp_path
 
 
 def test_passes_that_store_nothing_count_as_such(ring, monkeypatch):
-    """A third of what the third pass tells alone."""
+    """A third of the image of the third pass alone."""
     store_nothing(monkeypatch, 2)
     three = pr.render_progressive(ring, n_passes=3, **FEW).layers["caustic"]
     monkeypatch.setattr(progressive_render, "pass_seed", lambda seed, number: pass_seed(seed, 2))

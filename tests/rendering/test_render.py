@@ -1,4 +1,4 @@
-"""Rendering: layers in absolute units, made by stages whose times and counts are told."""
+"""Rendering: layers in absolute units, made by stages whose times and counts are reported."""
 
 import importlib
 import json
@@ -143,7 +143,7 @@ def test_same_bytes_for_every_number_of_threads(prism, image):
             assert again.layers[name].tobytes() == layer.tobytes()
 
 
-def test_stages_tell_seconds_and_counts(image):
+def test_stages_report_seconds_and_counts(image):
     stages = image.stats["stages"]
     assert list(stages) == ["trace", "structure", "relax", "render"]
     assert all(stage["seconds"] > 0.0 for stage in stages.values())
@@ -165,7 +165,7 @@ def test_metadata_say_how_the_image_was_made(image):
     assert about["photonrelax.version"] == pr.__version__
 
 
-def test_metadata_tell_the_seed_of_photons_traced_before(prism):
+def test_metadata_hold_the_seed_of_photons_traced_before(prism):
     photons = pr.trace_photons(prism, 5000, seed=7, sampler="random")
     gather = pr.GatherSettings(gather_radius=np.float32(np.inf))
     image = pr.render(prism, photons=photons, supersampling=np.int64(1), gather=gather)
@@ -208,7 +208,7 @@ YELLOWER = pr.CollimatedEmitter((0, 0, -1), irradiance=(1, 1, 0.9))
         ),
     ],
 )
-def test_photons_whose_ledger_tells_of_another_scene_are_refused(other, message):
+def test_photons_whose_ledger_is_of_another_scene_are_refused(other, message):
     photons = pr.trace_photons(under_glass(SUN), 1000)
     with pytest.raises(ValueError, match=f"photons should be of the scene rendered, {message}"):
         pr.render(other, photons=photons)

@@ -7,37 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import photonrelax as pr
-
-
-def brute_force(points, queries, k, n_metric=3, half_range=None, range_radius=None, excluded=None):
-    """Neighbours by definition: all points in range, sorted by squared distance, then id."""
-    n, m = len(points), len(queries)
-    ids = np.full((m, k), n, dtype=np.intp)
-    distance = np.full((m, k), np.inf)
-    for i, query in enumerate(queries):
-        squares = (points - query) ** 2
-        # Sums in axis order, as the kernel's, so that ties and bits agree.
-        squared = np.add.accumulate(squares[:, :n_metric], axis=1)[:, -1]
-        allowed = np.ones(n, dtype=bool)
-        if half_range is not None:
-            widths = np.broadcast_to(half_range, (m, points.shape[1] - n_metric))[i]
-            allowed &= (np.abs(points - query)[:, n_metric:] <= widths).all(axis=1)
-        if range_radius is not None:
-            reach = np.broadcast_to(range_radius, (m,))[i]
-            allowed &= np.add.accumulate(squares[:, n_metric:], axis=1)[:, -1] <= reach * reach
-        if excluded is not None:
-            allowed[excluded[i]] = False
-        candidates = np.flatnonzero(allowed)
-        order = candidates[np.lexsort((candidates, squared[candidates]))][:k]
-        ids[i, : len(order)] = order
-        distance[i, : len(order)] = np.sqrt(squared[order])
-    return ids, distance
+from tests.helpers.neighbours import nearest
 
 
 def assert_exact(points, queries, k, n_metric=3, **ranges):
     """Compare a query with brute force, bit for bit."""
     found = pr.KDTree(points, n_metric).query(queries, k, **ranges)
-    ids, distance = brute_force(points, queries, k, n_metric, **ranges)
+    ids, distance = nearest(points, queries, k, n_metric, **ranges)
     np.testing.assert_array_equal(found.ids, ids)
     np.testing.assert_array_equal(found.distance, distance)
 
@@ -106,7 +82,7 @@ def test_query_self_may_leave_the_point_itself_out(exclude_self):
     points = np.random.default_rng(2).integers(0, 6, (500, 5)).astype(float)
     found = pr.KDTree(points).query_self(20, range_radius=1.5, exclude_self=exclude_self)
     excluded = np.arange(500) if exclude_self else None
-    ids, distance = brute_force(points, points, 20, range_radius=1.5, excluded=excluded)
+    ids, distance = nearest(points, points, 20, range_radius=1.5, excluded=excluded)
     np.testing.assert_array_equal(found.ids, ids)
     np.testing.assert_array_equal(found.distance, distance)
 

@@ -1,4 +1,4 @@
-"""What every path of the search finds is what a sort of all distances finds, bit for bit."""
+"""Every path of the search finds the neighbours of a sort of all distances, bit for bit."""
 
 import numpy as np
 import pytest
@@ -8,34 +8,11 @@ from hypothesis import strategies as st
 import photonrelax as pr
 from photonrelax._ext.relaxation import relax
 from tests.helpers import simd_paths
+from tests.helpers.neighbours import nearest
 
 # Around one block, one group of blocks and the chunks keys are looked at in; many levels.
 SIZES = [0, 1, 2, 15, 16, 17, 63, 64, 65, 255, 256, 257, 272, 273, 1025, 4096, 5000]
 on_each_path = simd_paths.each("path")
-
-
-def nearest(points, queries, k, n_metric=3, *, half_range=None, range_radius=None, excluded=None):
-    """Return ids and distances by definition: sorted by squared distance, then id."""
-    n, m = len(points), len(queries)
-    offsets = points - queries[:, np.newaxis]
-    # Sums in the order of the axes, as the kernel's, so that ties and bits agree.
-    squared = np.add.accumulate(offsets[..., :n_metric] ** 2, axis=-1)[..., -1]
-    allowed = np.ones((m, n), dtype=bool)
-    if half_range is not None:
-        widths = np.broadcast_to(half_range, (m, points.shape[1] - n_metric))
-        allowed &= (np.abs(offsets[..., n_metric:]) <= widths[:, np.newaxis]).all(axis=-1)
-    if range_radius is not None:
-        radius = np.broadcast_to(range_radius, m)[:, np.newaxis]
-        ball = np.add.accumulate(offsets[..., n_metric:] ** 2, axis=-1)[..., -1]
-        allowed &= ball <= radius * radius
-    if excluded is not None:
-        allowed[np.arange(m), excluded] = False
-    squared = np.where(allowed, squared, np.inf)
-    order = np.argsort(squared, axis=1, kind="stable")[:, :k]
-    distance = np.sqrt(np.take_along_axis(squared, order, axis=1))
-    ids = np.where(np.isfinite(distance), order, n)
-    empty = ((0, 0), (0, k - ids.shape[1]))
-    return np.pad(ids, empty, constant_values=n), np.pad(distance, empty, constant_values=np.inf)
 
 
 def assert_same(found, expected):
@@ -189,7 +166,7 @@ def test_hypothesis_made_searches(path, search, offset):
     k=st.integers(1, 70),
     away=st.sampled_from([1.0, 1e6]),
 )
-def test_squares_that_underflow_or_nearly_overflow(path, seed, kind, exponent, k, away):
+def test_squares_that_underflow_or_nearly_overflow(path, seed, *, kind, exponent, k, away):
     rng = np.random.default_rng(seed)
     points = kind(rng, 200, 3) * 10.0**exponent
     queries = away * 10.0**exponent * rng.normal(size=(20, 3))
@@ -244,7 +221,7 @@ def test_ties_are_broken_by_id_across_many_blocks(path, k):
 @on_each_path
 @pytest.mark.parametrize("k", [3, 16, 17, 40])
 def test_density_that_jumps_from_batch_to_batch(path, k):
-    """What one batch found is no guide to the next: too little by far, or too much."""
+    """Radii of one batch are no guess for the next: too small by far, or too large."""
     rng = np.random.default_rng(k)
     sparse, dense = rng.random((40, 16, 3)), 1e-6 * rng.random((40, 16, 3))
     places = 2.0 * np.arange(40)[:, np.newaxis, np.newaxis] * [1.0, 0.0, 0.0]
@@ -314,7 +291,7 @@ def test_searches_of_a_refitted_tree_equal_those_of_a_new_one(path, n):
 
 
 def moved(tree, guess, k=16, reach=None):
-    """Return new positions and squared radii, by place, of free photons in the plane z = 0."""
+    """New positions and squared radii, in tree order, of free photons in the plane z = 0."""
     n = tree.n_points
     squared_radius = np.array(np.broadcast_to(guess, n), dtype=float)
     inputs = relax.RelaxInputs(
@@ -328,7 +305,7 @@ def moved(tree, guess, k=16, reach=None):
         squared_radius=squared_radius,
     )
     out = np.empty((n, 3))
-    relax.move(tree.kernel, 0, n, inputs, k, 1.0, out, 1)
+    relax.move(tree.kernel, 0, n, inputs, k=k, step=1.0, moved=out, n_threads=1)
     return out, squared_radius
 
 

@@ -1,4 +1,4 @@
-"""Searches that turn on what lies at an edge: of a limit, of what floats tell, of a list."""
+"""Searches decided at an edge: of a limit, of float32 precision, of a list."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 import photonrelax as pr
 from tests.helpers import simd_paths
-from tests.spatial.test_knn import assert_nearest, assert_same, lattice, moved, nearest, uniform
+from tests.helpers.neighbours import nearest
+from tests.spatial.test_knn import assert_nearest, assert_same, lattice, moved, uniform
 
 on_each_path = simd_paths.each("path")
 
@@ -18,7 +19,7 @@ def directions(rng, n, d):
 
 
 def nudged(x):
-    """Return a number, its neighbours, and some that floats can hardly tell from it."""
+    """A number, its neighbours, and some that float32 hardly separates from it."""
     return [x, np.nextafter(x, 0.0), np.nextafter(x, np.inf), *(x * (1 + s) for s in NUDGES)]
 
 
@@ -61,7 +62,7 @@ def test_points_on_the_rim_of_a_range(path, radius, origin):
 
 
 def moved_by_definition(points, k, limit):
-    """Return where SJ13 Eq. 8 moves photons and how far, squared, their neighbours are."""
+    """Positions after a move by SJ13 Eq. 8, and squared distances to the farthest neighbours."""
     squared = ((points[:, np.newaxis] - points) ** 2).sum(axis=-1)
     positions, farthest = points.copy(), np.zeros(len(points))
     for i, row in enumerate(squared):

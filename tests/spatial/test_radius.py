@@ -48,7 +48,7 @@ def cloud(n, m, n_axes=3, seed=1):
 
 @pytest.mark.parametrize("n", [10, 1003, 5003])
 def test_radii_whose_square_is_infinite_reach_all_points_and_no_more(n):
-    """Where no point is there is infinity in lanes and boxes, which is as large as the square."""
+    """Lanes and boxes without a point hold infinity, which is as large as the square."""
     points, values, queries, _ = cloud(n, 20)
     out, counts = gathered(points, values, queries, np.full(20, 1e160))
     assert (counts == n).all()
@@ -67,7 +67,7 @@ def test_sums_and_counts_are_those_of_brute_force(n, kernel):
     assert counts.max() == n
 
 
-def test_values_tell_which_points_were_found():
+def test_values_identify_the_points_found():
     """Every point has a binary digit of its own in one of the sums."""
     rng = np.random.default_rng(5)
     points, queries = rng.random((150, 3)), rng.random((80, 3))

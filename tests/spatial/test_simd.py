@@ -24,7 +24,7 @@ CPUINFO = Path("/proc/cpuinfo")
 
 
 def flags():
-    """Return what the processor says it has."""
+    """Instruction sets that the processor reports."""
     lines = CPUINFO.read_text().splitlines()
     return set(next((line for line in lines if line.startswith("flags")), "").split())
 

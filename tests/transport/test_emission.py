@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
-import trimesh
 
 import photonrelax as pr
 from photonrelax.transport.emission import LUMINANCE, emit, plan_emission
+from tests.helpers import tracing_scenes
+from tests.helpers.tracing_scenes import floor
 
 CENTRE, RADIUS = np.array([1.0, -2.0, 3.0]), 0.7
 N = 20_000
@@ -14,19 +15,11 @@ def near(*offset):
 
 
 def ball():
-    mesh = trimesh.creation.icosphere(3, RADIUS)
-    mesh.apply_translation(CENTRE)
-    return pr.SceneObject(mesh, pr.Mirror())
-
-
-def floor(size=10.0):
-    corners = [[-size, -size, 0], [size, -size, 0], [size, size, 0], [-size, size, 0]]
-    mesh = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
-    return pr.SceneObject(mesh, pr.Diffuse())
+    return pr.SceneObject(tracing_scenes.ball(RADIUS, CENTRE), pr.Mirror())
 
 
 def scene(*emitters):
-    return pr.Scene([ball(), floor()], emitters)
+    return pr.Scene([ball(), floor(10.0)], emitters)
 
 
 def planned(emitter, n=N, paths="caustic"):
@@ -46,7 +39,7 @@ def at(tilt, distance, power=(1.0, 2.0, 3.0)):
 
 
 def impact(rays):
-    """How far each ray's line passes from the ball's centre."""
+    """Distance of each ray's line from the ball's centre."""
     return np.linalg.norm(np.cross(CENTRE - rays.origin, rays.direction), axis=1)
 
 
@@ -187,7 +180,7 @@ def test_parallel_rays_start_before_the_scene_and_cover_the_target():
     direction = np.array([2.0, 3.0, -6.0]) / 7.0
     rays = rays_of(pr.CollimatedEmitter(direction))
     np.testing.assert_allclose(rays.direction, np.tile(direction, (N, 1)), rtol=0, atol=1e-15)
-    corners = np.concatenate([item.mesh.vertices for item in (ball(), floor())])
+    corners = np.concatenate([item.mesh.vertices for item in (ball(), floor(10.0))])
     assert (rays.origin @ direction).max() < (corners @ direction).min()
     np.testing.assert_allclose(
         impact(rays), np.linalg.norm(rays.emitter_coords, axis=1), atol=1e-12
@@ -264,7 +257,7 @@ def test_photons_are_shared_in_proportion_to_luminance():
             "n_emitted should be at least 2, one for each emitter",
         ),
         (
-            lambda: plan_emission(pr.Scene([floor()], [at(0, 3)]), 10),
+            lambda: plan_emission(pr.Scene([floor(10.0)], [at(0, 3)]), 10),
             "none of the 1 objects is a Mirror or Dielectric",
         ),
         (lambda: rays_of(at(0, 3), sampler="sobol"), "sampler should be one of halton, random"),

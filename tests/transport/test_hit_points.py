@@ -6,6 +6,7 @@ import trimesh
 
 import photonrelax as pr
 from photonrelax.scene.camera import pixel_rays
+from photonrelax.transport import hit_points
 from photonrelax.transport.direct_light import direct_irradiance
 from photonrelax.transport.hit_points import trace_hit_points
 from photonrelax.transport.raycast import RayCaster
@@ -31,11 +32,16 @@ def sphere(material, radius=1.0, subdivisions=5):
     return pr.SceneObject(mesh, material, smooth=True)
 
 
-def look(objects, camera, **options):
+def trace_view(objects, camera, **options):
     scene = pr.Scene(objects, [DOWN])
     caster = RayCaster(scene.objects)
     options.setdefault("rows", range(camera.height))
     return trace_hit_points(scene, caster, camera, **options)
+
+
+def trace_weights_from(least, monkeypatch):
+    """Leave rays out only if they have less weight."""
+    monkeypatch.setattr(hit_points, "_MIN_WEIGHT", least)
 
 
 def one_ray(origin, target):
@@ -101,7 +107,7 @@ def test_rows_outside_the_picture_are_refused(rows):
 def test_a_floor_is_hit_where_the_rays_meet_it():
     camera = pr.Camera((1, -6, 3), (0, 0, 0), width=9, height=7)
     floor = plane(half=4.0, material=pr.Diffuse((0.1, 0.2, 0.3)), up=False)
-    points, first = look([floor], camera)
+    points, first = trace_view([floor], camera)
 
     origins, directions, pixel = pixel_rays(camera, range(7))
     t = -origins[:, 2] / directions[:, 2]
@@ -126,7 +132,7 @@ def test_depth_of_a_pixel_is_that_of_its_nearest_sample():
     camera = pr.Camera((0, 0, 9), (0, 0, 0), (0, 1, 0), width=2, height=1, orthographic_height=1)
     low, high = plane(z=0.0), box((0.1, -9, 1.0), (9, 9, 2.0), pr.Diffuse())
     # The second pixel spans x from 0 to 1: its samples see both.
-    _, first = look([low, high], camera, supersampling=8)
+    _, first = trace_view([low, high], camera, supersampling=8)
     np.testing.assert_allclose(first.depth, [[9, 7]])
 
 
@@ -135,8 +141,8 @@ def test_a_mirror_shows_what_a_mirrored_camera_sees():
     ceiling = plane(z=5.0, half=30.0)
     camera = pr.Camera((0, 0, 2), (3, 1, 0), width=8, height=6, vertical_fov=30)
     below = pr.Camera((0, 0, -2), (3, 1, 0), width=8, height=6, vertical_fov=30)
-    reflected, first = look([mirror, ceiling], camera)
-    direct, _ = look([ceiling], below)
+    reflected, first = trace_view([mirror, ceiling], camera)
+    direct, _ = trace_view([ceiling], below)
     upside_down = direct.position.reshape(6, 8, 3)[::-1].reshape(-1, 3)
     np.testing.assert_allclose(reflected.position, upside_down, atol=1e-10)
     np.testing.assert_allclose(reflected.weight, np.tile([0.9, 0.5, 0.1], (48, 1)))
@@ -145,14 +151,15 @@ def test_a_mirror_shows_what_a_mirrored_camera_sees():
 
 
 @pytest.mark.parametrize("degrees", [0.0, 30.0, 75.0])
-def test_a_slab_transmits_what_all_its_internal_reflections_let_through(degrees):
+def test_a_slab_transmits_what_all_its_internal_reflections_let_through(degrees, monkeypatch):
+    trace_weights_from(1e-12, monkeypatch)
     thickness, ior, absorption = 0.5, 1.5, np.array([0.0, 0.4, 2.0])
     slab = box((-40, -40, 1), (40, 40, 1 + thickness), pr.Dielectric(ior, 1.0, absorption))
     angle = np.radians(degrees)
     toward = np.array([np.sin(angle), 0, -np.cos(angle)])
     start = np.array([0.1, 0.2, 1.7])
     camera = one_ray(start, start + toward)
-    points, _ = look([slab, plane()], camera, max_depth=40, min_weight=1e-12)
+    points, _ = trace_view([slab, plane()], camera, max_depth=40)
 
     inner = np.arcsin(np.sin(angle) / ior)
     reflected = fresnel(np.cos(angle), 1.0, ior)
@@ -168,7 +175,7 @@ def test_a_slab_transmits_what_all_its_internal_reflections_let_through(degrees)
 def test_radiance_inside_glass_is_seen_through_the_square_of_the_index():
     ior, absorption = 1.5, np.array([0.1, 0.5, 1.0])
     glass = box((-5, -5, -1), (5, 5, 1), pr.Dielectric(ior, 1.0, absorption))
-    points, _ = look([glass, plane(half=4.0)], one_ray((0.1, 0.2, 3), (0.1, 0.2, 0)))
+    points, _ = trace_view([glass, plane(half=4.0)], one_ray((0.1, 0.2, 3), (0.1, 0.2, 0)))
     seen = (1 - fresnel(1.0, 1.0, ior)) / ior**2 * np.exp(-absorption * 1.0)
     np.testing.assert_allclose(points.weight, [seen])
 
@@ -178,7 +185,7 @@ def test_total_reflection_keeps_all_radiance():
     glass = box((-50, -50, -1), (50, 50, 1), pr.Dielectric(1.5, 1.0, absorption))
     start, angle = np.array([0.1, 0.2, 0.5]), np.radians(60)
     camera = one_ray(start, start + np.array([np.sin(angle), 0, np.cos(angle)]))
-    points, _ = look([glass, plane(half=4.0)], camera)
+    points, _ = trace_view([glass, plane(half=4.0)], camera)
     path = 1.5 / np.cos(angle)
     np.testing.assert_allclose(points.weight, [np.exp(-absorption * path)])
     np.testing.assert_allclose(points.position[0], [0.1 + 1.5 * np.tan(angle), 0.2, 0], atol=1e-9)
@@ -189,7 +196,7 @@ def test_a_smooth_mirror_ball_reflects_like_a_sphere():
         (0, 0, 9), (0, 0, 0), (0, 1, 0), width=40, height=40, orthographic_height=0.9
     )
     origins, _, _ = pixel_rays(camera, range(40))
-    points, _ = look([sphere(pr.Mirror()), plane(z=10.0, half=1e3)], camera)
+    points, _ = trace_view([sphere(pr.Mirror()), plane(z=10.0, half=1e3)], camera)
     x, y = origins[:, :2].T
     z = np.sqrt(1 - x**2 - y**2)
     normal = np.stack([x, y, z], axis=1)
@@ -201,39 +208,42 @@ def test_a_smooth_mirror_ball_reflects_like_a_sphere():
 
 
 @pytest.mark.parametrize(("smooth", "fov"), [(False, 30), (True, 15)])
-def test_in_a_closed_room_weights_add_up_to_one(smooth, fov):
+def test_in_a_closed_room_weights_add_up_to_one(smooth, fov, monkeypatch):
     """White furnace: whatever glass does to the rays, radiance that is 1 everywhere stays 1.
 
     A crystal holds light for many reflections. A smooth ball is looked at away from its rim,
     where interpolated normals can hold light for ever.
     """
+    trace_weights_from(1e-6, monkeypatch)
     room = box((-6, -6, -6), (6, 6, 6), pr.Diffuse(1.0))
     mesh = trimesh.creation.icosphere(subdivisions=5 if smooth else 1)
     ball = pr.SceneObject(mesh, pr.Dielectric(1.5), smooth=smooth)
     camera = pr.Camera((4, 1, 2), (0, 0, 0), width=40, height=40, vertical_fov=fov)
-    points, first = look([room, ball], camera, max_depth=300, min_weight=1e-6)
+    points, first = trace_view([room, ball], camera, max_depth=300)
     assert (first.depth < 4.6).mean() > 0.3
     assert len(points) > 1.5 * 40**2
     np.testing.assert_allclose(pixel_sums(points, camera), 1.0, atol=2e-5)
 
 
-def test_faint_rays_and_long_paths_are_left_out():
+def test_faint_rays_and_long_paths_are_left_out(monkeypatch):
+    trace_weights_from(1e-9, monkeypatch)
     slab = box((-40, -40, 1), (40, 40, 1.5), pr.Dielectric())
     camera = one_ray((0.1, 0.2, 3), (0.1, 0.2, 0))
     seen = {
-        depth: len(look([slab, plane()], camera, max_depth=depth, min_weight=1e-9)[0])
+        depth: len(trace_view([slab, plane()], camera, max_depth=depth)[0])
         for depth in (0, 1, 2, 3, 4)
     }
     assert seen == {0: 0, 1: 0, 2: 1, 3: 1, 4: 2}
-    assert len(look([slab, plane()], camera, max_depth=9, min_weight=0.5)[0]) == 0
+    trace_weights_from(0.5, monkeypatch)
+    assert len(trace_view([slab, plane()], camera, max_depth=9)[0]) == 0
 
 
 def test_bands_of_rows_and_threads_do_not_change_a_bit():
     camera = pr.Camera((0, -6, 3), (0, 0, 0), width=30, height=20)
     objects = [plane(z=-1.0), sphere(pr.Dielectric(), subdivisions=3)]
-    whole, first = look(objects, camera, supersampling=2)
+    whole, first = trace_view(objects, camera, supersampling=2)
     bands = [
-        look(objects, camera, rows=range(a, a + 5), supersampling=2, n_threads=3)
+        trace_view(objects, camera, rows=range(a, a + 5), supersampling=2, n_threads=3)
         for a in range(0, 20, 5)
     ]
     np.testing.assert_array_equal(np.concatenate([b[1].depth for b in bands]), first.depth)
@@ -243,12 +253,14 @@ def test_bands_of_rows_and_threads_do_not_change_a_bit():
     again = np.argsort(pixel, kind="stable")
     np.testing.assert_array_equal(pixel[again], whole.pixel[order])
     for name in ("position", "normal", "weight", "object_id"):
-        joined = np.concatenate([getattr(b[0], name) for b in bands])
-        np.testing.assert_array_equal(joined[again], getattr(whole, name)[order], err_msg=name)
+        concatenated = np.concatenate([getattr(b[0], name) for b in bands])
+        np.testing.assert_array_equal(
+            concatenated[again], getattr(whole, name)[order], err_msg=name
+        )
 
 
 def test_an_empty_view_gives_no_points():
-    points, first = look([plane()], one_ray((0, 0, 1), (0, 0, 2)))
+    points, first = trace_view([plane()], one_ray((0, 0, 1), (0, 0, 2)))
     assert len(points) == 0
     assert first.depth[0, 0] == np.inf
     np.testing.assert_array_equal(first.normal, np.zeros((1, 1, 3)))

@@ -30,7 +30,9 @@ def test_the_ledger_balances(scene, paths, max_bounces):
     photons = pr.trace_photons(scene, 20_000, paths=paths, max_bounces=max_bounces)
     ledger = photons.ledger
     assert ledger.imbalance < 1e-9
-    assert sum(ledger.ends[fate].sum() for fate in PATH_OUTCOMES) == photons.n_emitted == 20_000
+    assert (
+        sum(ledger.ends[outcome].sum() for outcome in PATH_OUTCOMES) == photons.n_emitted == 20_000
+    )
     assert ledger.emitted.shape == (len(scene.emitters), 3)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,13 @@ from .files import whole_file
 _KIND_NAMES = {"iu": "integer", "b": "truth value", "U": "text"}
 
 
-def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Write an archive atomically."""
+def write_npz(path: Path, arrays: Mapping[str, Any], *, sync: bool = False) -> None:
+    """Write an archive atomically; with `sync` it is on disk before it replaces another."""
     with whole_file(path) as partial, partial.open("wb") as file:
         np.savez(file, **arrays)
+        if sync:
+            file.flush()
+            os.fsync(file.fileno())
 
 
 def read_npz(path: Path) -> dict[str, NDArray]:

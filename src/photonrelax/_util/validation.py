@@ -90,8 +90,8 @@ def int_array(
     return converted
 
 
-def rgb(value: ArrayLike, name: str, *, low: float = 0.0, high: float = np.inf) -> Floats:
-    """Return a colour as three floats in [low, high]; one number stands for all channels.
+def rgb(value: ArrayLike, name: str, *, high: float = np.inf) -> Floats:
+    """Return a colour as three floats in [0, high]; one number stands for all channels.
 
     Raises
     ------
@@ -102,8 +102,8 @@ def rgb(value: ArrayLike, name: str, *, low: float = 0.0, high: float = np.inf) 
     if array.shape not in ((), (3,)):
         raise ValueError(f"{name} should be one number or three, but its shape is {array.shape}")
     array = np.ascontiguousarray(np.broadcast_to(array, (3,)))
-    if (array < low).any() or (array > high).any():
-        raise ValueError(f"{name} should lie in [{low}, {high}], but is {array.tolist()}")
+    if (array < 0.0).any() or (array > high).any():
+        raise ValueError(f"{name} should lie in [0.0, {high}], but is {array.tolist()}")
     return array
 
 

@@ -136,7 +136,7 @@ def _render_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Im
             seconds=None if options.minutes is None else 60.0 * options.minutes,
             photons_per_pass=options.photons or PHOTONS_PER_PASS,
             seed=options.seed or 0,
-            settings=settings.of(pr.ProgressiveSettings),
+            settings=settings.of("progressive"),
             supersampling=options.supersampling,
             stochastic=options.stochastic,
             checkpoints=pr.Checkpoints(options.state, options.interval or 60.0, write),

@@ -65,9 +65,9 @@ def _describe_ledger(ledger: EnergyLedger) -> list[str]:
     lines = []
     for emitter, emitted in enumerate(ledger.emitted):
         lines.append(f"emitter {emitter}: emitted {_watts(emitted)}")
-        for fate, paths in ledger.ends.items():
-            flux = getattr(ledger, fate)[emitter]
-            lines.append(f"  {fate}: {_watts(flux)}, paths {int(paths[emitter]):,}")
+        for outcome, paths in ledger.ends.items():
+            flux = getattr(ledger, outcome)[emitter]
+            lines.append(f"  {outcome}: {_watts(flux)}, paths {int(paths[emitter]):,}")
     return lines
 
 

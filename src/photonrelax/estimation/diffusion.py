@@ -61,12 +61,8 @@ class DiffusionSettings:
     SSO08 (§7) has a fixed bandwidth, one that "reduces noise to an acceptable level" (``k=None,
     bandwidth=…, normalisation="maximum"``), and q from 0.8 to 0.1.
 
-    The default normalisation and q are neither paper's, but measured. Over the largest eigenvalue
-    next to nothing of a caustic with a bright focus is an edge, and kernels stay round: on `ring`,
-    95,000 random photons, relative L1 is 0.34 with SJ13's q, against 0.13 with the same q and
-    "local", as noise becomes structure, and 0.09 with 0.5 and "local"; the best k-nearest estimate
-    has 0.20. On `prism`, 93,000 Halton photons, it is 0.51, 0.29 and 0.30, and the best k-nearest
-    is ahead with 0.21, as 500 photons reach over its shards.
+    The default normalisation and q are neither paper's: docs/methods/diffusion.md has the errors
+    measured with theirs and with these.
 
     Attributes
     ----------
@@ -173,7 +169,7 @@ class DiffusionField(TreeField):
         self._towards = _towards(photons)
         started = perf_counter()
         self._unit = validation.power_of_two(self.settings.bandwidth or 1.0)
-        flux, self._flux_unit = validation.in_units(photons.flux.mean(axis=1, keepdims=True))
+        flux, _ = validation.in_units(photons.flux.mean(axis=1, keepdims=True))
         self._columns = np.column_stack([flux, self._slopes(flux, progress)])
         self.seconds = {"gradient": perf_counter() - started}
         self._with_gradients: dict[int, _tangent.TangentPhotons] = {}
@@ -183,23 +179,6 @@ class DiffusionField(TreeField):
             self._largest = self._largest_slope(progress)
             self.seconds["normalise"] = perf_counter() - started
         self.used = {"diffusion": asdict(self.settings)}
-
-    @property
-    def gradient(self) -> Floats:
-        """Gradients of irradiance at the photons (n, 3), in their tangent planes, W/m³ (Eq. 13)."""
-        return self._in_watts(self._columns[:, 1:])
-
-    @property
-    def largest_eigenvalue(self) -> float | None:
-        """Divisor of λ₁, (W/m³)²; None where that is local, or no photon has neighbours."""
-        if self._largest is None:
-            return None
-        return float(self._in_watts(self._in_watts(np.full(1, self._largest)))[0])
-
-    def _in_watts(self, slopes: Floats) -> Floats:
-        """Gradients in W/m³; infinite beyond the range of floats."""
-        with np.errstate(over="ignore"):
-            return slopes * self._flux_unit / self._unit / self._unit / self._unit
 
     def half_axes(self, points: ArrayLike, normals: ArrayLike) -> Floats:
         """Half-axes of the elliptical kernels.

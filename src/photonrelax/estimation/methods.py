@@ -1,4 +1,4 @@
-"""The methods: one record each, and the call that prepares one for irradiance anywhere.
+"""Table of methods, a record each, and preparation of a method's field of irradiance.
 
 A new method is its module and one `Method` among the records here, or one handed to `register`.
 A new stage with settings of its own is one line in `StageSettings`.
@@ -6,10 +6,10 @@ A new stage with settings of its own is one line in `StageSettings`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from time import perf_counter
-from typing import Any, TypedDict, TypeVar, Unpack, get_args, get_type_hints
+from typing import Any, TypedDict, Unpack, get_args, get_type_hints
 
 from .._util.progress import Progress
 from ..photons.photon_map import PhotonMap
@@ -32,8 +32,6 @@ PASSES_METHOD = "progressive"
 """The method that `photonrelax.render_progressive` renders with fresh photons in every pass."""
 METHODS_OF_SJ13 = ("standard", "relaxation", "diffusion", "parameterised", "progressive")
 """The methods that SJ13's Table I compares, in its order."""
-
-Kind = TypeVar("Kind")
 
 
 class StageSettings(TypedDict, total=False):
@@ -66,7 +64,7 @@ def irradiance_field(
     progress: Progress | None = None,
     **settings: Unpack[StageSettings],
 ) -> PhotonField:
-    """Do a method's preparation once; the result gives irradiance anywhere.
+    """Field of irradiance at any points, prepared once by a method.
 
     Parameters
     ----------
@@ -139,9 +137,9 @@ class Settings:
                 name = SETTINGS_CLASSES[stage].__name__
                 raise TypeError(f"{stage} should be {name}, but is {value!r}")
 
-    def of(self, kind: type[Kind]) -> Kind:
-        """Settings of a class: those given, or its defaults."""
-        return next((value for value in self.given.values() if isinstance(value, kind)), kind())
+    def of(self, stage: str) -> Any:
+        """Settings of a stage: those given, or the defaults of its class."""
+        return self.given[stage] if stage in self.given else SETTINGS_CLASSES[stage]()
 
 
 def settings_of(function: str, arguments: dict[str, Any]) -> Settings:
@@ -196,30 +194,30 @@ class Method:
 
     def frequency_share(self, settings: Settings) -> float:
         """Share of the photons that are to carry spectra, in [0, 1]."""
-        return settings.of(FrequencySettings).share if self.needs_spectra else 0.0
+        return settings.of("frequency").share if self.needs_spectra else 0.0
 
 
 def _standard(inputs: MethodInput) -> PhotonField:
-    gather = inputs.settings.of(GatherSettings)
+    gather = inputs.settings.of("gather")
     return IrradianceField(inputs.photons, gather, n_threads=inputs.n_threads)
 
 
 def _parameterised(inputs: MethodInput) -> PhotonField:
-    settings = inputs.settings.of(StructureSettings)
-    relax = inputs.settings.of(RelaxSettings)
+    settings = inputs.settings.of("structure")
+    relax = inputs.settings.of("relax")
     used = {"structure": asdict(settings), "relax": asdict(relax)}
     return _relaxed(
-        inputs, lambda **how: detect_structure(inputs.photons, settings, **how), relax, used
+        inputs, lambda **options: detect_structure(inputs.photons, settings, **options), relax, used
     )
 
 
 def _relaxation(inputs: MethodInput) -> PhotonField:
-    settings = inputs.settings.of(GradientSettings)
-    relax = inputs.settings.of(RelaxSettings)
+    settings = inputs.settings.of("gradient")
+    relax = inputs.settings.of("relax")
     relax = replace(relax, n_iterations=(0, sum(relax.n_iterations)))
     used = {"gradient": asdict(settings), "relax": asdict(relax)}
     return _relaxed(
-        inputs, lambda **how: detect_gradient(inputs.photons, settings, **how), relax, used
+        inputs, lambda **options: detect_gradient(inputs.photons, settings, **options), relax, used
     )
 
 
@@ -230,14 +228,14 @@ def _relaxed(
     used: dict[str, Any],
 ) -> PhotonField:
     """Field of photons relaxed as far as the structure detected allows."""
-    how: dict[str, Any] = {"n_threads": inputs.n_threads, "progress": inputs.progress}
+    options: dict[str, Any] = {"n_threads": inputs.n_threads, "progress": inputs.progress}
     started = perf_counter()
-    structure = detect(**how)
+    structure = detect(**options)
     detected = perf_counter()
-    relaxed = relax_photons(inputs.photons, structure, relax, scene=inputs.scene, **how)
+    relaxed = relax_photons(inputs.photons, structure, relax, scene=inputs.scene, **options)
     return IrradianceField(
         relaxed,
-        inputs.settings.of(GatherSettings),
+        inputs.settings.of("gather"),
         structure=structure,
         seconds={"structure": detected - started, "relax": perf_counter() - detected},
         used=used,
@@ -248,7 +246,7 @@ def _relaxed(
 def _diffusion(inputs: MethodInput, *, isotropic: bool = False) -> PhotonField:
     return DiffusionField(
         inputs.photons,
-        inputs.settings.of(DiffusionSettings),
+        inputs.settings.of("diffusion"),
         isotropic=isotropic,
         n_threads=inputs.n_threads,
         progress=inputs.progress,
@@ -260,15 +258,15 @@ def _isotropic_diffusion(inputs: MethodInput) -> PhotonField:
 
 
 def _progressive(inputs: MethodInput) -> PhotonField:
-    settings = inputs.settings.of(ProgressiveSettings)
+    settings = inputs.settings.of("progressive")
     return ProgressiveField(inputs.photons, settings, n_threads=inputs.n_threads)
 
 
 def _frequency(inputs: MethodInput) -> PhotonField:
     return FrequencyField(
         inputs.photons,
-        inputs.settings.of(ProgressiveSettings),
-        inputs.settings.of(FrequencySettings),
+        inputs.settings.of("progressive"),
+        inputs.settings.of("frequency"),
         n_threads=inputs.n_threads,
     )
 
@@ -293,9 +291,25 @@ METHODS = {method.name: method for method in _RECORDS}
 
 
 def register(method: Method, **settings: type) -> None:
-    """Add a method, and the settings classes of those of its stages that are new, by stage."""
+    """Add a method, and the settings classes of those of its stages that are new, by stage.
+
+    Raises
+    ------
+    ValueError
+        If another method has the name, or a stage another class.
+    """
+    _check_new("method", {method.name: method}, METHODS)
+    _check_new("stage", settings, SETTINGS_CLASSES)
     SETTINGS_CLASSES.update(settings)
     METHODS[method.name] = method
+
+
+def _check_new(what: str, added: Mapping[str, object], known: Mapping[str, object]) -> None:
+    for name, value in added.items():
+        if known.get(name, value) != value:
+            raise ValueError(
+                f"{what} {name!r} should have a name of its own, but {known[name]!r} has that"
+            )
 
 
 def method_named(name: str) -> Method:

@@ -135,7 +135,7 @@ class IrradianceField(TreeField):
         tree = self._trees.tree(points.part)[0]
         radius = settings.gather_radius
         where = tree.kernel, values.laid_out(points.part), points.queries, points.rows, out
-        how: dict[str, Any] = {
+        options: dict[str, Any] = {
             "k": settings.k,
             "kernel": KERNELS[settings.kernel],
             "radius": np.inf if radius is None else radius,
@@ -144,7 +144,7 @@ class IrradianceField(TreeField):
         }
         if settings.refinement == "none":
             mean = well_spaced_mean(settings.k, settings.kernel) if well_spaced else 1.0
-            _nearest.gather(*where, kth_scale=1.0 / mean, **how)
+            _nearest.gather(*where, kth_scale=1.0 / mean, **options)
         else:
             _refinement.gather(
                 *where,
@@ -152,7 +152,7 @@ class IrradianceField(TreeField):
                 k_min=settings.k_min,
                 rule=REFINEMENTS[settings.refinement],
                 bias=WELL_SPACED_BIAS[settings.kernel] if well_spaced else (0.0, 0.0),
-                **how,
+                **options,
             )
 
     def _flux_of(self, part: int) -> Floats:

@@ -54,29 +54,8 @@ class ProgressiveSettings:
     Notes
     -----
     The defaults are a compromise: small discs keep filaments, large ones are less noisy where light
-    is smooth or photons are random. ``python -m bench first-discs`` prints relative L1 errors of
-    the caustic, 256 x 256 pixels of 2 x 2 samples, by k and the number of passes that photons are
-    split into; last, noise and bias of the reference:
-
-    =========================== ========= ========= ========= ========= =================
-    photons                     15, 16    8, 8      5, 8      5, 4      the reference's
-    =========================== ========= ========= ========= ========= =================
-    prism, 100,000 halton       51.7 %    41.2 %    37.5 %    35.4 %    3.3 %, 4.6 %
-    ring, 100,000 halton        22.3 %    16.3 %    15.6 %    16.1 %    2.8 %, 1.6 %
-    ripples, 100,000 halton     48.8 %    33.3 %    29.2 %    26.7 %    3.1 %, 3.5 %
-    reflector, 100,000 halton   13.3 %    11.7 %    12.3 %    13.8 %    2.9 %, 0.7 %
-    prism, 100,000 random       51.9 %    42.2 %    39.5 %    38.6 %    3.3 %, 4.6 %
-    ring, 100,000 random        24.9 %    22.2 %    23.3 %    25.8 %    2.8 %, 1.6 %
-    ripples, 100,000 random     49.3 %    36.8 %    34.5 %    34.0 %    3.1 %, 3.5 %
-    reflector, 100,000 random   15.5 %    18.0 %    20.8 %    24.4 %    2.9 %, 0.7 %
-    prism, 1,000,000 halton     28.8 %    22.0 %    20.9 %    20.9 %    3.3 %, 4.6 %
-    ring, 1,000,000 halton      10.1 %    9.7 %     10.1 %    11.2 %    2.8 %, 1.6 %
-    ripples, 1,000,000 halton   21.2 %    16.6 %    15.8 %    15.8 %    3.1 %, 3.5 %
-    reflector, 1,000,000 halton 7.2 %     7.4 %     8.4 %     9.9 %     2.9 %, 0.7 %
-    =========================== ========= ========= ========= ========= =================
-
-    Of 64 passes of 125,000 fresh photons on the prism, by k = 15, 8, 5, 4, 2: 19.9, 16.7, 15.1,
-    14.7 and 14.6 %.
+    is smooth or photons are random. docs/measurements/progressive.md has the errors measured, which
+    ``python -m bench initial-radius`` prints.
     """
 
     alpha: float = 0.7
@@ -114,9 +93,7 @@ class HitPointStatistics:
         Number of passes.
     """
 
-    def __init__(
-        self, radius: Floats, n_channels: int, *, alpha: float = 0.7, n_threads: int = 1
-    ) -> None:
+    def __init__(self, radius: Floats, n_channels: int, *, alpha: float, n_threads: int) -> None:
         self.radius = radius.copy()
         self.n = np.zeros(len(radius))
         self.tau = np.zeros((len(radius), n_channels))
@@ -365,8 +342,6 @@ def initial_radius(
     positions: ArrayLike,
     normals: ArrayLike,
     settings: ProgressiveSettings | None = None,
-    *,
-    n_threads: int | None = None,
 ) -> Floats:
     """Initial radii (m,), m, at hit points; see `InitialRadius`.
 
@@ -378,5 +353,5 @@ def initial_radius(
     """
     positions = validation.float_array(positions, "positions", (None, 3))
     normals = validation.float_array(normals, "normals", positions.shape)
-    start = InitialRadius(photons, settings or ProgressiveSettings(), thread_count(n_threads))
+    start = InitialRadius(photons, settings or ProgressiveSettings(), thread_count(None))
     return start(positions, normals)

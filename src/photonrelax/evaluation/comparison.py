@@ -230,7 +230,7 @@ def _entry(run: Run, reference: Reference) -> Entry:
 
 
 def run_methods(request: ComparisonRequest, *, progress: Progress | None = None) -> Runs:
-    """Do all of `compare` that needs no reference; parameters and exceptions are the same."""
+    """Runs of all methods, without errors; parameters and exceptions are those of `compare`."""
     return _Workbench(request, _trace(request, progress), progress).runs()
 
 
@@ -363,10 +363,10 @@ class _Workbench:
         }
 
     def _keep_photon_layers(self, field: Field, method: str) -> None:
-        """Keep the layers of SJ13's method if it is run, else some with constraints if known."""
-        kept = self._photon_layers
-        more = "photons.constraint" in field.layers.keys() - kept.keys()
-        if not kept or more or method == DEFAULT_METHOD:
+        """Keep the layers of SJ13's method if it is run, else the most that a method has."""
+        # Those kept include the radiance beside the attributes of photons.
+        more = len(field.layers) >= len(self._photon_layers)
+        if more or method == DEFAULT_METHOD:
             self._photon_layers = photon_layers(self._view.bands, field)
 
 

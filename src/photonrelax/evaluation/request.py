@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from .._util import validation
+from .._util.frozen import set_field
 from .._util.validation import check_choice, check_seed
 from ..estimation.methods import METHODS, METHODS_OF_SJ13, Method, Settings, method_named
 from ..imaging.metrics import SSIM_WINDOW
@@ -61,7 +62,7 @@ class ComparisonRequest:
 
     def __post_init__(self) -> None:
         methods = tuple(dict.fromkeys(self.methods)) or METHODS_OF_SJ13
-        object.__setattr__(self, "methods", methods)
+        set_field(self, "methods", methods)
         for method, _ in self.columns().values():
             self._check_spectra(method_named(method))
         for name in ("n_emitted", "supersampling", "rounds"):

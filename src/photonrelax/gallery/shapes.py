@@ -24,6 +24,8 @@ _LINES_LEFT, _LINES_RIGHT = 0.08, 0.92
 _RISE = 0.15
 LINE_MIDDLES = (0.44, 0.28, 0.12)
 LINE_WIDTHS = (0.01, 0.02, 0.04)
+# Share of a line, at either end, without points.
+_MARGIN = 0.1
 # Wider lines would leave the square.
 _MAX_WIDTH = 0.08
 
@@ -106,10 +108,10 @@ class _Stencil:
         return _grey(self.irradiance * covered)
 
 
-def line_points(number: int, uv: Floats, width: float, margin: float = 0.1) -> Floats:
+def line_points(number: int, uv: Floats, width: float) -> Floats:
     """Map points of the unit square uniformly to a line without a margin at its ends, (n, 2)."""
     line = _line(LINE_MIDDLES[number], width)
-    return line.placed(uv * [1.0, 1.0 - 2 * margin] + [0.0, margin])
+    return line.placed(uv * [1.0, 1.0 - 2 * _MARGIN] + [0.0, _MARGIN])
 
 
 def _grey(values: Floats) -> Floats:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._util.files import whole_file
+from .._util.frozen import set_field
 from .._util.validation import Floats, float_array
 
 # Channels of layers with three values per pixel that are not NAME.R, NAME.G and NAME.B.
@@ -72,8 +73,8 @@ class Image:
         sizes = {name: layer.shape[:2] for name, layer in layers.items()}
         if len(set(sizes.values())) > 1:
             raise ValueError(f"layers should be of one size, but are {sizes}")
-        object.__setattr__(self, "layers", layers)
-        object.__setattr__(self, "metadata", _checked_metadata(self.metadata))
+        set_field(self, "layers", layers)
+        set_field(self, "metadata", _checked_metadata(self.metadata))
 
     def write_exr(self, path: str | os.PathLike[str]) -> None:
         """Write all layers as one part of an EXR file, float32 and ZIP, atomically.

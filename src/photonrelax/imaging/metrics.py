@@ -57,20 +57,20 @@ def relative_l1(image: ArrayLike, reference: ArrayLike) -> float:
     TypeError, ValueError
         If shapes differ, values are not finite or the reference is black.
     """
-    values, truth = _pair(image, reference)
-    return float(np.abs(values - truth).sum() / _not_black(np.abs(truth).sum()))
+    values, expected = _pair(image, reference)
+    return float(np.abs(values - expected).sum() / _not_black(np.abs(expected).sum()))
 
 
 def relative_l2(image: ArrayLike, reference: ArrayLike) -> float:
     """√Σ(image − reference)² / √Σreference²; arguments as in `relative_l1`."""
-    values, truth = _pair(image, reference)
-    return float(np.linalg.norm(values - truth) / _not_black(float(np.linalg.norm(truth))))
+    values, expected = _pair(image, reference)
+    return float(np.linalg.norm(values - expected) / _not_black(float(np.linalg.norm(expected))))
 
 
 def energy_bias(image: ArrayLike, reference: ArrayLike) -> float:
     """Σimage / Σreference − 1; arguments as in `relative_l1`."""
-    values, truth = _pair(image, reference)
-    return float(values.sum() / _not_black(truth.sum()) - 1.0)
+    values, expected = _pair(image, reference)
+    return float(values.sum() / _not_black(expected.sum()) - 1.0)
 
 
 def ssim(image: ArrayLike, reference: ArrayLike) -> float:
@@ -90,7 +90,7 @@ def ssim(image: ArrayLike, reference: ArrayLike) -> float:
     ImportError
         If scikit-image is not installed.
     """
-    values, truth = _displayed(image, reference)
+    values, expected = _displayed(image, reference)
     if min(values.shape[:2]) < SSIM_WINDOW:
         raise ValueError(
             f"images should have at least {SSIM_WINDOW} x {SSIM_WINDOW} pixels for SSIM, "
@@ -98,7 +98,7 @@ def ssim(image: ArrayLike, reference: ArrayLike) -> float:
         )
     return float(
         _scikit_image_metrics().structural_similarity(
-            truth,
+            expected,
             values,
             data_range=1.0,
             channel_axis=2,
@@ -126,11 +126,11 @@ def flip_map(image: ArrayLike, reference: ArrayLike) -> Floats:
     ImportError
         If flip-evaluator is not installed.
     """
-    values, truth = (a.astype(np.float32) for a in _displayed(image, reference))
+    values, expected = (a.astype(np.float32) for a in _displayed(image, reference))
     found, _, _ = _flip_evaluator().evaluate(
-        truth, values, "LDR", inputsRGB=True, applyMagma=False, computeMeanError=False
+        expected, values, "LDR", inputsRGB=True, applyMagma=False, computeMeanError=False
     )
-    return np.asarray(found, dtype=np.float64).reshape(truth.shape[:2])
+    return np.asarray(found, dtype=np.float64).reshape(expected.shape[:2])
 
 
 def check_installed() -> None:
@@ -162,8 +162,8 @@ def _missing(package: str) -> ImportError:
 
 
 def _pair(image: ArrayLike, reference: ArrayLike) -> tuple[Floats, Floats]:
-    truth = float_array(reference, "reference", (None, None, 3))
-    return float_array(image, "image", truth.shape), truth
+    expected = float_array(reference, "reference", (None, None, 3))
+    return float_array(image, "image", expected.shape), expected
 
 
 def _displayed(image: ArrayLike, reference: ArrayLike) -> tuple[Floats, Floats]:

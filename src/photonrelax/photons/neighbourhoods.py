@@ -101,7 +101,7 @@ def hstack_rows(columns: list[Floats], scales: list[float], rows: Rows, n_thread
     points = np.empty((n, sum(column.shape[1] for column in columns)))
     first = 0
     for column, scale in zip(columns, scales, strict=True):
-        copy_scaled_rows(points, first, column, selected, scale, n_threads)
+        copy_scaled_rows(points, first, column, selected, scale=scale, n_threads=n_threads)
         first += column.shape[1]
     return points
 

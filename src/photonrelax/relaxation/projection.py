@@ -80,14 +80,19 @@ class SurfaceProjector:
         """
         photons = rows if isinstance(rows, np.ndarray) else np.arange(self._n_photons)[rows]
         projected, projected_normal = np.empty_like(position), np.empty_like(normal)
-        self._for_chunks((position, normal, target, photons, projected, projected_normal))
+        self._for_chunks(
+            (position, normal, target, photons),
+            projected=projected,
+            projected_normal=projected_normal,
+        )
         return projected, projected_normal
 
-    def _for_chunks(self, columns: tuple[np.ndarray, ...]) -> None:
+    def _for_chunks(self, columns: tuple[np.ndarray, ...], **results: Floats) -> None:
         """Project the displacements whose columns these are, some at a time."""
 
         def project(chunk: slice) -> None:
-            self._project(Displacements(*(column[chunk] for column in columns)))
+            into = {name: column[chunk] for name, column in results.items()}
+            self._project(Displacements(*(column[chunk] for column in columns), **into))
 
         for_each_slice(project, len(columns[0]), _CHUNK, self._n_threads)
 

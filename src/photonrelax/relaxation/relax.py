@@ -9,6 +9,7 @@ import numpy as np
 
 from .._ext.relaxation import relax as _relax
 from .._util import validation
+from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, Rows
@@ -38,7 +39,7 @@ class RelaxSettings:
         Fraction of the force of Eq. 8 by which a photon moves; stable up to 2.5.
     largest_step : float
         Longest move in one iteration, as a fraction of the radius around the photon that held k
-        photons before the first. The force at an open edge would carry strays away.
+        photons before the first. The force at an open edge would carry isolated photons away.
     """
 
     n_iterations: tuple[int, int] = (7, 7)
@@ -56,13 +57,13 @@ class RelaxSettings:
         numbers = tuple(
             validation.count(n, "RelaxSettings.n_iterations", low=0) for n in iterations
         )
-        object.__setattr__(self, "n_iterations", numbers)
-        object.__setattr__(self, "k", validation.count(self.k, "RelaxSettings.k", low=4))
-        object.__setattr__(self, "step", validation.positive(self.step, "RelaxSettings.step"))
+        set_field(self, "n_iterations", numbers)
+        set_field(self, "k", validation.count(self.k, "RelaxSettings.k", low=4))
+        set_field(self, "step", validation.positive(self.step, "RelaxSettings.step"))
         largest = validation.positive(
             self.largest_step, "RelaxSettings.largest_step", allow_inf=True
         )
-        object.__setattr__(self, "largest_step", largest)
+        set_field(self, "largest_step", largest)
 
 
 def relax(
@@ -87,11 +88,11 @@ def relax(
     photons : PhotonMap
         Photons, n of them, of about equal flux.
     structure : Structure
-        What `detect_structure` found for this map, or `detect_gradient` for iterations in space.
+        Of this map, from `detect_structure`, or `detect_gradient` for iterations in space.
     settings : RelaxSettings, optional
         Defaults are the paper's.
     scene : Scene, optional
-        With it photons are put back on their objects by short rays along their normals, and stay
+        With it photons are projected on their objects by short rays along their normals, and stay
         where they were if they would leave them. Without it they move in their tangent planes,
         which is right for flat receivers that reach beyond their photons.
     n_threads, progress : int, callable, optional
@@ -141,7 +142,7 @@ def _check_structure(structure: Structure, photons: PhotonMap, settings: RelaxSe
 
 @dataclass(frozen=True)
 class _Relaxation:
-    """All photons, and how they are to be moved."""
+    """All photons, with the structure, settings and surfaces that their moves follow."""
 
     photons: PhotonMap
     structure: Structure
@@ -164,7 +165,7 @@ class _Stage:
     """Iterations of one kind, on one tree, of one group of neighbours; see `neighbour_groups`.
 
     Photons move, but the tree they are searched in keeps its nodes, whose boxes are drawn anew.
-    What is read or written in every iteration is kept in the order of the tree.
+    Arrays read or written in every iteration are kept in tree order.
     """
 
     def __init__(
@@ -190,7 +191,7 @@ class _Stage:
         if range_radius is not None:
             self._normal_scale = range_radius[rows].max() / MAX_NORMAL_CHORD
         self._position = np.empty((len(tree), 3))
-        self._normal = self._placed_normals(normal)
+        self._normal = self._normals_in_tree_order(normal)
         # The radius that held n_found photons, scaled to hold k.
         radius = structure.radius[self._rows]
         radius *= np.sqrt(relaxation.settings.k / structure.n_found[self._rows])
@@ -208,8 +209,8 @@ class _Stage:
             reach=structure.reach if constrained else None,
         )
 
-    def _placed_normals(self, normal: Floats) -> Floats:
-        """Return normals by place, one for all where they are alike and stay so."""
+    def _normals_in_tree_order(self, normal: Floats) -> Floats:
+        """Normals (n, 3) in tree order; a view of one where all are equal and stay so."""
         if self._relaxation.projector is None and self._first_normal_axis == self._tree.n_axes:
             return np.broadcast_to(normal[self._rows[:1]], self._position.shape)
         return normal[self._rows]
@@ -228,7 +229,7 @@ class _Stage:
             normal[self._rows] = self._normal
 
     def _move(self) -> None:
-        """Write where photons would like to be; where they are is still in the tree."""
+        """Write the positions that photons move to; the tree keeps those before."""
         settings, n_threads = self._relaxation.settings, self._relaxation.n_threads
         for first, end in self._relaxation.report.chunks(len(self._position)):
             _relax.move(
@@ -247,7 +248,7 @@ class _Stage:
             )
 
     def _from_tree(self, part: slice) -> Floats:
-        """Return the positions in the tree of the points of some blocks."""
+        """Positions (m, 3) in the tree of the points of some blocks."""
         lanes = np.asarray(self._tree.coords)
         block = lanes.shape[2]
         position = lanes[part.start // block : part.stop // block, :3].transpose(0, 2, 1)

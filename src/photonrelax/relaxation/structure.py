@@ -17,6 +17,7 @@ from .._ext.relaxation.structure import (
     noise_attenuation,
 )
 from .._util import validation
+from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
@@ -28,7 +29,6 @@ __all__ = [
     "Structure",
     "StructureSettings",
     "anisotropy_to_gradient",
-    "chosen",
     "constraint",
     "detect_structure",
     "emitter_range",
@@ -37,6 +37,7 @@ __all__ = [
     "isotropic_sd",
     "noise_attenuation",
     "principal_components",
+    "take_rows",
 ]
 
 
@@ -52,7 +53,7 @@ class StructureSettings:
         Size of the range allowed over the emitter coordinates (β = 3, SJ13 Eq. 1).
     reach_scale : float
         Largest radius of a neighbourhood in range, in units of the radius that holds k photons of
-        whatever sheet. SJ13 has no such limit (infinity); but photons of a sheet of less than a
+        any sheet. SJ13 has no such limit (infinity); but photons of a sheet of less than a
         ninth of the light around them have their neighbours so far away that, moved by these,
         they flow down its slopes, while their own noise is hidden by the other sheets'.
     """
@@ -62,13 +63,13 @@ class StructureSettings:
     reach_scale: float = 3.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "k", validation.count(self.k, "StructureSettings.k", low=4))
+        set_field(self, "k", validation.count(self.k, "StructureSettings.k", low=4))
         scale = validation.positive(self.range_scale, "StructureSettings.range_scale")
-        object.__setattr__(self, "range_scale", scale)
+        set_field(self, "range_scale", scale)
         reach = validation.positive(
             self.reach_scale, "StructureSettings.reach_scale", allow_inf=True
         )
-        object.__setattr__(self, "reach_scale", reach)
+        set_field(self, "reach_scale", reach)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,13 +115,13 @@ class Structure:
         n = len(self.constraint)
         shapes = {"eigenvalues": (n, 2), "constraint": (n,), "basis": (n, 2, 3), "radius": (n,)}
         for name, shape in shapes.items():
-            object.__setattr__(self, name, validation.float_array(getattr(self, name), name, shape))
+            set_field(self, name, validation.float_array(getattr(self, name), name, shape))
         for name in ("emitter_range", "reach"):
             if getattr(self, name) is not None:
                 array = validation.float_array(getattr(self, name), name, (n,), finite=False)
-                object.__setattr__(self, name, array)
+                set_field(self, name, array)
         n_found = validation.int_array(self.n_found, "n_found", (n,), np.int32)
-        object.__setattr__(self, "n_found", n_found)
+        set_field(self, "n_found", n_found)
         if n and not (self.constraint.min() >= 0.0 and self.constraint.max() <= 1.0):
             raise ValueError("constraint should lie in [0, 1]")
         if n and n_found.min() < 1:
@@ -130,9 +131,9 @@ class Structure:
         return len(self.constraint)
 
     def subset(self, rows: validation.Rows) -> Structure:
-        """Return the structure of some of the photons."""
+        """Structure of the photons of some rows."""
         columns: dict[str, Any] = {
-            field.name: chosen(getattr(self, field.name), rows) for field in fields(self)
+            field.name: take_rows(getattr(self, field.name), rows) for field in fields(self)
         }
         return Structure(**columns)
 
@@ -144,11 +145,11 @@ def detect_structure(
     n_threads: int | None = None,
     progress: Progress | None = None,
 ) -> Structure:
-    """Find in which direction, and how strongly, each photon must be kept from moving.
+    """Constraint of each photon's moves, and its direction, from the photons around it.
 
     Each photon's k nearest photons in space are gathered among those of its emitter whose emitter
     coordinates lie within a range of its own; the principal components of their positions in its
-    tangent plane tell an edge or a filament from evenly spread light (SJ13 §4.2–4.3, Algorithm 1
+    tangent plane separate edges and filaments from evenly spread light (SJ13 §4.2–4.3, Algorithm 1
     lines 2–9).
 
     Parameters
@@ -182,7 +183,7 @@ def detect_structure(
 
 
 def emitter_range(photons: PhotonMap, settings: StructureSettings) -> Floats | None:
-    """Return r_θφ = β √(K_c / (π ρ_θφ)) for each photon (SJ13 Eq. 1), None without coordinates.
+    """Range r_θφ = β √(K_c / (π ρ_θφ)) (n,) of each photon (SJ13 Eq. 1), None without coordinates.
 
     In the chart of `emitter_coords`: m on an emitter plane; for points, the length of the chord
     between unit vectors, whose ball cuts a cap of exactly π r² from the sphere of directions.
@@ -205,8 +206,8 @@ def emitter_range(photons: PhotonMap, settings: StructureSettings) -> Floats | N
     return settings.range_scale * np.sqrt(settings.k / (np.pi * density))
 
 
-def principal_components(offsets: Floats, *, n_threads: int | None = None) -> tuple[Floats, Floats]:
-    """Return the principal components of sets of points in a plane (SJ13 §4.3.1).
+def principal_components(offsets: Floats) -> tuple[Floats, Floats]:
+    """Principal components of sets of points in a plane (SJ13 §4.3.1).
 
     Parameters
     ----------
@@ -227,16 +228,16 @@ def principal_components(offsets: Floats, *, n_threads: int | None = None) -> tu
     """
     array = validation.float_array(offsets, "offsets", (None, None, 2))
     validation.count(array.shape[1], "k, the second axis of offsets,")
-    return _structure.principal_components(array, thread_count(n_threads))
+    return _structure.principal_components(array, thread_count(None))
 
 
-def chosen(array: NDArray | None, rows: validation.Rows) -> NDArray | None:
-    """Return rows of a column there may be."""
+def take_rows(array: NDArray | None, rows: validation.Rows) -> NDArray | None:
+    """Some rows of a column; None for a column that the structure does not have."""
     return None if array is None else array[rows]
 
 
 def empty_columns(n: int) -> dict[str, Any]:
-    """Return the columns of a `Structure` that kernels fill, n rows of anything."""
+    """Columns of a `Structure` that kernels fill: n rows, not initialised."""
     return {
         "eigenvalues": np.empty((n, 2)),
         "constraint": np.empty(n),
@@ -285,10 +286,10 @@ class _Detection:
             )
 
     def _reach(self, rows: validation.Rows) -> Floats:
-        """Return `reach_scale` times the radius that holds k photons of whatever sheet."""
+        """Radii (m,): `reach_scale` times that which holds k photons of any sheet."""
         photons, settings, n_threads = self._photons, self._settings, self._n_threads
         tree, facing = photon_tree(photons.position, photons.normal, rows=rows, n_threads=n_threads)
-        reach = tree.farthest(settings.k, range_radius=chosen(facing, rows), n_threads=n_threads)
+        reach = tree.farthest(settings.k, range_radius=take_rows(facing, rows), n_threads=n_threads)
         with np.errstate(invalid="ignore"):
             reach *= settings.reach_scale
         # An open reach stays open where photons coincide.

@@ -8,11 +8,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from .._util.files import NOT_READABLE, remove_leftovers, whole_file
-from .._util.npz import read_npz
+from .._util.files import NOT_READABLE, remove_leftovers
+from .._util.npz import read_npz, write_npz
 
 
 class Checkpoint:
@@ -33,10 +32,7 @@ class Checkpoint:
 
     def save(self, arrays: Mapping[str, Any]) -> None:
         """Replace the file, which is complete on disk before it takes the place of the old one."""
-        with whole_file(self.path) as partial, partial.open("wb") as file:
-            np.savez(file, identity=json.dumps(self._identity), **arrays)
-            file.flush()
-            os.fsync(file.fileno())
+        write_npz(self.path, {"identity": json.dumps(self._identity), **arrays}, sync=True)
 
     def load(self) -> dict[str, NDArray] | None:
         """The saved arrays, None if there is no file.

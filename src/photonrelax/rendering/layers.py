@@ -82,7 +82,7 @@ RECORDS = (
     Layer("caustic", "radiance from photons", _estimate("caustic"), is_light=True),
     Layer(
         "direct",
-        "radiance from emitters in plain sight",
+        "radiance from unoccluded emitters",
         lambda band, _: band.radiance(band.direct),
         is_light=True,
     ),

@@ -20,7 +20,7 @@ from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees, morton_order
 from ..transport.sampling import halton, seed_shift
 from .layers import band_layers, merge_passes, merged_layers
-from .view import Band, View, concatenate_bands
+from .view import Band, View, concatenate_bands, pixel_sums
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class PassState:
     def from_arrays(
         cls, arrays: dict[str, NDArray], settings: PassSettings, n_threads: int
     ) -> PassState:
-        """The state that `arrays` was called of."""
+        """State of which `arrays` are the arrays."""
         prefix = "seen_"
         combined = {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
         if "radius" not in arrays:
@@ -109,7 +109,7 @@ class FixedHitPoints:
         for band in view.bands():
             fixed.append(band_layers(band))
             hits.append((band.hits.position, band.hits.normal, band.hits.pixel))
-            scale.append(band.hits.weight * band.hits.albedo / np.pi)
+            scale.append(band.reflectance)
         self._fixed = concatenate_bands(fixed)
         position, normal, self._pixel = (
             np.concatenate(column) for column in zip(*hits, strict=True)
@@ -134,9 +134,8 @@ class FixedHitPoints:
     def layers(self, state: PassState, n_passes: int) -> dict[str, Floats]:
         caustic = np.zeros((*self._view.shape, 3))
         if state.statistics is not None:
-            for channel, column in enumerate((self._scale * state.statistics.densities()).T):
-                sums = np.bincount(self._pixel, column, minlength=caustic[..., 0].size)
-                caustic[..., channel] = sums.reshape(self._view.shape)
+            radiance = self._scale * state.statistics.densities()
+            caustic = pixel_sums(self._pixel, radiance, self._view.shape)
         return {"caustic": caustic, **self._fixed}
 
 

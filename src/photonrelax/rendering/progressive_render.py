@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from .._util import validation
 from .._util.files import check_writable, file_lock
+from .._util.frozen import set_field
 from .._util.progress import Progress
 from .._util.validation import check_seed
 from .._version import __version__
@@ -63,7 +64,7 @@ class Checkpoints:
 
     def __post_init__(self) -> None:
         interval = validation.positive(self.interval, "Checkpoints.interval", allow_inf=True)
-        object.__setattr__(self, "interval", interval)
+        set_field(self, "interval", interval)
 
 
 def render_progressive(
@@ -193,7 +194,7 @@ def _locked(state: str | os.PathLike[str] | None) -> Iterator[None]:
 def _loop(
     run: _Run, stop: _StopCondition, checkpointer: _Checkpointer, progress: Progress | None
 ) -> None:
-    """Do passes until the run ends, and save it at intervals and whatever ends it."""
+    """Do passes until the run ends; save it at intervals, at the end, and on any error."""
     started = perf_counter()
     try:
         # At least one pass is done, however short the time.
@@ -326,7 +327,7 @@ class _Run:
         return {"n_passes": done.n_passes, "n_stored": done.n_stored, **done.state.arrays()}
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
-        """Continue after the passes that `arrays` was called of."""
+        """Continue after the passes saved as `arrays`."""
         state = PassState.from_arrays(arrays, self._settings, self._view.n_threads)
         self._completed = _Completed(int(arrays["n_passes"]), int(arrays["n_stored"]), state)
 

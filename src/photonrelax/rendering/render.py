@@ -132,13 +132,13 @@ class _Stages:
         self._progress = progress
         self._stages: dict[str, dict[str, float]] = {}
 
-    def trace(self, n_emitted: int, **how: Any) -> PhotonMap:
+    def trace(self, n_emitted: int, **options: Any) -> PhotonMap:
         view = self._view
         started = perf_counter()
         photons = trace_photons(
             view.scene,
             n_emitted,
-            **how,
+            **options,
             n_threads=view.n_threads,
             progress=self._progress,
             caster=view.caster,

@@ -8,6 +8,7 @@ from functools import cached_property
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .._util import validation
 from .._util.parallel import thread_count
@@ -51,15 +52,25 @@ class Band:
 
     def radiance(self, irradiance: Floats) -> Floats:
         """Radiance (rows, width, 3) of irradiance (m, 3) at the hit points."""
-        return self.sums(self.hits.weight * self.hits.albedo / np.pi * irradiance)
+        return self.sums(self.reflectance * irradiance)
+
+    @property
+    def reflectance(self) -> Floats:
+        """Radiance in its pixel (m, 3) over the irradiance of each hit point, 1/sr."""
+        return self.hits.weight * self.hits.albedo / np.pi
 
     def sums(self, values: Floats) -> Floats:
         """Sums (rows, width, c) of values (m, c) over the hit points of each pixel."""
         pixel = self.hits.pixel - self.rows.start * self.width
-        sums = np.zeros((len(self.rows) * self.width, values.shape[1]))
-        for channel, column in enumerate(values.T):
-            sums[:, channel] = np.bincount(pixel, column, minlength=len(sums))
-        return sums.reshape(len(self.rows), self.width, -1)
+        return pixel_sums(pixel, values, (len(self.rows), self.width))
+
+
+def pixel_sums(pixel: NDArray[np.int64], values: Floats, shape: tuple[int, int]) -> Floats:
+    """Sums (height, width, c) of values (m, c) by their pixels (m,) in images of a shape."""
+    sums = np.zeros((shape[0] * shape[1], values.shape[1]))
+    for channel, column in enumerate(values.T):
+        sums[:, channel] = np.bincount(pixel, column, minlength=len(sums))
+    return sums.reshape(*shape, -1)
 
 
 class View:

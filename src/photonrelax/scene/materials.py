@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,8 +37,27 @@ class MaterialRow:
     absorption: ArrayLike = (0.0, 0.0, 0.0)
 
 
+class Material(ABC):
+    """Surface of an object.
+
+    Attributes
+    ----------
+    is_specular : bool
+        Light leaves it in single directions; photons of caustics are aimed at it.
+    has_inside : bool
+        Its two sides differ: closed meshes wind outwards.
+    """
+
+    is_specular: ClassVar[bool] = True
+    has_inside: ClassVar[bool] = False
+
+    @abstractmethod
+    def row(self) -> MaterialRow:
+        """The material as kernels read it."""
+
+
 @dataclass(frozen=True, eq=False)
-class Diffuse:
+class Diffuse(Material):
     """Lambertian surface, the same from both sides.
 
     Parameters
@@ -45,18 +66,19 @@ class Diffuse:
         Reflected fraction of the light per channel, in [0, 1].
     """
 
+    is_specular: ClassVar[bool] = False
+
     albedo: ArrayLike = (0.8, 0.8, 0.8)
 
     def __post_init__(self) -> None:
         set_field(self, "albedo", frozen(rgb(self.albedo, "albedo", high=1.0)))
 
     def row(self) -> MaterialRow:
-        """The material as kernels read it."""
         return MaterialRow("diffuse", reflectance=self.albedo)
 
 
 @dataclass(frozen=True, eq=False)
-class Mirror:
+class Mirror(Material):
     """Perfectly smooth metal, reflecting from both sides.
 
     Parameters
@@ -71,12 +93,11 @@ class Mirror:
         set_field(self, "reflectance", frozen(rgb(self.reflectance, "reflectance", high=1.0)))
 
     def row(self) -> MaterialRow:
-        """The material as kernels read it."""
         return MaterialRow("mirror", reflectance=self.reflectance)
 
 
 @dataclass(frozen=True, eq=False)
-class Dielectric:
+class Dielectric(Material):
     """Perfectly smooth transparent body; the faces of its mesh wind outwards.
 
     Parameters
@@ -86,6 +107,8 @@ class Dielectric:
     absorption : (3,) or float
         Absorption inside the mesh per channel, 1/m (Beer–Lambert).
     """
+
+    has_inside: ClassVar[bool] = True
 
     ior: float = 1.5
     exterior_ior: float = 1.0
@@ -97,16 +120,12 @@ class Dielectric:
         set_field(self, "absorption", frozen(rgb(self.absorption, "absorption")))
 
     def row(self) -> MaterialRow:
-        """The material as kernels read it."""
         return MaterialRow(
             "dielectric",
             ior=self.ior,
             exterior_ior=self.exterior_ior,
             absorption=self.absorption,
         )
-
-
-Material = Diffuse | Mirror | Dielectric
 
 
 @dataclass(frozen=True, eq=False)

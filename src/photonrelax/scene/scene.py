@@ -18,7 +18,7 @@ from .._util.validation import Floats
 from .camera import Camera
 from .emission_region import Sphere
 from .emitters import Emitter
-from .materials import Dielectric, Diffuse, Material, MaterialTable
+from .materials import Material, MaterialTable
 from .meshes import check_mesh, check_winding, nondegenerate_faces, nondegenerate_vertices
 from .resolution import Resolution
 
@@ -38,7 +38,7 @@ class SceneObject:
     mesh : trimesh.Trimesh
         Triangles, at least one of them with an area; faces of no area are never hit. Closed
         dielectrics wind outwards.
-    material : Diffuse, Mirror or Dielectric
+    material : Diffuse, Mirror, Dielectric or other Material
         The material of the whole mesh.
     name : str
         A label.
@@ -58,7 +58,7 @@ class SceneObject:
                 f"but is {type(self.material).__name__}"
             )
         check_mesh(self.mesh)
-        if isinstance(self.material, Dielectric):
+        if self.material.has_inside:
             check_winding(self.mesh)
 
 
@@ -93,10 +93,8 @@ class Scene:
 
     @property
     def specular_objects(self) -> tuple[int, ...]:
-        """The ids of the mirrors and dielectrics."""
-        return tuple(
-            i for i, item in enumerate(self.objects) if not isinstance(item.material, Diffuse)
-        )
+        """The ids of the objects whose material is specular."""
+        return tuple(i for i, item in enumerate(self.objects) if item.material.is_specular)
 
     @cached_property
     def scale(self) -> float:

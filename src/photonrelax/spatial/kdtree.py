@@ -1,4 +1,4 @@
-"""The validated face of the k-d tree: exact neighbours near on some axes, in range on others."""
+"""Validated interface of the k-d tree: exact k nearest on some axes, within a range on others."""
 
 from __future__ import annotations
 

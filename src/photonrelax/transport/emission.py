@@ -159,11 +159,11 @@ def emit(
     _kernel.emit(
         emission(plan, emitter_id, seed=seed, sampler=sampler),
         photons.start,
-        rays.origin,
-        rays.direction,
-        rays.emitter_coords,
-        rays.emitter_density,
-        thread_count(n_threads),
+        origin=rays.origin,
+        direction=rays.direction,
+        coords=rays.emitter_coords,
+        density=rays.emitter_density,
+        n_threads=thread_count(n_threads),
     )
     return rays
 
@@ -174,7 +174,9 @@ def emission(plan: EmissionPlan, emitter_id: int, *, seed: int, sampler: str) ->
     per_area = planned / region.area if planned else 0.0
     return _kernel.Emission(
         _kernel.EmissionRegion(
-            region.kind, region.origin, region.frame, region.shape, region.start_distance, per_area
+            *(region.kind, region.origin, region.frame, region.shape),
+            start_distance=region.start_distance,
+            density=per_area,
         ),
         check_seed(seed),
         emitter_id,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from .._ext.transport.hit_points import split
 from .._ext.transport.materials import Materials
 from .._util.parallel import thread_count
-from .._util.validation import Floats, count, positive
+from .._util.validation import Floats, count
 from ..scene.camera import Camera, pixel_rays
 from ..scene.scene import Scene
 from .optics import from_behind
@@ -23,6 +23,8 @@ from .raycast import Intersections, RayCaster
 
 # Between parallel mirrors without loss rays never end.
 MAX_DEPTH = 10_000
+# Rays of less weight than this in every channel are not traced.
+_MIN_WEIGHT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,6 @@ def trace_hit_points(
     supersampling: int = 1,
     offset: tuple[float, float] = (0.5, 0.5),
     max_depth: int = 8,
-    min_weight: float = 1e-3,
     n_threads: int | None = None,
 ) -> tuple[HitPoints, FirstSurfaces]:
     """Trace the rays of some rows of the image to diffuse surfaces.
@@ -120,8 +121,6 @@ def trace_hit_points(
         s·s samples per pixel; their position in the cells of the sample grid.
     max_depth : int
         Largest number of specular events of a ray; what lies beyond is black.
-    min_weight : float
-        Rays of less weight than this in every channel are not traced.
     n_threads : int, optional
         Threads to use; None for every core. The result does not depend on it.
 
@@ -135,15 +134,13 @@ def trace_hit_points(
     ValueError
         If there are no rows, rows are not in the image, or a number is out of its range.
     """
-    threads, least = thread_count(n_threads), positive(min_weight, "min_weight")
+    threads = thread_count(n_threads)
     count(max_depth, "max_depth", low=0, high=MAX_DEPTH)
     rays = _camera_rays(*pixel_rays(camera, rows, supersampling, offset=offset))
     found = _camera_hits(caster, rays, threads)
     materials = Materials(scene.material_table())
     points = []
-    for segments, hits in _levels(
-        caster, rays, found, materials, min_weight=least, n_threads=threads
-    ):
+    for segments, hits in _levels(caster, rays, found, materials, n_threads=threads):
         diffuse = materials.diffuse[hits.object_id]
         points.append(_hit_points(segments[diffuse], hits[diffuse], materials, supersampling**2))
         if len(points) > max_depth:
@@ -157,7 +154,6 @@ def _levels(
     found: Intersections,
     materials: Materials,
     *,
-    min_weight: float,
     n_threads: int,
 ) -> Iterator[tuple[_Rays, Intersections]]:
     """Yield rays and their hits, without misses: from the camera, then after each split."""
@@ -168,9 +164,7 @@ def _levels(
         specular = ~materials.diffuse[found.object_id]
         if not specular.any():
             return
-        rays = _split(
-            rays[specular], found[specular], materials, min_weight=min_weight, n_threads=n_threads
-        )
+        rays = _split(rays[specular], found[specular], materials, n_threads)
         found = caster.intersect(
             rays.origin, rays.direction, origin_offset=rays.origin_offset, n_threads=n_threads
         )
@@ -222,9 +216,7 @@ def _absorb(rays: _Rays, found: Intersections, materials: Materials) -> _Rays:
     return replace(rays, weight=weight)
 
 
-def _split(
-    rays: _Rays, found: Intersections, materials: Materials, *, min_weight: float, n_threads: int
-) -> _Rays:
+def _split(rays: _Rays, found: Intersections, materials: Materials, n_threads: int) -> _Rays:
     """Reflections and refractions of rays at specular surfaces, without the faint ones."""
     n = len(found)
     direction, weight = np.empty((2 * n, 3)), np.empty((2 * n, 3))
@@ -240,7 +232,7 @@ def _split(
         out_medium=medium,
         n_threads=n_threads,
     )
-    kept = np.flatnonzero(weight.max(axis=1) >= min_weight)
+    kept = np.flatnonzero(weight.max(axis=1) >= _MIN_WEIGHT)
     parent = kept // 2
     return _Rays(
         origin=found.position[parent],

@@ -129,7 +129,7 @@ def refract(
     out, ok = np.empty_like(rays), np.empty(len(rays), np.uint8)
     first = _rows(_index(n1, "n1"), facing.shape)
     second = _rows(_index(n2, "n2"), facing.shape)
-    _kernel.refract(rays, normals, first, second, out, ok, thread_count(n_threads))
+    _kernel.refract(rays, normals, first, second, out=out, ok=ok, n_threads=thread_count(n_threads))
     return out, ok.view(np.bool_)
 
 

@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 from .._ext.transport.raycast import EmbreeFrame, EmbreeHits, Triangles
 from .._util.parallel import for_each_slice, thread_count
 from .._util.validation import Floats, float_array
-from ..scene.materials import Dielectric
 from ..scene.meshes import nondegenerate_faces, vertex_normals, vertices_of
 from ..scene.resolution import MAX_SPREAD, ROUNDING, Resolution
 from ..scene.scene import SceneObject
@@ -110,7 +109,7 @@ class RayCaster:
         whole = _concatenate_parts([_nondegenerate_part(item) for item in objects])
         vertices, faces = whole.corners[:, :3], whole.faces[:, :3]
         self.resolution = Resolution.of(vertices[faces])
-        transparent = np.array([isinstance(item.material, Dielectric) for item in objects])
+        transparent = np.array([item.material.has_inside for item in objects])
         of_glass = transparent[whole.faces[:, 3]]
         warn_of_thin_objects(
             vertices[faces[of_glass]],
@@ -245,7 +244,12 @@ class RayCaster:
             np.empty(origins.shape, dtype=np.float32),
             np.empty(limits.shape, dtype=np.float32),
         )
-        bad = self.frame.to_embree(origins, directions, origin_offset, limits, *out)
+        bad = self.frame.to_embree(
+            *(origins, directions, origin_offset, limits),
+            out_origins=out[0],
+            out_directions=out[1],
+            out_limits=out[2],
+        )
         if bad >= 0:
             raise ValueError(
                 "origins and directions should be finite and directions not zero, but ray "

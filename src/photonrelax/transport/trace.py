@@ -283,7 +283,7 @@ def _ledger(plan: EmissionPlan, ledgers: list[BatchLedger]) -> EnergyLedger:
 def _nothing_stored(
     ledger: EnergyLedger, ledgers: list[BatchLedger], settings: TraceSettings
 ) -> str:
-    ends = {fate: int(ledger.ends[fate].sum()) for fate in PATH_OUTCOMES}
+    ends = {outcome: int(ledger.ends[outcome].sum()) for outcome in PATH_OUTCOMES}
     met = sum(batch.n_met_specular for batch in ledgers)
     return (
         f'no photons were stored for paths="{settings.paths}": of {sum(ends.values())} paths, '

@@ -79,14 +79,14 @@ def test_text_stands_below_its_panel(drawn):
     contact_sheet([[(GREY[0], "one", DETAIL), (GREY[1], "two", REFERENCE)]], TITLE)
     panels, texts = drawn
     for panel, words in zip(panels, ("one", "two"), strict=True):
-        box = next(box for box, told in texts if words in told)
+        box = next(box for box, text in texts if words in text)
         assert panel[0] <= box[0] < box[2] <= panel[2]
         assert 0 < box[1] - panel[3] < 20
 
 
 def test_groups_of_the_contact_sheet_begin_rows(drawn):
     """Six panels of one group are five and one; captions leave the images alone."""
-    words = "what is told of an image " * 4
+    words = "the caption of an image " * 4
     groups = [[(image, "name", words) for image in GREY[:6]], [(GREY[6], "name", words)]]
     made = np.asarray(contact_sheet(groups, "title"))
     assert made.shape[1] == 5 * (480 + 12) + 12

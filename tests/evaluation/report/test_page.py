@@ -28,14 +28,14 @@ pytestmark = pytest.mark.skipif(
 @pytest.fixture(scope="module")
 def comparison():
     scene = gallery.scene("ring", pixels=SIZE, sections=128)
-    truth = pr.render(scene, method="standard", n_emitted=50_000, seed=1, supersampling=1)
+    reference = pr.render(scene, method="standard", n_emitted=50_000, seed=1, supersampling=1)
     comparison_request = ComparisonRequest(
         subject=SceneSubject(scene),
         methods=("standard", "parameterised"),
         n_emitted=5000,
         supersampling=1,
     )
-    return compare(comparison_request, truth)
+    return compare(comparison_request, reference)
 
 
 @pytest.fixture(scope="module")
@@ -190,7 +190,7 @@ def test_the_table_is_the_one_that_is_printed(page, written):
     assert [note.text for note in page.find_elements("css selector", "#notes p")] == table.notes
 
 
-def test_settings_are_told(page):
+def test_settings_are_on_the_page(page):
     find(page, "summary").click()
     assert '"n_emitted": 5000' in find(page, "#settings").text
 

@@ -40,7 +40,7 @@ PATHS = {
 
 @pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("point", [False, True])
-def test_operators_tell_where_neighbouring_rays_land(path, point):
+def test_operators_predict_where_neighbouring_rays_land(path, point):
     """The operator is carried along; the rays are cast."""
     name, objects, reflected, places = PATHS[path]
     scene = gallery.scene(name)

@@ -277,7 +277,7 @@ def densities(
 ):
     """Write the densities at the points evaluated to their rows of `out` (m, c).
 
-    `values` (n_blocks, c, 16) are those of the photons at each place.
+    `values` (n_blocks, c, 16) are those of the photons in tree order.
     """
     cdef Py_ssize_t i
     if not (

@@ -4,7 +4,7 @@ from cython.parallel cimport prange
 
 from ..spatial.tree cimport Tree
 from ..spatial.simd.kernels cimport BLOCK, SearchBounds, lowest_bit
-from ..spatial.radius cimport visit_radius
+from ..spatial.radius cimport ball, visit_radius
 
 
 cdef struct Largest:
@@ -33,19 +33,21 @@ cdef class MaxInRadius:
     ----------
     tree : Tree
     values : (n_blocks, c, 16) float64 array
-        Values of the photons at each place.
+        Values of the photons, in tree order.
     range_radius : float
         Radius of the ball over the tree's range axes; negative for none.
     """
 
     cdef Tree tree
     cdef const double[:, :, ::1] values
-    cdef double squared_range
+    cdef double range_radius
 
     def __init__(self, tree, values, *, range_radius):
         self.tree = tree
         self.values = values
-        self.squared_range = range_radius * range_radius if range_radius >= 0.0 else -1.0
+        self.range_radius = range_radius
+        if self.values.shape[0] != self.tree.n_blocks or self.values.shape[2] != BLOCK:
+            raise ValueError("photon values do not fit the blocks of the tree")
 
     def update(
         self, const double[:, ::1] queries, const Py_ssize_t[::1] rows, const double[::1] radius,
@@ -56,7 +58,7 @@ cdef class MaxInRadius:
         if not (
             queries.shape[0] == radius.shape[0] == out.shape[0]
             and queries.shape[1] >= self.tree.n_metric
-            and (self.squared_range < 0.0 or queries.shape[1] == self.tree.n_axes)
+            and (self.range_radius < 0.0 or queries.shape[1] == self.tree.n_axes)
             and out.shape[1] == self.values.shape[1]
         ):
             raise ValueError("queries, radii and maxima do not fit one another")
@@ -72,13 +74,9 @@ cdef void update_one(
 ) noexcept nogil:
     """Raise the maxima around one query; write its row only."""
     cdef Largest largest
-    cdef SearchBounds bounds
-    bounds.low = bounds.high = &queries[row, 0]
-    bounds.squared_limit = radius[row] * radius[row]
-    bounds.squared_range = photons.squared_range
-    bounds.half_range = NULL
-    bounds.n_metric = photons.tree.n_metric
-    bounds.n_axes = photons.tree.n_axes
+    cdef SearchBounds bounds = ball(
+        photons.tree, &queries[row, 0], radius[row], photons.range_radius
+    )
     # An empty tree has no values.
     largest.values = &photons.values[0, 0, 0] if photons.values.shape[0] > 0 else NULL
     largest.n_channels = photons.values.shape[1]

@@ -73,7 +73,7 @@ def gather(
     ----------
     tree : Tree
     values : (n_blocks, c, 16) float64 array
-        Values of the photons at each place, zero in lanes without a photon.
+        Values of the photons in tree order, zero in lanes without a photon.
     queries : (m, axes) float64 array
     rows : (r,) intp array
     out : (m, c) float64 array

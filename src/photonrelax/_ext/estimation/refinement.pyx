@@ -48,7 +48,7 @@ cdef extern from *:
     };
     """
     cdef cppclass NearPhoton:
-        # Squared distance and place of a photon; sums over all nearer ones.
+        # Squared distance and tree position of a photon; sums over all nearer ones.
         double squared
         int64_t place
         double flux
@@ -59,10 +59,10 @@ cdef extern from *:
 cdef class RefinedGather(BatchWork):
     """Weighted sums over a number of nearest photons that is chosen for each query."""
 
-    # (n_blocks, c, 16); by place.
+    # (n_blocks, c, 16) and (n,), in tree order.
     cdef const double[:, :, ::1] values
     cdef const double[::1] flux
-    # Stand-ins for ids: the place of each place, to whole blocks.
+    # Stand-ins for ids: tree positions, to whole blocks.
     cdef const int64_t[::1] places
     # A row per thread.
     cdef unsigned char[:, ::1] lists
@@ -158,7 +158,7 @@ def gather(
     tree, values, queries, rows, out, kernel, range_radius
         See `nearest.gather`.
     flux : (n,) float64 array
-        Flux by place, which the numbers of photons are chosen by, in a unit that leaves its
+        Flux in tree order, which the numbers of photons follow from, in a unit that leaves its
         squares finite.
     k_min, k : int
         Least and largest number of photons.

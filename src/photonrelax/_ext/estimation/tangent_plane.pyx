@@ -1,6 +1,7 @@
 """The evaluation points, photons and planes of tangent_plane.pxd."""
 
 from ..common.vec3 cimport orthonormal_frame
+from ..spatial.radius cimport ball
 
 from ..spatial.blocks import to_soa_blocks
 
@@ -40,7 +41,7 @@ cdef class TangentPhotons:
     tree : Tree
         Its first three axes are positions.
     rows : (n,) intp array
-        Row of the photon at each place.
+        Rows of the photons, in tree order.
     towards : (m, 3) float64 array or None
         Directions towards the origin of the light; None projects along the normal of the plane.
     columns : (m, c) float64 array
@@ -64,7 +65,7 @@ cdef class TangentPhotons:
 
 
 cdef bint fit(TangentPhotons photons, EvaluationPoints points, Py_ssize_t n_columns):
-    """Whether points have all axes of the photons' tree, and photons at least these columns."""
+    """True if points have all axes of the photons' tree, and photons at least these columns."""
     return points.queries.shape[1] >= photons.tree.n_axes and (
         photons.columns.shape[1] in (n_columns, 4)
     )
@@ -75,7 +76,6 @@ cdef void open_plane(
 ) noexcept nogil:
     """Set the plane at one of the points."""
     cdef double bandwidth = points.bandwidth[i]
-    cdef double range_radius = photons.range_radius
     cdef Py_ssize_t axis
     plane.at = &points.queries[points.rows[i], 0]
     orthonormal_frame(plane.frame, plane.frame + 3, &points.normals[i, 0])
@@ -84,9 +84,4 @@ cdef void open_plane(
     plane.bandwidth = bandwidth
     plane.scale = 1.0 / bandwidth
     plane.towards = NULL if photons.towards is None else &photons.towards[0, 0, 0]
-    plane.bounds.low = plane.bounds.high = plane.at
-    plane.bounds.squared_limit = bandwidth * bandwidth
-    plane.bounds.squared_range = range_radius * range_radius if range_radius >= 0.0 else -1.0
-    plane.bounds.half_range = NULL
-    plane.bounds.n_metric = photons.tree.n_metric
-    plane.bounds.n_axes = photons.tree.n_axes
+    plane.bounds = ball(photons.tree, plane.at, bandwidth, photons.range_radius)

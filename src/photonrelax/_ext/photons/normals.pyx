@@ -59,7 +59,7 @@ def group_normals(const double[:, ::1] normals, int max_groups):
 
 
 cdef int face_of(const double[:, ::1] faces, int n_faces, const double* normal) noexcept nogil:
-    """Return the face that has this normal but for rounding, `n_faces` if none has."""
+    """Number of the face that has this normal but for rounding, `n_faces` if none has."""
     cdef int number = 0
     while number < n_faces and not nearly_equal(&faces[number, 0], normal):
         number += 1
@@ -67,7 +67,7 @@ cdef int face_of(const double[:, ::1] faces, int n_faces, const double* normal) 
 
 
 def all_nearly_equal(const double[:, ::1] normals, const Py_ssize_t[::1] rows):
-    """Return whether the normals of some rows, all for None, are equal but for rounding."""
+    """True if the normals of some rows, all for None, are equal but for rounding."""
     cdef Py_ssize_t i, n = normals.shape[0] if rows is None else rows.shape[0]
     cdef Py_ssize_t first, row
     if n == 0:

@@ -43,7 +43,7 @@ cdef class Displacements:
     def __init__(
         self, const double[:, ::1] position, const double[:, ::1] normal,
         const double[:, ::1] target, const Py_ssize_t[::1] photons,
-        double[:, ::1] projected=None, double[:, ::1] projected_normal=None,
+        *, double[:, ::1] projected=None, double[:, ::1] projected_normal=None,
     ):
         self.position, self.normal, self.target, self.photons = position, normal, target, photons
         self.projected, self.projected_normal = projected, projected_normal

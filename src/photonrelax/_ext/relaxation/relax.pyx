@@ -18,22 +18,22 @@ cdef enum:
 
 
 cdef class RelaxInputs:
-    """The photons of a tree by place, and their structure by row.
+    """The photons of a tree in tree order, and their structure by row.
 
     Parameters
     ----------
     rows : (n,) intp array
-        Row of the photon at each place.
+        Rows of the photons, in tree order.
     normal : (n, 3) float64 array
-        Unit normals, by place.
+        Unit normals, in tree order.
     largest_step : (n,) float64 array
-        By place.
+        Longest moves, m, in tree order.
     squared_radius : (n,) float64 array
-        Squared distance to the farthest neighbour, or an estimate of it, -1 for none; by place
-        and updated by moves.
+        Squared distance to the farthest neighbour, or an estimate of it, -1 for none; in
+        tree order and updated by moves.
     too_few : (n,) bool array, optional
-        Whether fewer than k photons are expected in range, so that the whole range is searched at
-        once; by place and updated by moves.
+        True if fewer than k photons are expected in range, so that the whole range is searched at
+        once; in tree order and updated by moves.
     basis : (m, 2, 3) float64 array
         Directions along the structure, in which the photon is free, and across, by row.
     constraint : (m,) float64 array
@@ -89,7 +89,7 @@ cdef class Move(BatchWork):
             limit_radius(query, self.inputs.reach[row] * self.inputs.reach[row])
 
     cdef void prefetch(self, Py_ssize_t row, Py_ssize_t next_place) noexcept nogil:
-        """Prefetch the constraint of a photon, and the limits at a place of the next block."""
+        """Prefetch the constraint of a photon, and the limits at a position of the next block."""
         prefetch_row(&self.inputs.basis[row, 0, 0], 3 * sizeof(double))
         prefetch_row(&self.inputs.constraint[row], sizeof(double))
         if next_place < self.tree.n_points:
@@ -100,14 +100,14 @@ cdef class Move(BatchWork):
                 prefetch_row(&self.inputs.reach[row], sizeof(double))
 
     cdef void finish(self, Batch* batch, Py_ssize_t first, int thread) noexcept nogil:
-        """Move the photons of a block; write their places only."""
+        """Move the photons of a block; write their rows of `moved` only."""
         cdef Py_ssize_t lane
         gather_points(self.tree, batch)
         for lane in range(batch.n_queries):
             self.move_one(batch, lane, first + lane)
 
     cdef void move_one(self, Batch* batch, Py_ssize_t lane, Py_ssize_t place) noexcept nogil:
-        """Move one photon by the repulsion of its neighbours; write its place only."""
+        """Move one photon by the repulsion of its neighbours; write its row of `moved` only."""
         cdef const Query* query = &batch.queries[lane]
         cdef Py_ssize_t axis, row = self.inputs.rows[place]
         cdef double[3] f
@@ -129,10 +129,10 @@ cdef class Move(BatchWork):
 
 
 def move(
-    Tree tree, Py_ssize_t first, Py_ssize_t end, RelaxInputs inputs, Py_ssize_t k, double step,
+    Tree tree, Py_ssize_t first, Py_ssize_t end, RelaxInputs inputs, *, Py_ssize_t k, double step,
     double[:, ::1] moved, int n_threads
 ):
-    """Write the new positions of the photons at places first … end, whole blocks, of the tree.
+    """Write the new positions of the photons at tree positions first … end, whole blocks.
 
     All positions read are the tree's: photons move simultaneously, in no order.
     """

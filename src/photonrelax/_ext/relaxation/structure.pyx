@@ -86,7 +86,7 @@ cdef class StructureInputs:
     Parameters
     ----------
     rows : (m,) intp array
-        Row of the photon at each place in the tree.
+        Rows of the photons, in tree order.
     normal : (n, 3) float64 array
         Unit normals.
     range_radius, reach : (n,) float64 arrays or None
@@ -121,7 +121,7 @@ cdef class Detection(BatchWork):
     cdef int[::1] n_found
 
     cdef void limit(self, Batch* batch, Query* query, Py_ssize_t place) noexcept nogil:
-        """Limit the neighbourhood of the photon at a place.
+        """Limit the neighbourhood of the photon at a tree position.
 
         The share of its reach that a photon searches, all of it where too few are in range, is
         much the same as in the last block.
@@ -138,7 +138,7 @@ cdef class Detection(BatchWork):
                 query.squared_guess = MARGIN * batch.share * squared_reach
 
     cdef void prefetch(self, Py_ssize_t row, Py_ssize_t next_place) noexcept nogil:
-        """Prefetch a row that will be written, and the limits at a place of the next block."""
+        """Prefetch a row that will be written, and the limits at a position of the next block."""
         prefetch_row(&self.inputs.normal[row, 0], 3 * sizeof(double))
         prefetch_row(&self.eigenvalues[row, 0], 2 * sizeof(double))
         prefetch_row(&self.constraint[row], sizeof(double))
@@ -218,7 +218,7 @@ def detect(
     Tree tree, Py_ssize_t first, Py_ssize_t end, StructureInputs inputs, columns, *,
     Py_ssize_t k, double gain=-1.0, int n_threads
 ):
-    """Fill the rows of the photons at places first … end, whole blocks, of the tree.
+    """Fill the rows of the photons at tree positions first … end, whole blocks.
 
     Parameters
     ----------

@@ -162,7 +162,7 @@ cdef void gather_points(Tree tree, Batch* batch) noexcept nogil:
 
 
 cdef bint same_result(Tree tree, const Query* one, const Query* other) noexcept nogil:
-    """Whether two queries have the same neighbours, as those at coincident points have."""
+    """True if two queries have the same neighbours, as those at coincident points have."""
     cdef Py_ssize_t axis
     for axis in range(tree.n_axes):
         if one.bounds.low[axis] != other.bounds.low[axis]:

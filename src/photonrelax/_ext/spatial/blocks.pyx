@@ -15,7 +15,7 @@ cdef enum:
 
 def copy_scaled_rows(
     double[:, ::1] target, Py_ssize_t first, const double[:, ::1] source,
-    const Py_ssize_t[::1] rows, double scale, int n_threads
+    const Py_ssize_t[::1] rows, *, double scale, int n_threads
 ):
     """Copy `rows` of `source`, or all, times `scale` to columns of `target` from `first` on."""
     cdef Py_ssize_t i, row

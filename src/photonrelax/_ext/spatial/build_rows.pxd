@@ -118,7 +118,7 @@ cdef inline void enter_bucket(Keys* keys, int shift, const uint32_t* sizes) noex
 
 
 cdef inline Py_ssize_t take_keys(const Keys* keys, int32_t* taken) noexcept nogil:
-    """Copy the keys within the bounds, possibly in place; return how many."""
+    """Copy the keys within the bounds, possibly in place; their number."""
     cdef uint32_t width = <uint32_t> keys.high - <uint32_t> keys.low
     cdef Py_ssize_t i, n_taken = 0
     cdef int32_t key
@@ -176,7 +176,7 @@ cdef inline Py_ssize_t list_equal(
     const int32_t* rows, Py_ssize_t count, int words, int word, int32_t key, int32_t other,
     int32_t* places
 ) noexcept nogil:
-    """List the rows whose key is one of two; return how many."""
+    """List the rows whose key is one of two; their number."""
     cdef Py_ssize_t i, n = 0
     for i in range(count):
         places[n] = <int32_t> i

@@ -169,7 +169,7 @@ cdef void clamp_limits(Tree tree, Batch* batch) noexcept nogil:
 
 
 cdef inline bint is_limited(const Query* query) noexcept nogil:
-    """Whether a query has limits on the range axes."""
+    """True if a query has limits on the range axes."""
     return query.bounds.squared_range >= 0.0 or query.bounds.half_range != NULL
 
 
@@ -214,7 +214,7 @@ cdef inline unsigned int overlapping_children(
 cdef inline bint prunable(
     Tree tree, Py_ssize_t number, const SearchBounds* bounds, int64_t highest_id
 ) noexcept nogil:
-    """Whether no point of a box can be nearer, ties by id, than the k candidates kept.
+    """True if no point of a box can be nearer, ties by id, than the k candidates kept.
 
     Without the ids, each query at one of many coincident points would visit all of them.
     """
@@ -320,7 +320,7 @@ cdef inline unsigned int overlapping_blocks(
 
 
 cdef void exclude_place(Query* query) noexcept nogil:
-    """Remove the excluded place from the candidates."""
+    """Remove the point at the excluded tree position from the candidates."""
     cdef int64_t block, candidate
     if query.excluded < 0:
         return
@@ -355,7 +355,7 @@ cdef inline void select_nearest(Tree tree, const Batch* batch, Query* query) noe
 
 
 cdef Py_ssize_t finish_queries(Tree tree, Batch* batch) noexcept nogil:
-    """Select the k nearest of all open queries; return how many need another attempt."""
+    """Select the k nearest of all open queries; the number that needs another attempt."""
     cdef Candidates* found[INTERLEAVED]
     cdef const SearchBounds* bounds[INTERLEAVED]
     cdef float[INTERLEAVED] rank_slack
@@ -379,7 +379,7 @@ cdef Py_ssize_t finish_queries(Tree tree, Batch* batch) noexcept nogil:
 
 
 cdef bint finish_query(Tree tree, Batch* batch, Query* query) noexcept nogil:
-    """Whether the k nearest are selected; if not, restart the query with a larger radius."""
+    """True if the k nearest are selected; if not, restart the query with a larger radius."""
     cdef Candidates* found = &query.candidates
     if found.count < batch.k and query.bounds.squared_limit < query.squared_retry:
         restart(query, query.squared_retry)

@@ -40,7 +40,7 @@ def of_queries(
     open. Where fewer than k are found a distance is infinite, or with `of_fewer` that of the
     farthest, and zero without any.
     """
-    if queries.shape[1] < (tree.n_metric if range_radius < 0.0 else tree.n_axes):
+    if queries.shape[1] < tree.n_axes:
         raise ValueError("queries do not fit the tree")
     distance = np.full(order.shape[0], INFINITY)
     if k > tree.n_points and not of_fewer:

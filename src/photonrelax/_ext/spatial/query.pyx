@@ -163,8 +163,8 @@ def query(
 ):
     """Ids (m, k) and distances (m, k) of the k nearest of each query.
 
-    Queries are answered in `order`, close ones in sequence. ``excluded[i]`` is the place of the
-    point that is no neighbour of query i; None for none.
+    Queries are answered in `order`, close ones in sequence. ``excluded[i]`` is the tree position
+    of the point that is no neighbour of query i; None for none.
     """
     cdef Table table = Table(queries.shape[0], k, n_threads)
     cdef TableQuery work

@@ -71,7 +71,7 @@ cdef void search_batch(
 cdef int search_points(
     BatchWork work, Py_ssize_t first, Py_ssize_t end, int n_threads
 ) except -1:
-    """Search around the tree's own points at places first … end, whole blocks."""
+    """Search around the tree's own points at tree positions first … end, whole blocks."""
     cdef unsigned char[:, ::1] batches = allocate_batches(work.tree, work.k, n_threads)
     cdef Py_ssize_t block
     for block in prange(

@@ -18,6 +18,20 @@ cdef void visit_radius(
 ) noexcept nogil
 
 
+cdef inline SearchBounds ball(
+    Tree tree, const double* at, double radius, double range_radius
+) noexcept nogil:
+    """Bounds of the ball around a point; a negative `range_radius` leaves range axes open."""
+    cdef SearchBounds bounds
+    bounds.low = bounds.high = at
+    bounds.squared_limit = radius * radius
+    bounds.squared_range = range_radius * range_radius if range_radius >= 0.0 else -1.0
+    bounds.half_range = NULL
+    bounds.n_metric = tree.n_metric
+    bounds.n_axes = tree.n_axes
+    return bounds
+
+
 cdef inline double weight_of(int shape, double ratio) noexcept nogil:
     """Weight of a kernel at a ratio of squared distance to squared bandwidth; its mean is one."""
     if shape == EPANECHNIKOV_WEIGHTS:

@@ -130,7 +130,7 @@ cdef class RadiusGather:
     values : (m, c) float64 array
         Summands.
     rows : (n,) intp array
-        Row of the photon at each place of the tree.
+        Rows of the photons, in tree order.
     kernel : int
         CONSTANT, CONE or EPANECHNIKOV of nearest.pyx.
     normal_range : float
@@ -140,13 +140,15 @@ cdef class RadiusGather:
     cdef Tree tree
     cdef const double[:, :, ::1] values
     cdef int kernel
-    cdef double squared_range
+    cdef double normal_range
 
     def __init__(self, tree, values, rows, kernel, *, normal_range, n_threads):
         self.tree = tree
+        if len(rows) != self.tree.n_points:
+            raise ValueError("photons should have a row for each point of the tree")
         self.values = to_soa_blocks(values, rows, n_threads)
         self.kernel = kernel
-        self.squared_range = normal_range * normal_range if normal_range >= 0.0 else -1.0
+        self.normal_range = normal_range
 
     def sums(
         self, const double[:, ::1] queries, const Py_ssize_t[::1] order, const double[::1] radius,
@@ -162,7 +164,7 @@ cdef class RadiusGather:
         if not (
             queries.shape[0] == radius.shape[0] == out.shape[0] == counts.shape[0]
             and queries.shape[1] >= self.tree.n_metric
-            and (self.squared_range < 0.0 or queries.shape[1] == self.tree.n_axes)
+            and (self.normal_range < 0.0 or queries.shape[1] == self.tree.n_axes)
             and out.shape[1] == self.values.shape[1]
         ):
             raise ValueError("queries, radii, sums and counts do not fit one another")
@@ -179,14 +181,10 @@ cdef int64_t sum_one(
 ) noexcept nogil:
     """Write the sums around one query; return the number of photons."""
     cdef Sums sums
-    cdef SearchBounds bounds
+    cdef SearchBounds bounds = ball(photons.tree, at, radius, photons.normal_range)
     cdef Py_ssize_t channel
-    bounds.low = bounds.high = sums.at = at
-    bounds.squared_limit = sums.squared_radius = radius * radius
-    bounds.squared_range = photons.squared_range
-    bounds.half_range = NULL
-    bounds.n_metric = photons.tree.n_metric
-    bounds.n_axes = photons.tree.n_axes
+    sums.at = at
+    sums.squared_radius = bounds.squared_limit
     # An empty tree has no values.
     sums.values = &photons.values[0, 0, 0] if photons.values.shape[0] > 0 else NULL
     sums.n_channels = photons.values.shape[1]

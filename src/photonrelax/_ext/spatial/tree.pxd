@@ -6,7 +6,7 @@ whatever the coordinates are, and coincident points cannot unbalance it. Every f
 kept: there 16 nodes with one ancestor four levels above form a group, whose boxes are tested at
 once. The first kept level has one group, of 16 nodes or fewer.
 
-The place of a point is its position in tree order: lane `place % 16` of block `place // 16`.
+The point at position `place` in tree order is in lane `place % 16` of block `place // 16`.
 """
 
 from libc.stdint cimport int64_t
@@ -22,7 +22,7 @@ cdef class Tree:
     cdef readonly Py_ssize_t n_levels
     # (n_blocks, n_axes, 16)
     cdef readonly double[:, :, ::1] coords
-    # Ids, the caller's row of each point, by place.
+    # Ids, the caller's row of each point, in tree order.
     cdef readonly int64_t[::1] ids
     # First group of each kept level, and the end of the last.
     cdef Py_ssize_t[::1] first_group

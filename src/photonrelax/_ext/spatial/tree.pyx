@@ -94,7 +94,7 @@ cdef void place_block(Tree tree, const double[:, ::1] points, Py_ssize_t block) 
 cdef void move_block(
     Tree tree, const double[:, ::1] moved, Py_ssize_t first_axis, double scale, Py_ssize_t block
 ) noexcept nogil:
-    """Overwrite some axes of a block with `moved`, stored by place, times `scale`."""
+    """Overwrite some axes of a block with `moved`, stored in tree order, times `scale`."""
     cdef Py_ssize_t lane, axis
     for lane in range(points_of_block(tree, block)):
         for axis in range(moved.shape[1]):
@@ -225,7 +225,7 @@ cdef class Tree:
         self.high = np.full(self.n_axes, -np.inf)
 
     def move(self, const double[:, ::1] moved, Py_ssize_t first_axis, double scale, int n_threads):
-        """Set coordinates by place, from an axis on; call `box` afterwards."""
+        """Set coordinates, given in tree order, from an axis on; call `box` afterwards."""
         cdef Py_ssize_t block
         if moved.shape[0] != self.n_points or first_axis + moved.shape[1] > self.n_axes:
             raise ValueError("coordinates do not fit the tree")

@@ -40,6 +40,14 @@ cdef class Columns:
         self.emitter_coords, self.emitter_density = emitter_coords, emitter_density
         self.emitter_id, self.path_signature = emitter_id, path_signature
         self.n_bounces, self.path_length, self.object_id = n_bounces, path_length, object_id
+        if not (
+            position.shape[0] == normal.shape[0] == wi.shape[0] == flux.shape[0]
+            == emitter_coords.shape[0] == emitter_density.shape[0] == emitter_id.shape[0]
+            == path_signature.shape[0] == n_bounces.shape[0] == path_length.shape[0]
+            == object_id.shape[0]
+            and position.shape[1] == normal.shape[1] == wi.shape[1] == flux.shape[1] == 3
+        ):
+            raise ValueError("columns do not fit one another")
 
     def write(
         self, const Deposit[::1] deposits, const double[:, ::1] coords, const double[::1] density,
@@ -52,8 +60,13 @@ cdef class Columns:
         cdef Py_ssize_t i, n = deposits.shape[0]
         cdef int32_t[::1] row = np.zeros(density.shape[0], np.int32)
         cdef int32_t path
-        if self.position.shape[0] < first + n:
-            raise ValueError(f"columns should have {first + n} rows")
+        if first < 0 or self.position.shape[0] < first + n:
+            raise ValueError(f"columns should have rows {first} to {first + n}")
+        if not (
+            coords.shape[0] == density.shape[0] and flux.shape[0] == 3
+            and coords.shape[1] >= self.emitter_coords.shape[1]
+        ):
+            raise ValueError("coords, density and flux do not fit the columns")
         with nogil:
             first_rows(row, deposits)
             for i in range(n):

@@ -49,7 +49,7 @@ cdef class EmissionRegion:
 
     def __init__(
         self, int kind, const double[::1] origin, const double[:, ::1] frame,
-        const double[::1] shape, double start_distance, double density,
+        const double[::1] shape, *, double start_distance, double density,
     ):
         self.kind = kind
         self.origin = origin
@@ -155,10 +155,16 @@ cdef class Emission:
 
 
 def emit(
-    Emission emission, uint64_t first, double[:, ::1] origin, double[:, ::1] direction,
+    Emission emission, uint64_t first, *, double[:, ::1] origin, double[:, ::1] direction,
     double[:, ::1] coords, double[::1] density, int n_threads,
 ):
     """Fill the rows with photons `first` and on."""
-    cdef Py_ssize_t i
-    for i in prange(density.shape[0], nogil=True, num_threads=n_threads, schedule="static"):
+    cdef Py_ssize_t i, n = density.shape[0]
+    if not (
+        n == origin.shape[0] == direction.shape[0] == coords.shape[0]
+        and origin.shape[1] == direction.shape[1] == 3
+        and coords.shape[1] == (2 if emission.region.kind == DISK else 3)
+    ):
+        raise ValueError("origin, direction, coords and density do not fit one another")
+    for i in prange(n, nogil=True, num_threads=n_threads, schedule="static"):
         density[i] = emission.ray(first + i, &origin[i, 0], &direction[i, 0], &coords[i, 0])

@@ -26,8 +26,16 @@ def split(
     cdef const int32_t[::1] object_id = hits.object_id
     cdef const double[:, ::1] geometric = hits.geometric_normal
     cdef const double[:, ::1] shading = hits.shading_normal
-    cdef Py_ssize_t i
-    for i in prange(direction.shape[0], nogil=True, num_threads=n_threads, schedule="static"):
+    cdef Py_ssize_t i, n = direction.shape[0]
+    if not (
+        n == weight.shape[0] == medium.shape[0]
+        == object_id.shape[0] == geometric.shape[0] == shading.shape[0]
+        and 2 * n == out_direction.shape[0] == out_weight.shape[0] == out_medium.shape[0]
+        and 3 == direction.shape[1] == weight.shape[1] == geometric.shape[1] == shading.shape[1]
+        == out_direction.shape[1] == out_weight.shape[1]
+    ):
+        raise ValueError("rays, hits and continuations do not fit one another")
+    for i in prange(n, nogil=True, num_threads=n_threads, schedule="static"):
         split_direction(
             &out_direction[2 * i, 0], &out_weight[2 * i, 0], materials, object_id[i],
             &direction[i, 0], &weight[i, 0], &geometric[i, 0], &shading[i, 0],

@@ -35,7 +35,7 @@ cdef void _refract_row(
 
 def refract(
     const double[:, ::1] direction, const double[:, ::1] normal, const double[::1] n1,
-    const double[::1] n2, double[:, ::1] out, uint8_t[::1] ok, int n_threads,
+    const double[::1] n2, *, double[:, ::1] out, uint8_t[::1] ok, int n_threads,
 ):
     cdef Py_ssize_t i
     for i in prange(out.shape[0], nogil=True, num_threads=n_threads, schedule="static"):

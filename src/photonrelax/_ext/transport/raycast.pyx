@@ -1,7 +1,7 @@
 """Conversion of rays to embree's float32 frame, and refinement of embree's hits in float64.
 
-Embree works in float32 and only tells which triangle a ray hits; the intersection is computed here
-in float64, from the original ray. Every loop body writes row i only.
+Embree works in float32 and only names the triangle that a ray hits; the intersection is computed
+here in float64, from the original ray. Every loop body writes row i only.
 """
 
 cimport cython
@@ -47,7 +47,7 @@ cdef class EmbreeFrame:
 
     def to_embree(
         self, const double[:, ::1] origins, const double[:, ::1] directions,
-        const double[:, ::1] origin_offset, const double[::1] limits,
+        const double[:, ::1] origin_offset, const double[::1] limits, *,
         float[:, ::1] out_origins, float[:, ::1] out_directions, float[::1] out_limits,
     ):
         """Write rays in embree's frame; return the index of the first invalid one, or -1.

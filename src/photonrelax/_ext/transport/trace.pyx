@@ -30,6 +30,7 @@ cdef enum:
     ESCAPED = 2
     CUT = 3
     FILTERED = 4  # "discarded" in the ledger
+    N_OUTCOMES = 5
 
     CAUSTIC = 0
     GLOBAL = 1
@@ -158,6 +159,12 @@ cdef class Paths:
         cdef Py_ssize_t i, c, n = photons.shape[0]
         if n > self.size:
             raise ValueError(f"photons should be at most {self.size}, but are {n}")
+        if not (
+            luminance.shape[0] == ledger.shape[2] == 3
+            and ledger.shape[0] * PER_BLOCK >= n
+            and ledger.shape[1] == ends.shape[0] == N_OUTCOMES
+        ):
+            raise ValueError("luminance, ledger and ends do not fit the photons")
         self.ledger, self.ends = ledger, ends
         self.n_met_specular = 0
         self.deposits = Deposits(n)

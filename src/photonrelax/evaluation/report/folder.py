@@ -10,17 +10,11 @@ from ..._util.files import check_writable, whole_file, write_json
 from ...estimation.methods import METHODS
 from ..comparison import Comparison, Entry
 from .contact_sheet import Panel, contact_sheet
-from .images import Bytes, PhotonImage, method_images, photon_images
+from .images import PHOTON_ATTRIBUTES, Bytes, PhotonImage, method_images, photon_images
 from .page import page
 from .table import Table, column_titles, table
 
 PAGE, SHEET, NUMBERS, REFERENCE = "index.html", "sheet.png", "comparison.json", "reference.exr"
-# Captions of SJ13 Fig. 6.
-_CAPTIONS = {
-    "parameter-space": "Parameter space",
-    "path-edges": "Path edges",
-    "constraints": "Derived constraints",
-}
 _ERROR_MAPS = ("flip", "difference")
 
 
@@ -109,7 +103,7 @@ def _method_files(method: str) -> list[str]:
 
 
 def _photon_files() -> list[str]:
-    return [f"{name}.png" for name in _CAPTIONS]
+    return [f"{name}.png" for name in PHOTON_ATTRIBUTES]
 
 
 def _remove_others(folder: Path, placed: set[str]) -> None:
@@ -135,7 +129,11 @@ def _panels(comparison: Comparison, images: dict[str, Bytes]) -> list[list[Panel
         (images[entry.name], title, _detail(entry))
         for entry, title in zip(entries, column_titles(entries), strict=True)
     ]
-    photons = [(images[name], text, "") for name, text in _CAPTIONS.items() if name in images]
+    photons = [
+        (images[name], attribute.caption, "")
+        for name, attribute in PHOTON_ATTRIBUTES.items()
+        if name in images
+    ]
     reference = (images["reference"], "Reference", comparison.reference.description)
     return [methods, [*photons, reference]]
 

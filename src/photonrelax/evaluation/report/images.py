@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,25 @@ _EDGE_COLOURS = np.array(
     [[0.2, 0.35, 0.95], [0.1, 0.75, 0.8], [0.35, 0.85, 0.25], [0.98, 0.85, 0.15], [0.95, 0.2, 0.15]]
 )
 _CONSTRAINED = np.array([1.0, 0.08, 0.05])
+
+
+@dataclass(frozen=True)
+class PhotonAttribute:
+    """An attribute of photons that has an image.
+
+    Attributes
+    ----------
+    layer : str
+        Name of its layer.
+    caption : str
+        As in SJ13 Fig. 6.
+    colours : callable
+        Maps the layer to colours (height, width, 3) and their meaning.
+    """
+
+    layer: str
+    caption: str
+    colours: Callable[[Floats], tuple[Floats, str]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,17 +79,10 @@ def photon_images(comparison: Comparison) -> dict[str, PhotonImage]:
     layers = comparison.photon_layers
     shade = _shade(layers["caustic"], comparison.request.exposure)
     images = {}
-    if "photons.emitter" in layers:
-        colours = layers["photons.emitter"]
-        about = "Where photons left their emitter, as colours"
-        images["parameter-space"] = PhotonImage(_bytes(shade * colours), about)
-    if "photons.bounces" in layers:
-        colours, about = _path_edges(layers["photons.bounces"])
-        images["path-edges"] = PhotonImage(_bytes(shade * colours), about)
-    if "photons.constraint" in layers:
-        colours = _constraint_colours(layers["photons.constraint"])
-        about = "Red where photons may not move across an edge"
-        images["constraints"] = PhotonImage(_bytes(shade * colours), about)
+    for name, attribute in PHOTON_ATTRIBUTES.items():
+        if attribute.layer in layers:
+            colours, about = attribute.colours(layers[attribute.layer])
+            images[name] = PhotonImage(_bytes(shade * colours), about)
     return images
 
 
@@ -89,9 +102,24 @@ def _path_edges(bounces: Floats) -> tuple[Floats, str]:
     return _ramp((edges - low) / (high - low), _EDGE_COLOURS), about
 
 
-def _constraint_colours(constraint: Floats) -> Floats:
+def _emitter_colours(colours: Floats) -> tuple[Floats, str]:
+    return colours, "Where photons left their emitter, as colours"
+
+
+def _constraint_colours(constraint: Floats) -> tuple[Floats, str]:
     share = np.clip(constraint, 0.0, 1.0)[..., np.newaxis]
-    return (1.0 - share) * np.full(3, 0.75) + share * _CONSTRAINED
+    colours = (1.0 - share) * np.full(3, 0.75) + share * _CONSTRAINED
+    return colours, "Red where photons may not move across an edge"
+
+
+PHOTON_ATTRIBUTES = {
+    "parameter-space": PhotonAttribute("photons.emitter", "Parameter space", _emitter_colours),
+    "path-edges": PhotonAttribute("photons.bounces", "Path edges", _path_edges),
+    "constraints": PhotonAttribute(
+        "photons.constraint", "Derived constraints", _constraint_colours
+    ),
+}
+"""Attributes of photons that have an image, by file name."""
 
 
 def _shade(caustic: Floats, exposure: float) -> Floats:

@@ -118,19 +118,19 @@ def _seconds(value: float) -> str:
 
 @dataclass(frozen=True)
 class _Metric:
-    """An error metric, its format, and the badness of its values."""
+    """An error metric, its format, and the cost of its values: the least is the best."""
 
     name: str
     attribute: str
     form: str
-    badness: Callable[[float], float] = abs
+    cost: Callable[[float], float] = abs
 
     def row(self, entries: Sequence[Entry]) -> Row:
         return self.row_of([getattr(entry.errors, self.attribute) for entry in entries])
 
     def row_of(self, values: list[float]) -> Row:
         cells = [self.form.format(value) for value in values]
-        return Row(self.name, cells, _best([self.badness(value) for value in values]))
+        return Row(self.name, cells, _best([self.cost(value) for value in values]))
 
 
 _METRICS = (
@@ -157,8 +157,8 @@ def _analytic_rows(entries: Sequence[Entry]) -> list[Row]:
     ]
 
 
-def _best(badness: list[float]) -> int | None:
-    return badness.index(min(badness)) if len(badness) > 1 else None
+def _best(costs: list[float]) -> int | None:
+    return costs.index(min(costs)) if len(costs) > 1 else None
 
 
 def _with_reference(table: Table, reference: Reference) -> Table:

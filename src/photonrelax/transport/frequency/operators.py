@@ -1,72 +1,17 @@
 """Local frequency spectra of light (Durand et al. 2005): conventions, operators, kernel radii.
 
-The poster on frequency-driven kernels (FPPM) gives no derivations; these are used here.
+The poster on frequency-driven kernels (FPPM) gives no derivations; docs/methods/frequency.md has
+those used here, with the operators. Conventions:
 
-**Light field.** Around a ray, L(x, θ) is the light at distance x across the ray, m, that travels at
-the angle θ to it, rad, to first order in both. In three dimensions there are two such sections,
-one in the plane of incidence and one perpendicular to it; vectors are then (x₁, x₂, θ₁, θ₂).
-
-**Spectrum.** Its Fourier transform over Ω = (Ω_x, Ω_θ), cycles/m and cycles/rad, is taken to be
-the Gaussian exp(-½ Ωᵀ Σ⁻¹ Ω), of *amplitude*, not power, around Ω = 0, with
-
-    Σ = [[a, c], [c, b]],    a: cycles²/m²,    b: cycles²/rad²,    c: cycles²/(m rad).
-
-So a, b are squared bandwidths: light that is exp(-x²/2s²) has a = 1/(4π²s²). Larger means
-rougher, and the larger of two is the conservative bound. (FPPM's radius grows with √a: its a is
-the inverse of this one.)
-
-**Lossless operators.** To first order every event maps rays linearly, v' = M v, and keeps radiance:
-L'(v) = L(M⁻¹ v). By the change of variables in the Fourier integral L̂'(Ω) = |det M| L̂(Mᵀ Ω), so
-
-    Ω' = K Ω,    Σ' = K Σ Kᵀ,    K = M⁻ᵀ.
-
-============ =============== =================== ==========================================
-event        rays            frequencies         where it comes from
-============ =============== =================== ==========================================
-propagate    x' = x + d θ    Ω_θ' = Ω_θ - d Ω_x  shear (Durand et al. 2005, §3)
-project      x' = x / cos θ₀ Ω_x' = cos θ₀ Ω_x   projection onto a tilted surface
-curvature    θ' = θ + G x    Ω_x' = Ω_x - Gᵀ Ω_θ angles to a normal that changes by G x
-scale_angles θ' = ρ θ        Ω_θ' = Ω_θ / ρ      Snell's law, differentiated
-rotate       v' = R v        Ω' = R Ω            another frame across the ray
-============ =============== =================== ==========================================
-
-A mirror is projection, curvature twice, and projection back; an interface scales angles between the
-two curvatures: n₁ sin θ₁ = n₂ sin θ₂ gives dθ₂ = n₁ cos θ₁ / (n₂ cos θ₂) dθ₁ in the plane of
-incidence and n₁ / n₂ perpendicular to it. Where the normal changes by S x along the surface (S is
-the shape operator), angles in the plane of incidence change by S x and those perpendicular to it by
-cos θ₀ S x, the component of the ray along the normal. (Belcour et al.'s covariance tracing is the
-same algebra on power spectra.)
-
-**Occlusion.** Light that is occluded, or takes another path, at a distance s is multiplied by a
-window, exp(-x²/s²); spectra convolve, and those of Gaussians add: Σ' = Σ + diag(1 / (2π²s²), 0).
-The width is for light whose sheet is stretched by A, with s = |A / A'| the distance at which the
-stretch would vanish, in a fold: its irradiance 1/A has E''/E = 3 / (As)², which the bound below
-takes for 8π² a, or a = 3 / (8π²s²) before the stretch; a third more keeps the bias at a fold, with
-all its orders, at 5 %. Next to a shadow's edge, kernels then stay off the edge. Light that changes
-by half of itself at that distance, as at the angle of total reflection, is treated like occluded
-light.
-
-**Deposit.** A Lambertian surface keeps E(x) = ∫ L cos θ dθ. The cosine, as the Gaussian of its
-variance σ² = π²/4 - 2, widens the spectrum over angle; the integral is its slice Ω_θ = 0, of
-variance
-
-    e = a - c² / (b + 1/(4π²σ²)).
-
-The reflected light has no angular frequency, so FPPM's r_θ is infinite and r_x decides. Photons
-store (e, b, c) rather than (a, b, c): a follows from these, while in nearly parallel light the two
-terms of e cancel to all their digits. For the same reason spectra are propagated along a path as
-roots F, Σ = F Fᵀ, and e is computed from F (see `deposited`).
-
-**Radius.** Around a wave of frequency f the mean over a disc of radius r is 2 J₁(z)/z of its value,
-z = 2πfr, and 1 - 2 J₁(z)/z ≤ z²/8. Of an irradiance whose spectrum has variance a along both axes,
-so that the mean of f² is 2a, a disc loses at most (πr)² a where all waves peak, and of a single
-wave, a = f², half of that. So
-
-    r = √β / (π √a),    β = 0.05,
-
-keeps bias at or below 5 % of the amplitude, whatever the shape of the spectrum. Of the Gaussian
-exp(-2π²a|x|²) a disc keeps e^-t · sinh(t)/t ≥ e^-t, t = π²ar², which would allow FPPM's
-β₉₅ = -log 0.95 = 0.0513.
+- Around a ray, L(x, θ) is the light at distance x across the ray, m, at the angle θ to it, rad, to
+  first order in both. In three dimensions there are two such sections, s = 2, the first in the
+  plane of incidence; vectors are then (x₁, x₂, θ₁, θ₂).
+- Its Fourier transform over Ω = (Ω_x, Ω_θ), cycles/m and cycles/rad, is taken to be the Gaussian
+  exp(-½ Ωᵀ Σ⁻¹ Ω), of amplitude, with Σ = [[a, c], [c, b]]. Larger means rougher.
+- An operator K takes frequencies from before an event to after it: Ω' = K Ω, Σ' = K Σ Kᵀ. Spectra
+  are propagated as roots F, Σ = F Fᵀ.
+- Photons store (e, b, c), where e is the variance of the spectrum of the irradiance that they
+  deposit on a Lambertian surface.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
 Light of collimated and point-like emitters has one ray for every emitter coordinate. Whatever cuts
 off a part of it, wherever on the path, therefore cuts off a part of the emitter coordinates, and
-the distance to that part is the width of the window that widens the spectrum at the emitter (see
-"Occlusion" in `operators`). `occlusion_distance` finds it with probe rays around the photon's, at
-offsets that double.
+the distance to that part is the width of the window that widens the spectrum at the emitter
+("Occlusion" in docs/methods/frequency.md). `occlusion_distance` finds it with probe rays around the
+photon's, at offsets that double.
 
 Apart from the window, the light that leaves an emitter is as smooth as can be:
 
@@ -190,7 +190,7 @@ class _Step:
 
 
 def _path_events(steps: list[_Step], n: int, is_diffuse: NDArray[np.bool_]) -> PathEvents:
-    """Collect the steps of n paths; flags tell which objects are diffuse."""
+    """Collect the steps of n paths; `is_diffuse` (n_objects,) flags objects."""
     events = PathEvents(
         np.full((n, len(steps)), -1, dtype=np.int32),
         np.zeros((n, len(steps)), dtype=bool),

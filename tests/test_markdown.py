@@ -1,8 +1,7 @@
 """Markdown tables."""
 
 import pytest
-
-from photonrelax.evaluation.report.markdown import markdown_table
+from bench.markdown import markdown_table
 
 
 def test_a_table_has_titles_a_rule_and_a_line_a_row():

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import photonrelax as pr
+from bench.markdown import markdown_table
 from bench.studies.methods import (
     FOLDER,
     REFERENCES,
@@ -18,7 +19,6 @@ from bench.studies.methods import (
 from photonrelax.estimation.methods import Settings
 from photonrelax.evaluation import ComparisonRequest, compare, gallery_subject
 from photonrelax.evaluation.reference import ReferenceSettings, uncertainty_of
-from photonrelax.evaluation.report.markdown import markdown_table
 
 KS = (30, 15, 8, 5, 4, 2)
 K_STANDARD = 30

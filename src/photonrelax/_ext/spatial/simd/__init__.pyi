@@ -1,4 +1,0 @@
-# Compiled modules carry no types.
-from typing import Any
-
-def __getattr__(name: str) -> Any: ...

@@ -1,0 +1,104 @@
+"""Kernels of transport refuse arrays that do not fit one another."""
+
+import numpy as np
+import pytest
+from photonrelax._ext.transport.deposits import DEPOSIT, Columns
+
+from photonrelax import gallery
+from photonrelax._ext.transport import emission as emission_kernel
+from photonrelax._ext.transport import hit_points, trace
+from photonrelax.scene.camera import pixel_rays
+from photonrelax.transport.batch import TraceContext, TraceSettings
+from photonrelax.transport.emission import plan_emission
+
+N = 8
+
+
+@pytest.fixture(scope="module")
+def context():
+    scene = gallery.scene("ring", pixels=4, sections=16)
+    settings = TraceSettings(
+        seed=0, paths="caustic", sampler="halton", max_bounces=4, frequency_share=0.0
+    )
+    return TraceContext(scene, plan_emission(scene, 100), settings, N)
+
+
+@pytest.mark.parametrize("odd", [{"luminance": (2,)}, {"ledger": (1, 4, 3)}, {"ends": (4,)}])
+def test_paths_want_a_ledger_of_all_outcomes(context, odd):
+    shapes = {"luminance": (3,), "ledger": (1, 5, 3), "ends": (5,)} | odd
+    arrays = {name: np.ones(shape) for name, shape in shapes.items()}
+    arrays["ends"] = np.zeros(shapes["ends"], np.int64)
+    with pytest.raises(ValueError, match="do not fit the photons"):
+        context.acquire_paths().start(context.emissions[0], np.arange(N), **arrays)
+
+
+def test_paths_want_a_row_of_the_ledger_for_each_block(context):
+    long = TraceContext(context.scene, context.plan, context.settings, trace.LEDGER_BLOCK + 1)
+    ledger, ends = np.zeros((1, 5, 3)), np.zeros(5, np.int64)
+    how = {"luminance": np.ones(3), "ledger": ledger, "ends": ends}
+    with pytest.raises(ValueError, match="do not fit the photons"):
+        long.acquire_paths().start(long.emissions[0], np.arange(trace.LEDGER_BLOCK + 1), **how)
+
+
+COLUMNS = {
+    **dict.fromkeys(("position", "normal", "wi", "flux", "emitter_coords"), (N, 3)),
+    **dict.fromkeys(("emitter_density", "emitter_id", "path_signature"), (N,)),
+    **dict.fromkeys(("n_bounces", "path_length", "object_id"), (N,)),
+}
+DTYPES = {"path_signature": np.int64} | dict.fromkeys(
+    ("emitter_id", "n_bounces", "object_id"), np.int32
+)
+
+
+def columns(**odd):
+    shapes = COLUMNS | odd
+    return Columns(
+        **{name: np.zeros(shape, DTYPES.get(name, float)) for name, shape in shapes.items()}
+    )
+
+
+@pytest.mark.parametrize(
+    "odd", [*({name: (N - 1, *shape[1:])} for name, shape in COLUMNS.items()), {"wi": (N, 2)}]
+)
+def test_columns_have_as_many_rows_of_the_same_widths(odd):
+    with pytest.raises(ValueError, match="columns do not fit one another"):
+        columns(**odd)
+
+
+@pytest.mark.parametrize("odd", [{"coords": (1, 3)}, {"coords": (2, 2)}, {"flux": 2}])
+def test_deposits_want_coordinates_and_density_of_each_path(odd):
+    shapes = {"coords": (2, 3), "density": 2, "flux": 3} | odd
+    given = {name: np.ones(shape) for name, shape in shapes.items()}
+    with pytest.raises(ValueError, match="do not fit the columns"):
+        columns().write(np.zeros(N, DEPOSIT), **given, first=0, emitter_id=0)
+
+
+@pytest.mark.parametrize("first", [-1, 1])
+def test_deposits_want_rows_of_the_columns(first):
+    given = {"coords": np.ones((2, 3)), "density": np.ones(2), "flux": np.ones(3)}
+    with pytest.raises(ValueError, match="should have rows"):
+        columns().write(np.zeros(N, DEPOSIT), **given, first=first, emitter_id=0)
+
+
+@pytest.mark.parametrize(
+    "odd", [{"origin": (N - 1, 3)}, {"direction": (N, 2)}, {"coords": (N, 1)}, {"density": N + 1}]
+)
+def test_emitted_rays_have_a_row_for_each_photon(context, odd):
+    shapes = {"origin": (N, 3), "direction": (N, 3), "coords": (N, 3), "density": N} | odd
+    arrays = {name: np.empty(shape) for name, shape in shapes.items()}
+    with pytest.raises(ValueError, match="do not fit one another"):
+        emission_kernel.emit(context.emissions[0], 0, **arrays, n_threads=1)
+
+
+@pytest.mark.parametrize(
+    "odd", [{"direction": (5, 3)}, {"weight": (16, 2)}, {"out_direction": (31, 3)}]
+)
+def test_split_rays_have_two_rows_for_each(context, odd):
+    origins, directions, _ = pixel_rays(context.scene.camera, range(4), 1)
+    hits = context.caster.intersect(origins, directions)
+    shapes = dict.fromkeys(("direction", "weight"), (16, 3))
+    shapes |= dict.fromkeys(("out_direction", "out_weight"), (32, 3)) | odd
+    given = {name: np.ones(shape) for name, shape in shapes.items()}
+    given |= {"medium": np.zeros(16, np.int32), "out_medium": np.zeros(32, np.int32)}
+    with pytest.raises(ValueError, match="do not fit one another"):
+        hit_points.split(context._materials, hits, **given, n_threads=1)
