@@ -121,17 +121,32 @@ def _nested(triangles: Floats, parts: _Parts, inward: Ids) -> NDArray[np.bool_]:
 
     Winding numbers: a line from the point leaves the other parts more often than it enters them.
     """
-    turned = triangles @ _generic_rotation()
-    lines = turned[..., :2]
-    low, high = lines.min(axis=1), lines.max(axis=1)
-    closed = parts.closed[parts.of_face]
+    order = np.argsort(parts.of_face, kind="stable")
+    first = np.searchsorted(parts.of_face, np.arange(len(parts.closed) + 1), sorter=order)
+    turned = triangles[order] @ _generic_rotation()
+    # By axis, so that comparisons run along rows.
+    low, high = (np.ascontiguousarray(f(turned[..., :2], axis=1).T) for f in (np.min, np.max))
+    part_low = np.minimum.reduceat(low, first[:-1], axis=1)
+    part_high = np.maximum.reduceat(high, first[:-1], axis=1)
     nested = np.empty(len(inward), dtype=bool)
     for i, part in enumerate(inward):
-        point = turned[np.argmax(parts.of_face == part)].mean(axis=0)
-        met = ((low <= point[:2]) & (point[:2] <= high)).all(axis=1)
-        others = turned[met & closed & (parts.of_face != part)]
-        nested[i] = _winding_number(point, others) > 0
+        point = turned[first[part]].mean(axis=0)
+        around = parts.closed & _contain(part_low, part_high, point)
+        around[part] = False
+        number = 0
+        for other in np.flatnonzero(around):
+            faces = slice(first[other], first[other + 1])
+            met = _contain(low[:, faces], high[:, faces], point)
+            number += _winding_number(point, turned[faces][met])
+        nested[i] = number > 0
     return nested
+
+
+def _contain(low: Floats, high: Floats, point: Floats) -> NDArray[np.bool_]:
+    """Mask (n,) of the rectangles, bounds (2, n), that a point lies in as seen from above."""
+    x, y = point[:2]
+    inside: NDArray[np.bool_] = (low[0] <= x) & (x <= high[0]) & (low[1] <= y) & (y <= high[1])
+    return inside
 
 
 def _winding_number(point: Floats, triangles: Floats) -> int:
