@@ -77,7 +77,7 @@ def shading_normals(mesh: trimesh.Trimesh, smooth: bool | float) -> ShadingNorma
 
     Else they are means over the faces around a corner, as far as the edges between them turn by no
     more than the crease angle. Vertices at one position count as one. Normals of a mesh with its
-    vertices on a sphere are exact, also at creases and borders.
+    vertices on a sphere are exact, and nearly so at creases and borders.
     """
     if smooth is not True:
         return _creased(mesh, float(smooth))
@@ -189,7 +189,8 @@ def _vertex_normals(triangles: Floats, fan: NDArray) -> Floats:
     """Normals of fans: means over faces, weighted as by Max (1999).
 
     The weights, the sine of the angle over the lengths of both edges, make normals exact where
-    vertices lie on a sphere, however the triangles are shaped.
+    vertices lie on a sphere, however the triangles are shaped; with weights by angles alone the
+    uneven triangles of a lens turned on an axis blur its focus.
     """
     total = np.zeros((fan.max() + 1, 3))
     for i in range(3):
