@@ -71,9 +71,11 @@ def test_nor_does_that_of_lamps_over_or_on_tilted_floors(shift, height):
     np.testing.assert_allclose(wide, small, rtol=2e-3)
 
 
-def transmitted(gap, thickness=0.1, floor=20.0, rotation=LEVEL):
+def transmitted(gap, thickness=0.1, floor=20.0, rotation=LEVEL, soup=False):
     """Share of the light on a plate of glass of 2 m that is stored below it."""
     plate = trimesh.creation.box((2, 2, thickness)).apply_translation([0, 0, thickness / 2 + gap])
+    if soup:
+        plate.unmerge_vertices()
     objects = [
         pr.SceneObject(moved(plate, rotation, 0.0), pr.Dielectric(1.5)),
         pr.SceneObject(moved(sheet(floor), rotation, 0.0), pr.Diffuse(0.5)),
@@ -91,6 +93,10 @@ TRANSMITTANCE = 0.96**2 / (1 - 0.04**2)
 @pytest.mark.parametrize("rotation", [LEVEL, TURNED], ids=["level", "tilted"])
 def test_light_leaves_glass_that_stands_on_its_table(gap, rotation):
     assert transmitted(gap, rotation=rotation) == pytest.approx(TRANSMITTANCE, rel=0.01)
+
+
+def test_faces_without_common_vertices_move_together():
+    assert transmitted(0.0, soup=True) == transmitted(0.0)
 
 
 @pytest.mark.parametrize("thickness", [1e-1, 1e-2, 1e-3, 1e-4])

@@ -50,7 +50,9 @@ def open_contacts(
     planes = _planes(_normals(vertices[outer]), vertices[outer] - origin, size)
     own = _planes(normals, vertices[inner] - origin, size)
     touching = KDTree(np.concatenate([planes, -planes])).query(own, 1).distance[:, 0] < gap
-    _move(vertices, inner[touching], -gap[touching, np.newaxis] * normals[touching])
+    if touching.any():
+        movable = np.unique(faces[transparent])
+        _move(vertices, movable, inner[touching], -gap[touching, np.newaxis] * normals[touching])
 
 
 def _overlapping(
@@ -79,13 +81,20 @@ def _planes(normals: Floats, corners: Floats, size: float) -> Floats:
     return np.column_stack([size * normals, height])
 
 
-def _move(vertices: Floats, faces: NDArray, offsets: Floats) -> None:
-    """Move the vertices of faces by the offsets (n, 3) of the planes that meet there."""
-    vertex, offset = faces.ravel(), np.repeat(offsets, 3, axis=0)
-    length = np.linalg.norm(offset, axis=1, keepdims=True)
-    direction = np.round(offset / length / _SAME_NORMAL)
-    _, first = np.unique(np.column_stack([vertex, direction]), axis=0, return_index=True)
-    np.add.at(vertices, vertex[first], offset[first])
+def _move(vertices: Floats, movable: NDArray, faces: NDArray, offsets: Floats) -> None:
+    """Move what meets faces by the offsets (n, 3) of their planes; `movable` are vertices.
+
+    Vertices at one position move together, so that closed meshes stay closed.
+    """
+    _, of_movable = np.unique(vertices[movable], axis=0, return_inverse=True)
+    position = np.zeros(len(vertices), dtype=np.intp)
+    position[movable] = of_movable
+    corner, offset = position[faces].ravel(), np.repeat(offsets, 3, axis=0)
+    direction = np.round(offset / np.linalg.norm(offset, axis=1, keepdims=True) / _SAME_NORMAL)
+    _, first = np.unique(np.column_stack([corner, direction]), axis=0, return_index=True)
+    shift = np.zeros((of_movable.max() + 1, 3))
+    np.add.at(shift, corner[first], offset[first])
+    vertices[movable] += shift[of_movable]
 
 
 def warn_of_thin_objects(

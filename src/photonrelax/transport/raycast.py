@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._ext.transport.raycast import EmbreeFrame, EmbreeHits, Triangles
 from .._util.parallel import for_each_slice, thread_count
 from .._util.validation import Floats, float_array
-from ..scene.meshes import nondegenerate_faces, vertex_normals, vertices_of
+from ..scene.meshes import nondegenerate_faces, vertices_of
 from ..scene.resolution import MAX_SPREAD, ROUNDING, Resolution
 from ..scene.scene import SceneObject
 from .contacts import open_contacts, warn_of_thin_objects
@@ -269,15 +269,17 @@ class _Part:
 
 def _nondegenerate_part(item: SceneObject) -> _Part:
     face_id, faces = nondegenerate_faces(item.mesh)
-    # Vertices of no face would enlarge the frame, and with it rounding errors.
-    used = vertices_of(faces, len(item.mesh.vertices))
-    corners = np.zeros((np.count_nonzero(used), 6))
-    corners[:, :3] = np.asarray(item.mesh.vertices)[used]
+    corners = np.zeros((len(item.mesh.vertices), 6))
+    corners[:, :3] = item.mesh.vertices
     if item.smooth:
-        corners[:, 3:] = vertex_normals(item.mesh)[used]
+        shading = item.shading_normals
+        faces = shading.faces[face_id]
+        corners = np.hstack([corners[shading.vertex, :3], shading.normal])
+    # Vertices of no face would enlarge the frame, and with it rounding errors.
+    used = vertices_of(faces, len(corners))
     numbered = np.zeros((len(faces), 4), dtype=np.int32)
     numbered[:, :3] = (np.cumsum(used, dtype=np.int32) - 1)[faces]
-    return _Part(corners, numbered, face_id.astype(np.int32))
+    return _Part(corners[used], numbered, face_id.astype(np.int32))
 
 
 def _concatenate_parts(parts: list[_Part]) -> _Part:
