@@ -143,7 +143,7 @@ def test_pieces_of_triangles_cover_them_and_reach_no_farther_than_allowed():
 
 def test_small_triangles_are_not_split():
     sphere = trimesh.creation.icosphere(3, 1.0)
-    resolution = Resolution.of(np.asarray(sphere.triangles))
+    resolution = Resolution.of(np.asarray(sphere.vertices), sphere.faces)
     vertices = np.asarray(sphere.vertices) - resolution.origin
     assert len(split_triangles(vertices, sphere.faces, resolution.radius)) == 0
 
@@ -151,6 +151,7 @@ def test_small_triangles_are_not_split():
 def test_resolution_is_finest_where_the_triangles_are():
     ball, floor = trimesh.creation.icosphere(3, 0.1), sheet(1e5)
     shift = np.array([300.0, 20.0, 5.0])
-    resolution = Resolution.of(np.concatenate([ball.triangles + shift, floor.triangles]))
+    whole = trimesh.util.concatenate(moved(ball, LEVEL, shift), floor)
+    resolution = Resolution.of(np.asarray(whole.vertices), whole.faces)
     np.testing.assert_allclose(resolution.origin, shift, atol=0.01)
     assert resolution.at(shift) < 1e-5 < resolution.at(np.zeros(3))

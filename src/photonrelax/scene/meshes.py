@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +31,22 @@ def nondegenerate_vertices(mesh: trimesh.Trimesh) -> Floats:
     """Return the vertices (v, 3) that belong to a face with an area."""
     vertices = np.asarray(mesh.vertices)
     return vertices[vertices_of(nondegenerate_faces(mesh)[1], len(vertices))]
+
+
+def nondegenerate_triangles(meshes: Iterable[trimesh.Trimesh]) -> tuple[Floats, NDArray]:
+    """Return vertices (v, 3) of meshes, and vertex indices (f, 3) of faces that have an area."""
+    vertices, faces, first = [], [], 0
+    for mesh in meshes:
+        vertices.append(np.asarray(mesh.vertices))
+        faces.append(nondegenerate_faces(mesh)[1] + first)
+        first += len(vertices[-1])
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def face_bounds(vertices: Floats, faces: NDArray) -> tuple[Floats, Floats]:
+    """Return the lowest and highest coordinates of faces, (f, 3) each."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
 def vertices_of(faces: NDArray, n_vertices: int) -> NDArray[np.bool_]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .._util.validation import Floats
 
@@ -35,22 +36,26 @@ class Resolution:
     radius: float
 
     @classmethod
-    def of(cls, corners: Floats) -> Resolution:
-        """Return the resolution of triangles with corners (f, 3, 3).
+    def of(cls, vertices: Floats, faces: NDArray) -> Resolution:
+        """Return the resolution of triangles, given vertices (v, 3) and their indices (f, 3).
 
         Triangles weigh by the inverse square of their longest edge, so a floor outweighs nothing
         that stands on it, however far it reaches.
         """
-        low = corners.min(axis=(0, 1))
-        corners = corners - low
-        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-        weight = (longest.min() / longest) ** 2
-        centre = corners.mean(axis=1)
-        origin = weight @ centre / weight.sum()
-        square = ((corners - origin) ** 2).sum(axis=2).mean(axis=1)
-        return cls(low + origin, float(np.sqrt(weight @ square / weight.sum())))
+        low = vertices.min(axis=0)
+        a, b, c = (vertices[faces[:, i]] - low for i in range(3))
+        square = np.maximum(np.maximum(_square(b - a), _square(c - b)), _square(a - c))
+        weight = square.min() / square
+        weight /= weight.sum()
+        origin = weight @ (a + b + c) / 3.0
+        distance = (_square(a - origin) + _square(b - origin) + _square(c - origin)) / 3.0
+        return cls(low + origin, float(np.sqrt(weight @ distance)))
 
     def at(self, position: Floats) -> Floats:
         """Return the distance, m, that is resolved at positions (..., 3)."""
         distance = np.abs(position - self.origin).max(axis=-1)
         return ROUNDING * MAX_SPREAD * np.maximum(distance, self.radius)
+
+
+def _square(vectors: Floats) -> Floats:
+    return np.einsum("ij,ij->i", vectors, vectors)

@@ -20,7 +20,7 @@ from .camera import Camera
 from .emission_region import Sphere
 from .emitters import Emitter
 from .materials import Material, MaterialTable
-from .meshes import check_mesh, nondegenerate_faces, nondegenerate_vertices
+from .meshes import check_mesh, nondegenerate_triangles, nondegenerate_vertices
 from .resolution import Resolution
 from .shading import ShadingNormals, check_smooth, shading_normals
 from .winding import EdgeDefects, check_surface
@@ -140,11 +140,7 @@ class Scene:
     @cached_property
     def resolution(self) -> Resolution:
         """Distance that rays resolve, by position."""
-        return Resolution.of(
-            np.concatenate(
-                [np.asarray(o.mesh.vertices)[nondegenerate_faces(o.mesh)[1]] for o in self.objects]
-            )
-        )
+        return Resolution.of(*nondegenerate_triangles(item.mesh for item in self.objects))
 
     def emitter_offset(self, emitter: Emitter) -> float:
         """Return the least distance from an emitter to the origins of its rays, m.

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._util.validation import Floats
+from ..scene.meshes import face_bounds
 from ..scene.resolution import Resolution
 from ..spatial.kdtree import KDTree
 
@@ -40,7 +41,7 @@ def open_contacts(
     resolution : Resolution
         Faces nearer than the gap count as in the same plane.
     """
-    candidates = _overlapping(vertices[faces], transparent, resolution)
+    candidates = _overlapping(vertices, faces, transparent, resolution)
     inner, outer = faces[candidates & transparent], faces[candidates & ~transparent]
     if not (len(inner) and len(outer)):
         return
@@ -56,16 +57,17 @@ def open_contacts(
 
 
 def _overlapping(
-    corners: Floats, transparent: NDArray[np.bool_], resolution: Resolution
+    vertices: Floats, faces: NDArray, transparent: NDArray[np.bool_], resolution: Resolution
 ) -> NDArray[np.bool_]:
     """True for faces in the bounding box of those of the other kind."""
+    inside = np.zeros(len(faces), dtype=bool)
     if transparent.all() or not transparent.any():
-        return np.zeros(len(corners), dtype=bool)
-    gap = _GAP * resolution.at(corners).max(axis=1, keepdims=True)
-    low, high = corners.min(axis=1) - gap, corners.max(axis=1) + gap
-    inside = np.empty(len(corners), dtype=bool)
+        return inside
+    low, high = face_bounds(vertices, faces)
     for kind in (transparent, ~transparent):
-        reach = (low <= high[~kind].max(axis=0)) & (high >= low[~kind].min(axis=0))
+        corner = low[~kind].min(axis=0), high[~kind].max(axis=0)
+        margin = _GAP * resolution.at(np.array(corner)).max()
+        reach = (low <= corner[1] + margin) & (high >= corner[0] - margin)
         inside[kind] = reach[kind].all(axis=1)
     return inside
 
@@ -114,9 +116,11 @@ def warn_of_thin_objects(
         Distance that rays resolve.
     """
     ids, first, of_face = np.unique(object_id, return_index=True, return_inverse=True)
-    a, b, c = np.moveaxis(corners - corners[first[of_face], :1], 1, 0)
-    volume = np.abs(np.bincount(of_face, np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0))
-    area = np.bincount(of_face, np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0)
+    a, b, c = (corners[:, i] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    height = np.einsum("ij,ij->i", a - corners[first, 0][of_face], normal)
+    volume = np.abs(np.bincount(of_face, height)) / 6.0
+    area = np.bincount(of_face, np.sqrt(np.einsum("ij,ij->i", normal, normal))) / 2.0
     # Of a plate; open sheets have no volume, and none of a thickness of their own.
     thickness = 2.0 * volume / area
     least = _MIN_THICKNESS * resolution.at(corners[first, 0])

@@ -108,7 +108,7 @@ class RayCaster:
             raise ValueError("objects should not be empty")
         whole = _concatenate_parts([_nondegenerate_part(item) for item in objects])
         vertices, faces = whole.corners[:, :3], whole.faces[:, :3]
-        self.resolution = Resolution.of(vertices[faces])
+        self.resolution = Resolution.of(vertices, faces)
         transparent = np.array([item.material.has_inside for item in objects])
         of_glass = transparent[whole.faces[:, 3]]
         warn_of_thin_objects(
@@ -121,8 +121,9 @@ class RayCaster:
         vertices -= self.resolution.origin
         self.frame = _frame(vertices, self.resolution)
         self._pieces = split_triangles(vertices, faces, self.resolution.radius)
-        self._whole = _not_split(self._pieces, len(faces))
-        self._scene = _embree_scene(self.frame.scale * vertices, faces, self._pieces, self._whole)
+        whole_faces = _not_split(self._pieces, len(faces))
+        self._face = np.concatenate([whole_faces, self._pieces.face]).astype(np.int32)
+        self._scene = _embree_scene(self.frame.scale * vertices, faces, self._pieces, whole_faces)
         smooth = np.array([item.smooth for item in objects], dtype=np.uint8)
         self.triangles = Triangles(self.frame, whole.corners, whole.faces, whole.face_id, smooth)
 
@@ -142,19 +143,10 @@ class RayCaster:
                     f"but are {rays.dtype} of shape {rays.shape} and strides {rays.strides}"
                 )
         found = self._scene.run(origins, directions, query="INTERSECT", output=True)
+        hits = EmbreeHits(found, len(origins))
         if len(self._pieces):
-            found = self._of_faces(found)
-        return EmbreeHits(found, len(origins))
-
-    def _of_faces(self, found: dict[str, NDArray]) -> dict[str, NDArray]:
-        """Triangles and barycentric coordinates of embree's hits, of faces rather than pieces."""
-        face = np.concatenate([self._whole, self._pieces.face, [-1]]).astype(np.int32)
-        triangle, u, v = face[found["primID"]], found["u"], found["v"]
-        rows = np.flatnonzero(found["primID"] >= len(self._whole))
-        weights = np.stack([1.0 - u[rows] - v[rows], u[rows], v[rows]])
-        uv = self._pieces.uv[found["primID"][rows] - len(self._whole)]
-        u[rows], v[rows] = np.einsum("cn,nci->in", weights, uv)
-        return {"primID": triangle, "u": u, "v": v}
+            hits.to_faces(self._face, self._pieces.uv)
+        return hits
 
     def intersect(
         self,

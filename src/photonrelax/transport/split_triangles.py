@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._util.validation import Floats
+from ..scene.meshes import face_bounds
 from ..scene.resolution import MAX_SPREAD
 
 # Halving an edge as often takes it from the largest to the least length that float32 tells apart
@@ -56,12 +57,14 @@ def split_triangles(vertices: Floats, faces: NDArray, radius: float) -> Pieces:
     bounding box, or as `radius`, so that rounding it to float32 displaces it no more than what is
     there.
     """
-    face = np.flatnonzero(_spreads(vertices[faces], radius))
+    low, high = face_bounds(vertices, faces)
+    face = np.flatnonzero(_spreads(low, high, radius))
     whole = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     pieces = Pieces(face, np.broadcast_to(whole, (len(face), 3, 2)))
     done = []
     for _ in range(_MAX_LEVELS):
-        spreads = _spreads(pieces.corners(vertices, faces), radius)
+        corners = pieces.corners(vertices, faces)
+        spreads = _spreads(corners.min(axis=1), corners.max(axis=1), radius)
         done.append(Pieces(pieces.face[~spreads], pieces.uv[~spreads]))
         pieces = _quarters(Pieces(pieces.face[spreads], pieces.uv[spreads]))
         if len(pieces.face) == 0:
@@ -70,12 +73,14 @@ def split_triangles(vertices: Floats, faces: NDArray, radius: float) -> Pieces:
     return Pieces(*(np.concatenate([getattr(p, name) for p in done]) for name in ("face", "uv")))
 
 
-def _spreads(corners: Floats, radius: float) -> NDArray[np.bool_]:
-    """True for triangles that reach too far for how close they come to the origin."""
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    nearest = np.maximum(low, -high).max(axis=1)
-    farthest = np.maximum(-low, high).max(axis=1)
-    return farthest > MAX_SPREAD * np.maximum(nearest, radius)
+def _spreads(low: Floats, high: Floats, radius: float) -> NDArray[np.bool_]:
+    """True for boxes that reach too far for how close they come to the origin."""
+    spreads: NDArray[np.bool_] = np.any(np.maximum(-low, high) > MAX_SPREAD * radius, axis=1)
+    rows = np.flatnonzero(spreads)
+    nearest = np.maximum(low[rows], -high[rows]).max(axis=1)
+    farthest = np.maximum(-low[rows], high[rows]).max(axis=1)
+    spreads[rows] = farthest > MAX_SPREAD * nearest
+    return spreads
 
 
 def _quarters(pieces: Pieces) -> Pieces:

@@ -23,8 +23,8 @@ cdef struct TriangleRay:
 cdef class EmbreeHits:
     # `triangle` is -1 for rays that miss.
     cdef readonly Py_ssize_t n_rays
-    cdef const int[::1] triangle
-    cdef const float[::1] u, v
+    cdef int[::1] triangle
+    cdef float[::1] u, v
 
 
 cdef class EmbreeFrame:

@@ -150,6 +150,27 @@ cdef class EmbreeHits:
                 )
         self.triangle, self.u, self.v = found["primID"], found["u"], found["v"]
 
+    def to_faces(self, const int[::1] face, const double[:, :, ::1] uv):
+        """Replace embree's triangles by faces, and barycentric coordinates by those in faces.
+
+        `face` (t,) are the faces of embree's triangles; the last of these are parts of faces,
+        and have corners at the barycentric coordinates `uv` (p, 3, 2).
+        """
+        cdef Py_ssize_t i, part, n_whole = face.shape[0] - uv.shape[0]
+        cdef const double* corner
+        cdef double u, v, w
+        with nogil:
+            for i in range(self.n_rays):
+                part = self.triangle[i] - n_whole
+                if self.triangle[i] >= 0:
+                    self.triangle[i] = face[self.triangle[i]]
+                if part >= 0:
+                    u, v = self.u[i], self.v[i]
+                    w = 1.0 - u - v
+                    corner = &uv[part, 0, 0]
+                    self.u[i] = <float>(w * corner[0] + u * corner[2] + v * corner[4])
+                    self.v[i] = <float>(w * corner[1] + u * corner[3] + v * corner[5])
+
 
 @cython.final
 cdef class Triangles:
