@@ -57,8 +57,9 @@ def split_triangles(vertices: Floats, faces: NDArray, radius: float) -> Pieces:
     bounding box, or as `radius`, so that rounding it to float32 displaces it no more than what is
     there.
     """
-    low, high = face_bounds(vertices, faces)
-    face = np.flatnonzero(_spreads(low, high, radius))
+    reaches = np.abs(vertices).max(axis=1) > MAX_SPREAD * radius
+    face = np.flatnonzero(reaches[faces].any(axis=1))
+    face = face[_spreads(*face_bounds(vertices, faces[face]), radius)]
     whole = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     pieces = Pieces(face, np.broadcast_to(whole, (len(face), 3, 2)))
     done = []
@@ -75,12 +76,9 @@ def split_triangles(vertices: Floats, faces: NDArray, radius: float) -> Pieces:
 
 def _spreads(low: Floats, high: Floats, radius: float) -> NDArray[np.bool_]:
     """True for boxes that reach too far for how close they come to the origin."""
-    spreads: NDArray[np.bool_] = np.any(np.maximum(-low, high) > MAX_SPREAD * radius, axis=1)
-    rows = np.flatnonzero(spreads)
-    nearest = np.maximum(low[rows], -high[rows]).max(axis=1)
-    farthest = np.maximum(-low[rows], high[rows]).max(axis=1)
-    spreads[rows] = farthest > MAX_SPREAD * nearest
-    return spreads
+    nearest = np.maximum(low, -high).max(axis=1)
+    farthest = np.maximum(-low, high).max(axis=1)
+    return farthest > MAX_SPREAD * np.maximum(nearest, radius)
 
 
 def _quarters(pieces: Pieces) -> Pieces:

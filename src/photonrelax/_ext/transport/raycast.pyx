@@ -107,7 +107,7 @@ cdef class EmbreeFrame:
 
         Rays that miss the box start where they are nearest to its centre.
         """
-        cdef double enter = 0.0, leave = INFINITY, closest = 0.0, near, far
+        cdef double enter = 0.0, leave = INFINITY, closest = 0.0, near, far, inverse
         cdef bint inside = True
         cdef int axis
         for axis in range(3):
@@ -117,8 +117,9 @@ cdef class EmbreeFrame:
         for axis in range(3):
             closest += d[axis] * (0.5 * (self.low[axis] + self.high[axis]) - o[axis])
             if d[axis] != 0.0:
-                near = (self.low[axis] - o[axis]) / d[axis]
-                far = (self.high[axis] - o[axis]) / d[axis]
+                inverse = 1.0 / d[axis]
+                near = (self.low[axis] - o[axis]) * inverse
+                far = (self.high[axis] - o[axis]) * inverse
                 enter = max(enter, min(near, far))
                 leave = min(leave, max(near, far))
         if not isfinite(closest):
