@@ -16,8 +16,9 @@ from .._util.validation import Floats
 
 # Rounding error of an intersection over the largest coordinate of its triangle: some 16 of float32.
 ROUNDING = 1e-6
-# Largest coordinate of a triangle over its least distance from the origin, after splitting.
-MAX_SPREAD = 8.0
+# Largest coordinate of a triangle over its least distance from the origin, after splitting: a floor
+# some twenty times as wide as what stands on it need not be split.
+MAX_SPREAD = 32.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from .._util.validation import Floats
 from ..scene.meshes import face_bounds
-from ..scene.resolution import Resolution
+from ..scene.resolution import ROUNDING, Resolution
 from ..spatial.kdtree import KDTree
 
 # Width of the gap over what rays resolve.
 _GAP = 2.0
-# Thickness, over what rays resolve, below which rays that enter may start beyond the other side.
+# Thickness, over the displacement of faces, below which rays may enter beyond the other side.
 _MIN_THICKNESS = 2.0
 # Normals of faces at one vertex that differ by less are those of one plane.
 _SAME_NORMAL = 1e-6
@@ -109,7 +109,7 @@ def warn_of_thin_objects(
     corners : (f, 3, 3)
         Of the faces of transparent objects, m.
     object_id : (f,)
-        The object of each face.
+        The object of each face, ascending.
     names : sequence of str
         Of all objects.
     resolution : Resolution
@@ -123,7 +123,8 @@ def warn_of_thin_objects(
     area = np.bincount(of_face, np.sqrt(np.einsum("ij,ij->i", normal, normal))) / 2.0
     # Of a plate; open sheets have no volume, and none of a thickness of their own.
     thickness = 2.0 * volume / area
-    least = _MIN_THICKNESS * resolution.at(corners[first, 0])
+    reach = np.abs(corners - resolution.origin).max(axis=(1, 2))
+    least = _MIN_THICKNESS * ROUNDING * np.maximum.reduceat(reach, first)
     for i in np.flatnonzero((thickness < least) & (volume > area**1.5 * np.finfo(float).eps)):
         warnings.warn(
             f"object {ids[i]} ({names[ids[i]] or 'unnamed'}) is about {thickness[i]:.2g} m thick, "
