@@ -101,7 +101,7 @@ SCENES = {
 
 
 def irradiance(scene, points, normals, seed=0):
-    photons = pr.trace_photons(scene, 50_000, seed=seed)
+    photons = pr.trace_photons(scene, 100_000, seed=seed)
     return pr.irradiance_field(photons, scene=scene)(points, normals)[:, 0]
 
 

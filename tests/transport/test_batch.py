@@ -48,6 +48,7 @@ def test_a_spawned_process_traces_the_same_bytes(paths):
     assert there == [contents(batch) for batch in map(work, jobs)]
 
 
+@pytest.mark.filterwarnings("ignore:.*should be closed:UserWarning")
 def test_vertex_normals_that_came_with_a_mesh_are_pickled():
     context = context_of(pr.Scene([floor(9.0), leaning(pr.Dielectric(), 0.5)], [DOWN]))
     again = pickle.loads(pickle.dumps(context))

@@ -170,7 +170,7 @@ def test_thin_cones_cover_the_target_evenly_from_nearby(kind, distance):
 def test_rays_start_off_the_surface_their_emitter_may_lie_on(distance):
     emitter = pr.PointEmitter(near(0, 0, distance))
     rays = rays_of(emitter, 100)
-    gap = scene(emitter).emitter_offset
+    gap = scene(emitter).emitter_offset(emitter)
     offset = gap * rays.direction
     np.testing.assert_allclose(rays.origin - emitter.position, offset, rtol=0, atol=1e-14)
     assert rays.travelled == gap

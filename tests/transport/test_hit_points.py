@@ -326,7 +326,7 @@ def test_light_from_behind_does_not_count_and_walls_do_not_hide_their_lamp():
     "emitter", [pr.PointEmitter((0, 0, 1)), pr.LambertianEmitter((0, 0, 1), (0, 0, -1))]
 )
 def test_points_at_an_emitter_get_nothing_from_it(emitter):
-    gap = pr.Scene([plane()], [emitter]).emitter_offset
+    gap = pr.Scene([plane()], [emitter]).emitter_offset(emitter)
     position = np.array([0, 0, 1.0]) - np.outer([0, 0.5, 0.999, 1.001, 100], [0, 0, gap])
     arriving = irradiance(emitter, position=position, normal=np.tile([0, 0, 1.0], (5, 1)))
     assert not arriving[:3].any()

@@ -125,6 +125,7 @@ def test_a_leaning_normal_is_used_unless_it_leads_through_the_mirror(angle):
     np.testing.assert_allclose(photons.wi, expected, atol=1e-12)
 
 
+@pytest.mark.filterwarnings("ignore:.*should be closed:UserWarning")
 def test_glass_refracts_about_the_face_where_the_leaning_normal_would_reflect_into_it():
     """At 0.7 only the reflection goes wrong: light and camera both use the face for the two."""
     light = pr.CollimatedEmitter([np.cos(0.7), 0, -np.sin(0.7)])

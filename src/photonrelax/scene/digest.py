@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .meshes import vertex_normals
 from .scene import Scene, SceneObject
 
 
@@ -52,8 +51,8 @@ def _parts(value: Any) -> Iterator[bytes]:
 
 
 def _mesh_arrays(item: SceneObject) -> Iterable[NDArray]:
-    mesh = item.mesh
-    yield np.asarray(mesh.vertices)
-    yield np.asarray(mesh.faces)
+    yield np.asarray(item.mesh.vertices)
+    yield np.asarray(item.mesh.faces)
+    # With these arrays and `smooth`, they determine the corner that each belongs to.
     if item.smooth:
-        yield vertex_normals(mesh)
+        yield item.shading_normals.normal

@@ -45,6 +45,11 @@ class Emitter(ABC):
     Subclasses are frozen dataclasses: the digest of a scene is that of their fields.
     """
 
+    @property
+    def point(self) -> Floats | None:
+        """Position (3,) of a point-like emitter, m; None for others."""
+        return None
+
     @abstractmethod
     def emission_region(
         self, target: Sphere, scene: Sphere, emitter_offset: float
@@ -119,6 +124,10 @@ class PointEmitter(Emitter):
         set_field(self, "position", frozen(float_array(self.position, "position", (3,))))
         set_field(self, "power", frozen(rgb(self.power, "power")))
 
+    @property
+    def point(self) -> Floats:
+        return np.asarray(self.position)
+
     def emission_region(
         self, target: Sphere, scene: Sphere, emitter_offset: float
     ) -> EmissionRegion:
@@ -156,6 +165,10 @@ class LambertianEmitter(Emitter):
         set_field(self, "position", frozen(float_array(self.position, "position", (3,))))
         set_field(self, "direction", frozen(unit_vectors(self.direction, "direction", (3,))))
         set_field(self, "power", frozen(rgb(self.power, "power")))
+
+    @property
+    def point(self) -> Floats:
+        return np.asarray(self.position)
 
     def emission_region(
         self, target: Sphere, scene: Sphere, emitter_offset: float

@@ -1,7 +1,8 @@
-"""Validation of meshes, faces with an area, and vertex normals."""
+"""Validation of meshes, and their faces with an area."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,10 +15,6 @@ if TYPE_CHECKING:
 
 # A face whose height is below this fraction of its longest edge has no usable normal.
 _SLIVER = 1e-12
-# Rounding error of a mesh's volume over the sum of the volumes its faces span.
-_ROUNDING = 1e-12
-# Vertex normals within this of those trimesh computes were not given with the mesh.
-_SAME_NORMAL = 1e-6
 
 
 def nondegenerate_faces(mesh: trimesh.Trimesh) -> tuple[NDArray[np.intp], NDArray]:
@@ -34,6 +31,22 @@ def nondegenerate_vertices(mesh: trimesh.Trimesh) -> Floats:
     """Return the vertices (v, 3) that belong to a face with an area."""
     vertices = np.asarray(mesh.vertices)
     return vertices[vertices_of(nondegenerate_faces(mesh)[1], len(vertices))]
+
+
+def nondegenerate_triangles(meshes: Iterable[trimesh.Trimesh]) -> tuple[Floats, NDArray]:
+    """Return vertices (v, 3) of meshes, and vertex indices (f, 3) of faces that have an area."""
+    vertices, faces, first = [], [], 0
+    for mesh in meshes:
+        vertices.append(np.asarray(mesh.vertices))
+        faces.append(nondegenerate_faces(mesh)[1] + first)
+        first += len(vertices[-1])
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+def face_bounds(vertices: Floats, faces: NDArray) -> tuple[Floats, Floats]:
+    """Return the lowest and highest coordinates of faces, (f, 3) each."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
 def vertices_of(faces: NDArray, n_vertices: int) -> NDArray[np.bool_]:
@@ -62,18 +75,6 @@ def check_mesh(mesh: trimesh.Trimesh) -> None:
         )
 
 
-def check_winding(mesh: trimesh.Trimesh) -> None:
-    """Raise ValueError if the mesh is closed and inside out: its volume is negative."""
-    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    a, b, c = np.moveaxis((vertices - vertices[faces[0, 0]])[faces], 1, 0)
-    volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
-    if volumes.sum() < -_ROUNDING * np.abs(volumes).sum() and _is_closed(vertices, faces):
-        raise ValueError(
-            "mesh of a Dielectric should wind outwards, but its faces wind inwards "
-            f"(volume {volumes.sum():.3g}): turn them with mesh.invert()"
-        )
-
-
 def release_arrays(mesh: trimesh.Trimesh) -> None:
     """Free the arrays of a mesh that is not needed any more.
 
@@ -83,38 +84,10 @@ def release_arrays(mesh: trimesh.Trimesh) -> None:
     mesh._cache.clear()
 
 
-def vertex_normals(mesh: trimesh.Trimesh) -> Floats:
-    """Return the normals (v, 3) given with a mesh, else trimesh's for a copy of unit size.
-
-    trimesh treats the faces of tiny meshes as degenerate. It caches given and computed normals
-    alike; computed ones are recognised by their values, so that reading `mesh.vertex_normals`
-    does not change the result.
-    """
-    vertices = np.asarray(mesh.vertices)
-    if "vertex_normals" in mesh._cache:
-        cached = np.asarray(mesh.vertex_normals)
-        if np.abs(cached - _computed_normals(mesh, vertices)).max() > _SAME_NORMAL:
-            return cached
+def in_unit_cube(vertices: Floats) -> Floats:
+    """Vertices moved and scaled to coordinates from 0 to 1."""
     low = vertices.min(axis=0)
-    return _computed_normals(mesh, (vertices - low) / (vertices - low).max())
-
-
-def _computed_normals(mesh: trimesh.Trimesh, vertices: Floats) -> Floats:
-    copy = type(mesh)(vertices, mesh.faces, process=False)
-    normals = np.asarray(copy.vertex_normals)
-    release_arrays(copy)
-    return normals
-
-
-def _is_closed(vertices: Floats, faces: NDArray) -> bool:
-    """True if faces run along every edge equally often in both directions.
-
-    Vertices at the same position count as one: meshes with vertex normals often split them.
-    """
-    merged = np.unique(vertices, axis=0, return_inverse=True)[1].reshape(-1)[faces]
-    start, end = merged.ravel(), np.roll(merged, -1, axis=1).ravel()
-    forward, backward = start * len(vertices) + end, end * len(vertices) + start
-    return np.array_equal(np.sort(forward), np.sort(backward))
+    return (vertices - low) / (vertices - low).max()
 
 
 def _length(vectors: Floats) -> Floats:

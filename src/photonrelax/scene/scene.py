@@ -6,8 +6,9 @@ called m; power is in W. Meshes are `trimesh.Trimesh`, but nothing here imports 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -19,12 +20,16 @@ from .camera import Camera
 from .emission_region import Sphere
 from .emitters import Emitter
 from .materials import Material, MaterialTable
-from .meshes import check_mesh, check_winding, nondegenerate_vertices
+from .meshes import check_mesh, nondegenerate_triangles, nondegenerate_vertices
+from .resolution import Resolution
+from .shading import ShadingNormals, check_smooth, shading_normals
+from .winding import EdgeDefects, check_surface
 
 if TYPE_CHECKING:
     import trimesh
 
-_EMITTER_OFFSET = 1e-5  # of the scene's size
+# Least distance from a point-like emitter to the origins of its rays over what rays resolve there.
+_EMITTER_OFFSET = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,20 +39,43 @@ class SceneObject:
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        Triangles, at least one of them with an area; faces of no area are never hit. Closed
-        dielectrics wind outwards.
+        Triangles, at least one of them with an area; faces of no area are never hit. Dielectrics
+        are closed and wind outwards, but walls of hollows inwards; a `Scene` warns of those that
+        are open or wound inconsistently.
     material : Diffuse, Mirror, Dielectric or other Material
         The material of the whole mesh.
     name : str
         A label.
-    smooth : bool
-        Shade with interpolated vertex normals rather than face normals.
+    smooth : bool or float
+        False shades with face normals. A number is a crease angle in degrees: normals are means
+        over the faces around a corner, and interpolated, but edges at which the surface turns by
+        more stay sharp. True keeps the vertex normals that came with the mesh
+        (``trimesh.Trimesh(..., vertex_normals=...)``, files with normals); without any, it is a
+        crease angle of 30°. Vertices at one position count as one, so that seams and the separate
+        triangles of STL files do not show.
+
+    Attributes
+    ----------
+    edge_defects : EdgeDefects
+        Numbers of open and of inconsistently wound edges; counted for dielectrics only.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a field is of the wrong kind, or a closed part of a dielectric winds inwards and does not
+        lie in another part, as the inner wall of a hollow body does.
+
+    Notes
+    -----
+    Given normals that equal those trimesh computes cannot be told from them, and are not kept:
+    files of flat facets with the normals of their faces need ``smooth=False``.
     """
 
     mesh: trimesh.Trimesh
     material: Material
     name: str = ""
-    smooth: bool = False
+    smooth: bool | float = False
+    edge_defects: EdgeDefects = field(default=EdgeDefects(0, 0), init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not isinstance(self.material, Material):
@@ -56,8 +84,14 @@ class SceneObject:
                 f"but is {type(self.material).__name__}"
             )
         check_mesh(self.mesh)
+        set_field(self, "smooth", check_smooth(self.smooth))
         if self.material.has_inside:
-            check_winding(self.mesh)
+            set_field(self, "edge_defects", check_surface(self.mesh))
+
+    @cached_property
+    def shading_normals(self) -> ShadingNormals:
+        """The normals that are interpolated where the object is smooth."""
+        return shading_normals(self.mesh, self.smooth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +122,9 @@ class Scene:
         set_field(self, "emitters", _members(self.emitters, "emitters", Emitter))
         if self.camera is not None and not isinstance(self.camera, Camera):
             raise TypeError(f"camera should be a Camera, but is {type(self.camera).__name__}")
+        for i, item in enumerate(self.objects):
+            if any(item.edge_defects):
+                warnings.warn(_defects_text(i, item), stacklevel=3)
 
     @property
     def specular_objects(self) -> tuple[int, ...]:
@@ -100,13 +137,18 @@ class Scene:
         low, high = self._bounds(range(len(self.objects)))
         return float(np.linalg.norm(high - low))
 
-    @property
-    def emitter_offset(self) -> float:
-        """Least distance from a point-like emitter to the origins of its rays, m.
+    @cached_property
+    def resolution(self) -> Resolution:
+        """Distance that rays resolve, by position."""
+        return Resolution.of(*nondegenerate_triangles(item.mesh for item in self.objects))
 
-        The emitter may lie on a surface, which its rays must not hit.
+    def emitter_offset(self, emitter: Emitter) -> float:
+        """Return the least distance from an emitter to the origins of its rays, m.
+
+        A point-like emitter may lie on a surface, which its rays must not hit.
         """
-        return _EMITTER_OFFSET * self.scale
+        point = emitter.point
+        return 0.0 if point is None else _EMITTER_OFFSET * float(self.resolution.at(point))
 
     def bounding_sphere(self, object_ids: Iterable[int] | None = None) -> Sphere:
         """Return centre (3,) and radius of a sphere around the objects, by default all.
@@ -139,6 +181,18 @@ class Scene:
         vertices = [self._vertices[i] for i in object_ids]
         corners = [(v.min(axis=0), v.max(axis=0)) for v in vertices]
         return np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
+
+
+def _defects_text(object_id: int, item: SceneObject) -> str:
+    name = f" ({item.name!r})" if item.name else ""
+    defects = item.edge_defects
+    return (
+        f"objects[{object_id}]{name} is a Dielectric and should be closed and wind outwards, but "
+        f"has {defects.open} open edges and {defects.inconsistent} edges whose faces wind against "
+        "each other. Light that passes them refracts and is absorbed as if on the wrong side: "
+        "repair the mesh with mesh.merge_vertices(), trimesh.repair.fix_winding(mesh) and "
+        "mesh.fill_holes()"
+    )
 
 
 _DESCRIPTIONS = {

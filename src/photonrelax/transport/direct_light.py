@@ -47,17 +47,19 @@ def direct_irradiance(
     threads = thread_count(n_threads)
     position = float_array(position, "position", (None, 3))
     normal = unit_vectors(normal, "normal", (len(position), 3))
+    origin_offset = caster.resolution.at(position)[:, np.newaxis] * normal
     total = np.zeros_like(position)
     for emitter in scene.emitters:
-        direction, distance, facing = emitter.direct(position, scene.emitter_offset)
+        offset = scene.emitter_offset(emitter)
+        direction, distance, facing = emitter.direct(position, offset)
         cosine = np.maximum(np.einsum("ij,ij->i", direction, normal), 0.0)
         irradiance = facing * cosine[:, None]
         lit = np.flatnonzero(irradiance.any(axis=1))
         occluded = caster.occluded(
             position[lit],
             direction[lit],
-            distance[lit] - scene.emitter_offset,
-            origin_normal=normal[lit],
+            distance[lit] - offset,
+            origin_offset=origin_offset[lit],
             n_threads=threads,
         )
         total[lit] += np.where(occluded[:, None], 0.0, irradiance[lit])

@@ -99,8 +99,11 @@ def plan_emission(scene: Scene, n_emitted: int, paths: str = "caustic") -> Emiss
     """
     n_emitted = count(n_emitted, "n_emitted")
     target = _target(scene, paths)
-    whole, offset = scene.bounding_sphere(), scene.emitter_offset
-    regions = tuple(emitter.emission_region(target, whole, offset) for emitter in scene.emitters)
+    whole = scene.bounding_sphere()
+    regions = tuple(
+        emitter.emission_region(target, whole, scene.emitter_offset(emitter))
+        for emitter in scene.emitters
+    )
     luminances = [float(region.flux @ LUMINANCE) for region in regions]
     if not any(luminances):
         what = "the specular objects" if paths == "caustic" else "the scene"

@@ -82,7 +82,7 @@ class _Rays:
 
     origin: Floats
     direction: Floats
-    origin_normal: Floats  # of the surface that the ray starts on, NaN at the camera
+    origin_offset: Floats  # `Intersections.offset` of where the ray starts, NaN at the camera
     weight: Floats  # without the division by the number of samples
     medium: NDArray[np.int32]  # object that the ray last entered, or -1
     pixel: NDArray[np.int64]
@@ -137,7 +137,7 @@ def trace_hit_points(
     threads = thread_count(n_threads)
     count(max_depth, "max_depth", low=0, high=MAX_DEPTH)
     rays = _camera_rays(*pixel_rays(camera, rows, supersampling, offset=offset))
-    found = caster.intersect(rays.origin, rays.direction, n_threads=threads)
+    found = _camera_hits(caster, rays, threads)
     materials = Materials(scene.material_table())
     points = []
     for segments, hits in _levels(caster, rays, found, materials, n_threads=threads):
@@ -166,7 +166,7 @@ def _levels(
             return
         rays = _split(rays[specular], found[specular], materials, n_threads)
         found = caster.intersect(
-            rays.origin, rays.direction, origin_normal=rays.origin_normal, n_threads=n_threads
+            rays.origin, rays.direction, origin_offset=rays.origin_offset, n_threads=n_threads
         )
 
 
@@ -174,11 +174,21 @@ def _camera_rays(origins: Floats, directions: Floats, pixel: NDArray[np.int64]) 
     return _Rays(
         origins,
         directions,
-        origin_normal=np.full_like(origins, np.nan),
+        origin_offset=np.full_like(origins, np.nan),
         weight=np.ones_like(origins),
         medium=np.full(len(origins), -1, dtype=np.int32),
         pixel=pixel,
     )
+
+
+def _camera_hits(caster: RayCaster, rays: _Rays, n_threads: int) -> Intersections:
+    """Hits of the camera's rays, but not on surfaces that the camera lies on."""
+    found = caster.intersect(rays.origin, rays.direction, n_threads=n_threads)
+    height = found.distance * np.abs(np.einsum("ij,ij->i", rays.direction, found.geometric_normal))
+    if not (height <= found.step).any():
+        return found
+    offset = np.where((height <= found.step)[:, np.newaxis], found.offset, np.nan)
+    return caster.intersect(rays.origin, rays.direction, origin_offset=offset, n_threads=n_threads)
 
 
 def _first_surfaces(camera: Camera, rays: _Rays, found: Intersections) -> FirstSurfaces:
@@ -227,7 +237,7 @@ def _split(rays: _Rays, found: Intersections, materials: Materials, n_threads: i
     return _Rays(
         origin=found.position[parent],
         direction=direction[kept],
-        origin_normal=found.geometric_normal[parent],
+        origin_offset=found.offset[parent],
         weight=weight[kept],
         medium=medium[kept],
         pixel=rays.pixel[parent],

@@ -16,14 +16,16 @@ from numpy.typing import ArrayLike, NDArray
 from .._ext.transport.raycast import EmbreeFrame, EmbreeHits, Triangles
 from .._util.parallel import for_each_slice, thread_count
 from .._util.validation import Floats, float_array
-from ..scene.meshes import nondegenerate_faces, release_arrays, vertex_normals, vertices_of
+from ..scene.meshes import nondegenerate_faces, vertices_of
+from ..scene.resolution import MAX_SPREAD, ROUNDING, Resolution
 from ..scene.scene import SceneObject
+from .contacts import open_contacts, warn_of_thin_objects
+from .split_triangles import Pieces, split_triangles
 
 # Rays per call of embree: limits the float32 copies and is the grain size of parallel work.
 _CHUNK = 65536
-# Offset of ray origins from their surface over the largest coordinate in the frame: some ten
-# rounding errors of float32. Without it half of all rays would hit the triangle they start on.
-_STEP = 1e-6
+# Length of embree's frame: far from the extremes of float32, whose squares it takes.
+_EMBREE_SIZE = 100.0
 _NO_RAYS = np.empty((0, 3))
 _NO_LIMITS = np.empty(0)
 
@@ -45,6 +47,9 @@ class Intersections:
     shading_normal : (n, 3)
         Interpolated between vertex normals on smooth objects, else the geometric normal; always
         on the same side of the face as the geometric normal.
+    step : (n,)
+        Distance, m, that rays which leave are moved off the surface: what float32 may displace the
+        face by. NaN where nothing is hit.
     """
 
     object_id: NDArray[np.int32]
@@ -53,6 +58,7 @@ class Intersections:
     position: Floats
     geometric_normal: Floats
     shading_normal: Floats
+    step: Floats
 
     def __len__(self) -> int:
         return len(self.object_id)
@@ -61,6 +67,11 @@ class Intersections:
     def hit(self) -> NDArray[np.bool_]:
         """Mask (n,) of the rays that hit anything."""
         return self.object_id >= 0
+
+    @property
+    def offset(self) -> Floats:
+        """Vectors (n, 3) along the normals by which rays that leave are moved, m."""
+        return self.step[:, np.newaxis] * self.geometric_normal
 
     def __getitem__(self, rows: slice | NDArray) -> Intersections:
         """Return the intersections of some of the rays: views for a slice."""
@@ -83,6 +94,8 @@ class RayCaster:
         Embree's frame, for kernels that transform their rays to it.
     triangles : Triangles
         The triangles, for kernels that refine the hits of `find`.
+    resolution : Resolution
+        Distance that rays resolve, by position.
 
     Raises
     ------
@@ -94,12 +107,23 @@ class RayCaster:
         if not objects:
             raise ValueError("objects should not be empty")
         whole = _concatenate_parts([_nondegenerate_part(item) for item in objects])
-        vertices = np.ascontiguousarray(whole.corners[:, :3])
-        embree = _embree(vertices, whole.faces[:, :3])
-        self._scene = embree.scene
-        relative = vertices - embree.origin
-        self.frame = _frame(relative, embree)
-        whole.corners[:, :3] = relative
+        vertices, faces = whole.corners[:, :3], whole.faces[:, :3]
+        self.resolution = Resolution.of(vertices, faces)
+        transparent = np.array([item.material.has_inside for item in objects])
+        of_glass = transparent[whole.faces[:, 3]]
+        warn_of_thin_objects(
+            vertices[faces[of_glass]],
+            whole.faces[of_glass, 3],
+            [item.name for item in objects],
+            self.resolution,
+        )
+        open_contacts(vertices, faces, of_glass, self.resolution)
+        vertices -= self.resolution.origin
+        self.frame = _frame(vertices, self.resolution)
+        self._pieces = split_triangles(vertices, faces, self.resolution.radius)
+        whole_faces = _not_split(self._pieces, len(faces))
+        self._face = np.concatenate([whole_faces, self._pieces.face]).astype(np.int32)
+        self._scene = _embree_scene(self.frame.scale * vertices, faces, self._pieces, whole_faces)
         smooth = np.array([item.smooth for item in objects], dtype=np.uint8)
         self.triangles = Triangles(self.frame, whole.corners, whole.faces, whole.face_id, smooth)
 
@@ -119,14 +143,17 @@ class RayCaster:
                     f"but are {rays.dtype} of shape {rays.shape} and strides {rays.strides}"
                 )
         found = self._scene.run(origins, directions, query="INTERSECT", output=True)
-        return EmbreeHits(found, len(origins))
+        hits = EmbreeHits(found, len(origins))
+        if len(self._pieces):
+            hits.to_faces(self._face, self._pieces.uv)
+        return hits
 
     def intersect(
         self,
         origins: ArrayLike,
         directions: ArrayLike,
         *,
-        origin_normal: ArrayLike | None = None,
+        origin_offset: ArrayLike | None = None,
         n_threads: int | None = 1,
     ) -> Intersections:
         """Return the first hits of rays.
@@ -135,9 +162,9 @@ class RayCaster:
         ----------
         origins, directions : (n, 3)
             Directions need not be unit.
-        origin_normal : (n, 3), optional
-            The geometric normal, of either sign, of the surface each ray starts on; a row of
-            zeros or NaN where it starts in free space. Keeps rays from hitting their own surface.
+        origin_offset : (n, 3), optional
+            `Intersections.offset` of the hit each ray starts from, of either sign; a row of zeros
+            or NaN where it starts in free space. Keeps rays from hitting their own surface.
         n_threads : int, optional
             Threads to use; None for every core.
 
@@ -146,12 +173,12 @@ class RayCaster:
         TypeError, ValueError
             If shapes differ, an origin is not finite or a direction is not finite or zero.
         """
-        origins, directions, origin_normal = _check_rays(origins, directions, origin_normal)
+        origins, directions, origin_offset = _check_rays(origins, directions, origin_offset)
         out = empty_intersections(len(origins))
 
         def intersect_rows(rows: slice) -> None:
             o, d = origins[rows], directions[rows]
-            rays = self._to_embree(o, d, origin_normal[rows], _NO_LIMITS, first=rows.start)
+            rays = self._to_embree(o, d, origin_offset[rows], _NO_LIMITS, first=rows.start)
             self.triangles.refine_hits(o, d, self.find(*rays[:2]), out[rows])
 
         for_each_slice(intersect_rows, len(origins), _CHUNK, thread_count(n_threads))
@@ -163,14 +190,14 @@ class RayCaster:
         directions: ArrayLike,
         max_distance: ArrayLike,
         *,
-        origin_normal: ArrayLike | None = None,
+        origin_offset: ArrayLike | None = None,
         n_threads: int | None = 1,
     ) -> NDArray[np.bool_]:
         """Mask (n,) of the rays that hit anything nearer than `max_distance`.
 
         Parameters
         ----------
-        origins, directions, origin_normal, n_threads
+        origins, directions, origin_offset, n_threads
             As for `intersect`.
         max_distance : float or (n,)
             m, from the origin; inf for rays without end. It is compared in float32: hits within
@@ -181,13 +208,13 @@ class RayCaster:
         TypeError, ValueError
             As for `intersect`, and if a `max_distance` is negative or NaN.
         """
-        origins, directions, origin_normal = _check_rays(origins, directions, origin_normal)
+        origins, directions, origin_offset = _check_rays(origins, directions, origin_offset)
         limits = _check_limits(max_distance, len(origins))
         out = np.empty(len(origins), dtype=bool)
 
         def test_rows(rows: slice) -> None:
             rays = self._to_embree(
-                origins[rows], directions[rows], origin_normal[rows], limits[rows], first=rows.start
+                origins[rows], directions[rows], origin_offset[rows], limits[rows], first=rows.start
             )
             out[rows] = self._scene.run(*rays, query="OCCLUDED") >= 0
 
@@ -198,7 +225,7 @@ class RayCaster:
         self,
         origins: Floats,
         directions: Floats,
-        origin_normal: Floats,
+        origin_offset: Floats,
         limits: Floats,
         *,
         first: int,
@@ -210,7 +237,7 @@ class RayCaster:
             np.empty(limits.shape, dtype=np.float32),
         )
         bad = self.frame.to_embree(
-            *(origins, directions, origin_normal, limits),
+            *(origins, directions, origin_offset, limits),
             out_origins=out[0],
             out_directions=out[1],
             out_limits=out[2],
@@ -234,15 +261,17 @@ class _Part:
 
 def _nondegenerate_part(item: SceneObject) -> _Part:
     face_id, faces = nondegenerate_faces(item.mesh)
-    # Vertices of no face would enlarge the frame, and with it rounding errors.
-    used = vertices_of(faces, len(item.mesh.vertices))
-    corners = np.zeros((np.count_nonzero(used), 6))
-    corners[:, :3] = np.asarray(item.mesh.vertices)[used]
+    corners = np.zeros((len(item.mesh.vertices), 6))
+    corners[:, :3] = item.mesh.vertices
     if item.smooth:
-        corners[:, 3:] = vertex_normals(item.mesh)[used]
+        shading = item.shading_normals
+        faces = shading.faces[face_id]
+        corners = np.hstack([corners[shading.vertex, :3], shading.normal])
+    # Vertices of no face would enlarge the frame, and with it rounding errors.
+    used = vertices_of(faces, len(corners))
     numbered = np.zeros((len(faces), 4), dtype=np.int32)
     numbered[:, :3] = (np.cumsum(used, dtype=np.int32) - 1)[faces]
-    return _Part(corners, numbered, face_id.astype(np.int32))
+    return _Part(corners[used], numbered, face_id.astype(np.int32))
 
 
 def _concatenate_parts(parts: list[_Part]) -> _Part:
@@ -255,50 +284,67 @@ def _concatenate_parts(parts: list[_Part]) -> _Part:
     return _Part(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Part)))
 
 
-def _embree(vertices: Floats, faces: NDArray[np.int32]) -> Any:
-    """Return trimesh's embree scene: `.scene` in the frame of `.origin` and `.scale`."""
+def _not_split(pieces: Pieces, n_faces: int) -> NDArray[np.intp]:
+    whole = np.ones(n_faces, dtype=bool)
+    whole[pieces.face] = False
+    return np.flatnonzero(whole)
+
+
+def _embree_scene(
+    vertices: Floats, faces: NDArray[np.int32], pieces: Pieces, whole: NDArray[np.intp]
+) -> Any:
+    """Embree's scene of the faces that are whole, then of the pieces of the others.
+
+    It is made from the parts of trimesh's `RayMeshIntersector`, which has the origin of its frame
+    at the lowest corner of the mesh.
+    """
     try:
-        from trimesh.ray.ray_pyembree import RayMeshIntersector
+        from trimesh.ray.ray_pyembree import TriangleMesh, rtcore_scene
     except ImportError as error:
         raise ImportError(
             "tracing rays needs embreex, which is not installed: `pip install embreex`. It has "
             "no wheel for Linux on ARM; there, trace photons on another machine and load them "
             "with PhotonMap.load."
         ) from error
-    import trimesh
-
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    intersector = RayMeshIntersector(mesh)
-    embree = intersector._scene
-    intersector._cache.clear()
-    release_arrays(mesh)
+    scene = rtcore_scene.EmbreeScene()
+    corners = pieces.corners(vertices, faces).reshape(-1, 3)
+    numbers = np.arange(len(corners), dtype=np.int32).reshape(-1, 3) + np.int32(len(vertices))
+    TriangleMesh(
+        scene=scene,
+        vertices=np.concatenate([vertices, corners]).astype(np.float32),
+        indices=np.concatenate([faces[whole], numbers]).astype(np.int32),
+    )
     # The first run builds the scene, which must not happen in two threads at once.
     one_ray = np.ones((1, 3), dtype=np.float32)
-    embree.scene.run(one_ray, one_ray)
-    return embree
+    scene.run(one_ray, one_ray)
+    return scene
 
 
-def _frame(relative: Floats, embree: Any) -> EmbreeFrame:
-    centre = 0.5 * (relative.min(axis=0) + relative.max(axis=0))
+def _frame(relative: Floats, resolution: Resolution) -> EmbreeFrame:
+    low, high = relative.min(axis=0), relative.max(axis=0)
+    # Rays that start on the box start in front of all triangles, although rounded.
+    margin = 0.01 * (high - low) + resolution.radius
     return EmbreeFrame(
-        np.asarray(embree.origin, dtype=np.float64),
-        centre,
-        scale=embree.scale,
-        radius=np.linalg.norm(relative - centre, axis=1).max(),
-        step=_STEP * np.abs(relative).max(),
+        resolution.origin,
+        low - margin,
+        high + margin,
+        scale=_EMBREE_SIZE / np.abs(relative).max(),
+        rounding=ROUNDING,
+        local_rounding=ROUNDING * MAX_SPREAD,
+        least_distance=resolution.radius,
     )
 
 
 def _check_rays(
-    origins: ArrayLike, directions: ArrayLike, origin_normal: ArrayLike | None
+    origins: ArrayLike, directions: ArrayLike, origin_offset: ArrayLike | None
 ) -> tuple[Floats, Floats, Floats]:
     """Return rays of checked shapes; their values are checked when they are transformed."""
     origins = float_array(origins, "origins", (None, 3), finite=False)
     directions = float_array(directions, "directions", (len(origins), 3), finite=False)
-    if origin_normal is None:
+    if origin_offset is None:
         return origins, directions, _NO_RAYS
     shape = (len(origins), 3)
-    return origins, directions, float_array(origin_normal, "origin_normal", shape, finite=False)
+    return origins, directions, float_array(origin_offset, "origin_offset", shape, finite=False)
 
 
 def _check_limits(max_distance: ArrayLike, n: int) -> Floats:
@@ -321,4 +367,5 @@ def empty_intersections(n: int) -> Intersections:
         position=np.empty((n, 3)),
         geometric_normal=np.empty((n, 3)),
         shading_normal=np.empty((n, 3)),
+        step=np.empty(n),
     )

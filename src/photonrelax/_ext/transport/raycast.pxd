@@ -3,8 +3,9 @@
 
 cdef struct Hit:
     # Intersection of a ray and a triangle: m, unit vectors.
+    # `step` is how far rays that leave have to be moved off the triangle.
     int object_id
-    double distance
+    double distance, step
     double[3] position
     double[3] geometric
     double[3] shading
@@ -22,20 +23,25 @@ cdef struct TriangleRay:
 cdef class EmbreeHits:
     # `triangle` is -1 for rays that miss.
     cdef readonly Py_ssize_t n_rays
-    cdef const int[::1] triangle
-    cdef const float[::1] u, v
+    cdef int[::1] triangle
+    cdef float[::1] u, v
 
 
 cdef class EmbreeFrame:
     cdef double[3] origin
-    cdef double[3] centre
-    cdef double scale, radius, step
+    cdef double[3] low
+    cdef double[3] high
+    cdef readonly double scale
+    cdef double rounding, local_rounding, least_distance
 
     cdef double ray_to_embree(
-        self, const double* origin, const double* direction, const double* normal,
+        self, const double* origin, const double* direction, const double* offset,
         float* out_origin, float* out_direction,
     ) noexcept nogil
-    cdef double step_along(self, const double* normal, const double* d) noexcept nogil
+    cdef double skipped(self, const double* o, const double* d) noexcept nogil
+    cdef double step(
+        self, const double* a, const double* b, const double* c, const double* p
+    ) noexcept nogil
 
 
 cdef class Triangles:

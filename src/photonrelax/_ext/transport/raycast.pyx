@@ -5,7 +5,7 @@ here in float64, from the original ray. Every loop body writes row i only.
 """
 
 cimport cython
-from libc.math cimport NAN, INFINITY, isfinite, sqrt
+from libc.math cimport NAN, INFINITY, fabs, isfinite
 
 from ..common.prefetch cimport prefetch_row
 from ..common.vec3 cimport cross, dot, normalise
@@ -19,40 +19,51 @@ cdef enum:
 
 @cython.final
 cdef class EmbreeFrame:
-    """Embree's coordinates, (x - origin) * scale, and a sphere (centre, radius) around the scene.
+    """Embree's coordinates, (x - origin) * scale, and a box that holds the scene.
 
-    `step` is the distance that rays are moved off the surface they leave, m.
+    Parameters
+    ----------
+    origin : (3,)
+        m.
+    low, high : (3,)
+        Corners of the box, relative to the origin. Rays from beyond start where they enter it.
+    scale : float
+        Per m.
+    rounding, local_rounding, least_distance : float
+        Float32 displaces a triangle by no more than `rounding` times its largest coordinate, nor,
+        at a point, than `local_rounding` times the point's largest coordinate or `least_distance`.
     """
 
-    def __init__(self, const double[::1] origin, const double[::1] centre, *,
-                 double scale, double radius, double step):
+    def __init__(self, const double[::1] origin, const double[::1] low, const double[::1] high, *,
+                 double scale, double rounding, double local_rounding, double least_distance):
         cdef int axis
         for axis in range(3):
             self.origin[axis] = origin[axis]
-            self.centre[axis] = centre[axis]
+            self.low[axis] = low[axis]
+            self.high[axis] = high[axis]
         self.scale = scale
-        self.radius = radius
-        self.step = step
+        self.rounding, self.local_rounding = rounding, local_rounding
+        self.least_distance = least_distance
 
     def to_embree(
         self, const double[:, ::1] origins, const double[:, ::1] directions,
-        const double[:, ::1] origin_normal, const double[::1] limits, *,
+        const double[:, ::1] origin_offset, const double[::1] limits, *,
         float[:, ::1] out_origins, float[:, ::1] out_directions, float[::1] out_limits,
     ):
         """Write rays in embree's frame; return the index of the first invalid one, or -1.
 
-        `origin_normal` has no rows for rays that start in free space; `limits` and `out_limits`
+        `origin_offset` has no rows for rays that start in free space; `limits` and `out_limits`
         have none for rays without end.
         """
         cdef Py_ssize_t i, bad = -1
-        cdef bint from_surface = origin_normal.shape[0] > 0
+        cdef bint from_surface = origin_offset.shape[0] > 0
         cdef bint limited = limits.shape[0] > 0
         cdef double skipped
         with nogil:
             for i in range(origins.shape[0]):
                 skipped = self.ray_to_embree(
                     &origins[i, 0], &directions[i, 0],
-                    &origin_normal[i, 0] if from_surface else NULL,
+                    &origin_offset[i, 0] if from_surface else NULL,
                     &out_origins[i, 0], &out_directions[i, 0],
                 )
                 if not isfinite(skipped):
@@ -64,41 +75,67 @@ cdef class EmbreeFrame:
         return bad
 
     cdef double ray_to_embree(
-        self, const double* origin, const double* direction, const double* normal,
+        self, const double* origin, const double* direction, const double* offset,
         float* out_origin, float* out_direction,
     ) noexcept nogil:
-        """Write one ray and return the length skipped at its start; not finite if it is invalid."""
+        """Write one ray and return the length skipped at its start; not finite if it is invalid.
+
+        The ray starts off the surface by `offset`, which is along the normal, to the side that
+        the ray leaves to; NULL for rays that start in free space.
+        """
         cdef double d[3]
         cdef double o[3]
-        cdef double from_centre[3]
         cdef int axis
-        cdef double skipped
-        cdef double side = 0.0
+        cdef double skipped, side = 0.0
         for axis in range(3):
             d[axis] = direction[axis]
         normalise(d)
-        if normal != NULL:
-            side = self.step_along(normal, d)
+        if offset != NULL and isfinite(offset[0] + offset[1] + offset[2]):
+            side = 1.0 if dot(offset, d) >= 0.0 else -1.0
         for axis in range(3):
             o[axis] = origin[axis] - self.origin[axis]
             if side != 0.0:
-                o[axis] += side * normal[axis]
-            from_centre[axis] = o[axis] - self.centre[axis]
-        # Distant origins are coarse in float32: start at the scene's bounding sphere.
-        skipped = -dot(from_centre, d) - self.radius
-        if skipped < 0.0:
-            skipped = 0.0
+                o[axis] += side * offset[axis]
+        skipped = self.skipped(o, d)
         for axis in range(3):
             out_origin[axis] = <float>((o[axis] + skipped * d[axis]) * self.scale)
             out_direction[axis] = <float>d[axis]
         return skipped
 
-    cdef double step_along(self, const double* normal, const double* d) noexcept nogil:
-        """Multiple of the normal that steps off the surface towards d; 0 without a normal."""
-        cdef double square = dot(normal, normal)
-        if not (square > 0.0 and isfinite(square)):
-            return 0.0
-        return (self.step if dot(normal, d) >= 0.0 else -self.step) / sqrt(square)
+    cdef double skipped(self, const double* o, const double* d) noexcept nogil:
+        """Length of a ray before the box: distant origins are coarse in float32. NaN if invalid.
+
+        Rays that miss the box start where they are nearest to its centre.
+        """
+        cdef double enter = 0.0, leave = INFINITY, closest = 0.0, near, far, inverse
+        cdef bint inside = True
+        cdef int axis
+        for axis in range(3):
+            inside &= self.low[axis] <= o[axis] <= self.high[axis]
+        if inside:
+            return 0.0 if isfinite(dot(o, d)) else NAN
+        for axis in range(3):
+            closest += d[axis] * (0.5 * (self.low[axis] + self.high[axis]) - o[axis])
+            if d[axis] != 0.0:
+                inverse = 1.0 / d[axis]
+                near = (self.low[axis] - o[axis]) * inverse
+                far = (self.high[axis] - o[axis]) * inverse
+                enter = max(enter, min(near, far))
+                leave = min(leave, max(near, far))
+        if not isfinite(closest):
+            return NAN
+        return enter if enter <= leave else max(closest, 0.0)
+
+    cdef double step(
+        self, const double* a, const double* b, const double* c, const double* p
+    ) noexcept nogil:
+        """Distance that rays are moved off a triangle at a point, both relative to the origin."""
+        cdef double farthest = 0.0, distance = self.least_distance
+        cdef int axis
+        for axis in range(3):
+            farthest = max(farthest, max(fabs(a[axis]), max(fabs(b[axis]), fabs(c[axis]))))
+            distance = max(distance, fabs(p[axis]))
+        return min(self.rounding * farthest, self.local_rounding * distance)
 
 
 @cython.final
@@ -113,6 +150,27 @@ cdef class EmbreeHits:
                     f"embree was given {n_rays} rays, but its {name} has shape {found[name].shape}"
                 )
         self.triangle, self.u, self.v = found["primID"], found["u"], found["v"]
+
+    def to_faces(self, const int[::1] face, const double[:, :, ::1] uv):
+        """Replace embree's triangles by faces, and barycentric coordinates by those in faces.
+
+        `face` (t,) are the faces of embree's triangles; the last of these are parts of faces,
+        and have corners at the barycentric coordinates `uv` (p, 3, 2).
+        """
+        cdef Py_ssize_t i, part, n_whole = face.shape[0] - uv.shape[0]
+        cdef const double* corner
+        cdef double u, v, w
+        with nogil:
+            for i in range(self.n_rays):
+                part = self.triangle[i] - n_whole
+                if self.triangle[i] >= 0:
+                    self.triangle[i] = face[self.triangle[i]]
+                if part >= 0:
+                    u, v = self.u[i], self.v[i]
+                    w = 1.0 - u - v
+                    corner = &uv[part, 0, 0]
+                    self.u[i] = <float>(w * corner[0] + u * corner[2] + v * corner[4])
+                    self.v[i] = <float>(w * corner[1] + u * corner[3] + v * corner[5])
 
 
 @cython.final
@@ -141,6 +199,7 @@ cdef class Triangles:
         cdef int[::1] object_id = out.object_id
         cdef int[::1] face_id = out.face_id
         cdef double[::1] distance = out.distance
+        cdef double[::1] step = out.step
         cdef double[:, ::1] position = out.position
         cdef double[:, ::1] geometric = out.geometric_normal
         cdef double[:, ::1] shading = out.shading_normal
@@ -155,6 +214,7 @@ cdef class Triangles:
                 object_id[i] = hit.object_id
                 face_id[i] = self.face_id[found.triangle[i]] if met else -1
                 distance[i] = hit.distance if met else INFINITY
+                step[i] = hit.step if met else NAN
                 for axis in range(3):
                     position[i, axis] = hit.position[axis] if met else NAN
                     geometric[i, axis] = hit.geometric[axis] if met else NAN
@@ -236,6 +296,11 @@ cdef class Triangles:
             offset = u * local.ab[axis] + v * local.ac[axis]
             hit.position[axis] = local.corner[axis] + u * local.ab[axis] + v * local.ac[axis]
             distance += (offset - local.origin[axis]) * local.direction[axis]
+        hit.step = self.frame.step(
+            local.corner, &self.corners[self.faces[triangle, 1], 0],
+            &self.corners[self.faces[triangle, 2], 0], hit.position
+        )
+        for axis in range(3):
             hit.position[axis] += self.frame.origin[axis]
         hit.distance = max(distance, 0.0)
         hit.object_id = self.faces[triangle, 3]

@@ -231,11 +231,11 @@ cdef class Paths:
         if not self.finite:
             raise ValueError("rays should be finite, but the scene leads some to infinity")
 
-    cdef void to_embree(self, Py_ssize_t row, const double* origin_normal) noexcept nogil:
+    cdef void to_embree(self, Py_ssize_t row, const double* offset) noexcept nogil:
         """Write a ray in embree's frame."""
         cdef Ray* ray = &self.ray[row]
         cdef double skipped = self.frame.ray_to_embree(
-            ray.origin, ray.direction, origin_normal, &self.origins[row, 0],
+            ray.origin, ray.direction, offset, &self.origins[row, 0],
             &self.directions[row, 0],
         )
         if not isfinite(skipped):
@@ -268,13 +268,15 @@ cdef class Paths:
         self, Py_ssize_t target, const Event* event, const double* direction
     ) noexcept nogil:
         cdef Ray* ray = &self.ray[target]
+        cdef double[3] offset
         cdef int c
         if ray != event.ray:
             ray[0] = event.ray[0]
         for c in range(3):
             ray.origin[c] = event.hit.position[c]
             ray.direction[c] = direction[c]
-        self.to_embree(target, event.facing)
+            offset[c] = event.hit.step * event.facing[c]
+        self.to_embree(target, offset)
 
     cdef bint survives_medium(self, const Event* event) noexcept nogil:
         """Apply the absorption on the way to the hit; false if the path ends."""

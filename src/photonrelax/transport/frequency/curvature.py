@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._util.validation import Floats
-from ...scene.meshes import vertex_normals
 from ...scene.scene import SceneObject
 from ..raycast import Intersections
 
@@ -17,19 +16,18 @@ class NormalDerivatives:
     """Derivatives dn/dx of the shading normals of objects; zero on flat-shaded ones."""
 
     def __init__(self, objects: Sequence[SceneObject]) -> None:
-        self._meshes = {
-            i: (np.asarray(item.mesh.vertices), item.mesh.faces, vertex_normals(item.mesh))
-            for i, item in enumerate(objects)
-            if item.smooth
-        }
+        self._smooth = {i: item for i, item in enumerate(objects) if item.smooth}
 
     def at(self, hits: Intersections) -> Floats:
         """Derivatives (n, 3, 3), 1/m: times a step along the face, the change of the normal."""
         derivative = np.zeros((len(hits), 3, 3))
-        for object_id, (vertices, faces, normals) in self._meshes.items():
+        for object_id, item in self._smooth.items():
             rows = np.flatnonzero(hits.object_id == object_id)
-            face = faces[hits.face_id[rows]]
-            derivative[rows] = _on_faces(hits.position[rows], vertices[face], normals[face])
+            face = hits.face_id[rows]
+            corners = np.asarray(item.mesh.vertices)[item.mesh.faces[face]]
+            shading = item.shading_normals
+            normals = shading.normal[shading.faces[face]]
+            derivative[rows] = _on_faces(hits.position[rows], corners, normals)
         return derivative
 
 

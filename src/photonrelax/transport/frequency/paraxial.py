@@ -37,8 +37,8 @@ class ParaxialRays:
         Unit vectors perpendicular to the ray.
     operator : (n, 4, 4)
         From the frequencies of the light as it left its source to those along `across`.
-    origin_normal : (n, 3)
-        Geometric normal of the surface that the ray starts on, NaN in free space.
+    origin_offset : (n, 3)
+        `Intersections.offset` of where the ray starts, NaN in free space.
     throughput : (n, 3)
         Transmitted share of the light, without the reflectances of mirrors.
     medium : (n,) int32
@@ -49,7 +49,7 @@ class ParaxialRays:
     direction: Floats
     across: Floats
     operator: Floats
-    origin_normal: Floats
+    origin_offset: Floats
     throughput: Floats
     medium: NDArray[np.int32]
 
@@ -108,7 +108,7 @@ class ParaxialOptics:
             direction,
             incidence.across(direction),
             operator @ incidence.operator,
-            hits.geometric_normal,
+            hits.offset,
             share[:, np.newaxis] * rays.throughput,
             self._media(rays.direction, hits, reflected),
         )

@@ -92,7 +92,7 @@ class PathReplayer:
             hits = self._caster.intersect(
                 rays.origin,
                 rays.direction,
-                origin_normal=rays.origin_normal,
+                origin_offset=rays.origin_offset,
                 n_threads=self._n_threads,
             )
             on_path = hits.object_id == events.objects[rows, event]

@@ -1,0 +1,134 @@
+"""Transparent objects nearer to themselves or to opaque surfaces than rays resolve.
+
+Of two faces in one place a ray hits either, so light would be stored below glass that it has not
+left, or fall through what the glass stands on.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._util.validation import Floats
+from ..scene.meshes import face_bounds
+from ..scene.resolution import ROUNDING, Resolution
+from ..spatial.kdtree import KDTree
+
+# Width of the gap over what rays resolve.
+_GAP = 2.0
+# Thickness, over the displacement of faces, below which rays may enter beyond the other side.
+_MIN_THICKNESS = 2.0
+# Normals of faces at one vertex that differ by less are those of one plane.
+_SAME_NORMAL = 1e-6
+
+
+def open_contacts(
+    vertices: Floats, faces: NDArray, transparent: NDArray[np.bool_], resolution: Resolution
+) -> None:
+    """Move faces of transparent objects off opaque faces in the same plane, into their object.
+
+    Parameters
+    ----------
+    vertices : (v, 3)
+        m; changed in place.
+    faces : (f, 3)
+        Of all objects, without common vertices.
+    transparent : (f,) bool
+        True for faces of transparent objects, which wind outwards.
+    resolution : Resolution
+        Faces nearer than the gap count as in the same plane.
+    """
+    candidates = _overlapping(vertices, faces, transparent, resolution)
+    inner, outer = faces[candidates & transparent], faces[candidates & ~transparent]
+    if not (len(inner) and len(outer)):
+        return
+    gap = _GAP * resolution.at(vertices[inner]).max(axis=1)
+    size = float(np.ptp(vertices[inner], axis=(0, 1)).max())
+    origin, normals = vertices[inner[0, 0]], _normals(vertices[inner])
+    planes = _planes(_normals(vertices[outer]), vertices[outer] - origin, size)
+    own = _planes(normals, vertices[inner] - origin, size)
+    touching = KDTree(np.concatenate([planes, -planes])).query(own, 1).distance[:, 0] < gap
+    if touching.any():
+        movable = np.unique(faces[transparent])
+        _move(vertices, movable, inner[touching], -gap[touching, np.newaxis] * normals[touching])
+
+
+def _overlapping(
+    vertices: Floats, faces: NDArray, transparent: NDArray[np.bool_], resolution: Resolution
+) -> NDArray[np.bool_]:
+    """True for faces in the bounding box of those of the other kind."""
+    inside = np.zeros(len(faces), dtype=bool)
+    if transparent.all() or not transparent.any():
+        return inside
+    low, high = face_bounds(vertices, faces)
+    for kind in (transparent, ~transparent):
+        corner = low[~kind].min(axis=0), high[~kind].max(axis=0)
+        margin = _GAP * resolution.at(np.array(corner)).max()
+        reach = (low <= corner[1] + margin) & (high >= corner[0] - margin)
+        inside[kind] = reach[kind].all(axis=1)
+    return inside
+
+
+def _normals(corners: Floats) -> Floats:
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def _planes(normals: Floats, corners: Floats, size: float) -> Floats:
+    """Planes (n, 4) whose distance is about that between them over a length `size`, m."""
+    height = np.einsum("ni,nci->nc", normals, corners).mean(axis=1)
+    return np.column_stack([size * normals, height])
+
+
+def _move(vertices: Floats, movable: NDArray, faces: NDArray, offsets: Floats) -> None:
+    """Move what meets faces by the offsets (n, 3) of their planes; `movable` are vertices.
+
+    Vertices at one position move together, so that closed meshes stay closed.
+    """
+    _, of_movable = np.unique(vertices[movable], axis=0, return_inverse=True)
+    position = np.zeros(len(vertices), dtype=np.intp)
+    position[movable] = of_movable
+    corner, offset = position[faces].ravel(), np.repeat(offsets, 3, axis=0)
+    direction = np.round(offset / np.linalg.norm(offset, axis=1, keepdims=True) / _SAME_NORMAL)
+    _, first = np.unique(np.column_stack([corner, direction]), axis=0, return_index=True)
+    shift = np.zeros((of_movable.max() + 1, 3))
+    np.add.at(shift, corner[first], offset[first])
+    vertices[movable] += shift[of_movable]
+
+
+def warn_of_thin_objects(
+    corners: Floats, object_id: NDArray[np.int32], names: Sequence[str], resolution: Resolution
+) -> None:
+    """Warn of transparent objects that are thinner than rays resolve.
+
+    Parameters
+    ----------
+    corners : (f, 3, 3)
+        Of the faces of transparent objects, m.
+    object_id : (f,)
+        The object of each face, ascending.
+    names : sequence of str
+        Of all objects.
+    resolution : Resolution
+        Distance that rays resolve.
+    """
+    ids, first, of_face = np.unique(object_id, return_index=True, return_inverse=True)
+    a, b, c = (corners[:, i] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    height = np.einsum("ij,ij->i", a - corners[first, 0][of_face], normal)
+    volume = np.abs(np.bincount(of_face, height)) / 6.0
+    area = np.bincount(of_face, np.sqrt(np.einsum("ij,ij->i", normal, normal))) / 2.0
+    # Of a plate; open sheets have no volume, and none of a thickness of their own.
+    thickness = 2.0 * volume / area
+    reach = np.abs(corners - resolution.origin).max(axis=(1, 2))
+    least = _MIN_THICKNESS * ROUNDING * np.maximum.reduceat(reach, first)
+    for i in np.flatnonzero((thickness < least) & (volume > area**1.5 * np.finfo(float).eps)):
+        warnings.warn(
+            f"object {ids[i]} ({names[ids[i]] or 'unnamed'}) is about {thickness[i]:.2g} m thick, "
+            f"but rays in this scene resolve {least[i]:.2g} m there: light may leak through it. "
+            "Make it thicker, or the scene smaller.",
+            stacklevel=4,
+        )
