@@ -30,14 +30,13 @@ def steps_along(normal, length, rng):
     return steps - (steps * normal).sum(axis=1, keepdims=True) * normal
 
 
-def project_by_rays(scene, side, position, normal, moved):
+def project_by_rays(caster, side, start, position, normal, *, moved):
     """The definition: a ray down the normal, and one up where that misses the own object."""
-    caster, start = RayCaster(scene.objects), 2e-6 * scene.scale
     length = np.linalg.norm(moved - position, axis=1)
     to, to_normal = position.copy(), normal.copy()
     answered = length == 0.0
     for way in (-normal, normal):
-        hits = caster.intersect(moved - start * way, way)
+        hits = caster.intersect(moved - start[:, None] * way, way)
         own = (hits.object_id == 0) & (hits.distance <= 2.0 * (length + start)) & ~answered
         outward = side * hits.geometric_normal
         lands = own & ((outward * normal).sum(axis=1) >= 0.5)
@@ -62,11 +61,13 @@ def test_photons_end_where_rays_would_put_them(scene, side):
     photons = photons_on(scene.objects[0].mesh, 5000, side)
     projector = SurfaceProjector(scene, photons, n_threads=1)
     position, normal = photons.position, photons.normal
+    caster = RayCaster(scene.objects)
+    start = 2.0 * caster.resolution.at(position)
     rng = np.random.default_rng(0)
     n_moved = 0
     for _ in range(5):
         moved = position + steps_along(normal, 0.02, rng)
-        expected = project_by_rays(scene, side, position, normal, moved)
+        expected = project_by_rays(caster, side, start, position, normal, moved=moved)
         found = projector.project(position, normal, moved, slice(None))
         # Rays of float32 may take the other face at an edge.
         differs = (found[0] != expected[0]).any(axis=1)

@@ -71,6 +71,22 @@ def test_nor_does_that_of_lamps_over_or_on_tilted_floors(shift, height):
     np.testing.assert_allclose(wide, small, rtol=2e-3)
 
 
+def moved_share(half):
+    """Share of the photons of a glass ball's caustic that relaxation moves."""
+    objects = [
+        pr.SceneObject(hollow_ball(), pr.Dielectric(1.5)),
+        pr.SceneObject(sheet(half), pr.Diffuse(0.5)),
+    ]
+    scene = pr.Scene(objects, [pr.CollimatedEmitter((0.2, 0, -1))])
+    photons = pr.trace_photons(scene, 20_000)
+    relaxed = pr.relax(photons, pr.detect_structure(photons), scene=scene)
+    return (relaxed.position != photons.position).any(axis=1).mean()
+
+
+def test_photons_move_on_floors_of_any_width():
+    assert moved_share(1e6) == pytest.approx(moved_share(2.0), abs=0.01)
+
+
 def transmitted(gap, thickness=0.1, floor=20.0, rotation=LEVEL, soup=False):
     """Share of the light on a plate of glass of 2 m that is stored below it."""
     plate = trimesh.creation.box((2, 2, thickness)).apply_translation([0, 0, thickness / 2 + gap])

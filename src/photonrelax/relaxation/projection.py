@@ -12,9 +12,8 @@ from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
 from ..transport.raycast import RayCaster
 
-# Distance from a displaced photon to the origin of its ray over the size of the scene: a few times
-# what float32 rays resolve.
-_RAY_OFFSET = 2e-6
+# Distance from a displaced photon to the origin of its ray over what rays resolve where it landed.
+_RAY_OFFSET = 2.0
 # Photons a thread projects at a time.
 _CHUNK = 16384
 
@@ -51,7 +50,7 @@ class SurfaceProjector:
             self._caster.frame,
             self._caster.triangles,
             photons.object_id,
-            ray_offset=_RAY_OFFSET * scene.scale,
+            ray_offset=_RAY_OFFSET * self._caster.resolution.at(photons.position),
             min_cosine=MIN_NORMAL_COSINE,
         )
         self._n_threads = n_threads

@@ -85,7 +85,7 @@ cdef class Displacements:
 cdef class SurfacePositions:
     """The triangle each photon lies on, and the side of it.
 
-    `object_id` (n,) are the photons' own objects. Rays start `ray_offset` before the displaced
+    `object_id` (n,) are the photons' own objects. Rays start `ray_offset` (n,) before the displaced
     positions, m. `min_cosine` is that of the largest angle between a photon's normal and the face
     it is projected onto.
     """
@@ -93,15 +93,20 @@ cdef class SurfacePositions:
     cdef EmbreeFrame frame
     cdef Triangles triangles
     cdef const int32_t[::1] object_id
-    cdef double ray_offset, min_cosine
+    cdef const double[::1] ray_offset
+    cdef double min_cosine
     # -1 where the triangle is not known; side 0 for photons on no face, which are not displaced.
     cdef int32_t[::1] triangle
     cdef int8_t[::1] side
 
     def __init__(
         self, EmbreeFrame frame, Triangles triangles, const int32_t[::1] object_id, *,
-        double ray_offset, double min_cosine,
+        const double[::1] ray_offset, double min_cosine,
     ):
+        if ray_offset.shape[0] != object_id.shape[0]:
+            raise ValueError(
+                f"ray_offset should have {object_id.shape[0]} rows, but has {ray_offset.shape[0]}"
+            )
         self.frame, self.triangles = frame, triangles
         self.object_id = object_id
         self.ray_offset, self.min_cosine = ray_offset, min_cosine
@@ -128,7 +133,10 @@ cdef class SurfacePositions:
         cdef bint finite = True
         with nogil:
             for j in range(moves.n_pending):
-                moves.ray(origin, direction, moves.pending[j], sign, self.ray_offset)
+                moves.ray(
+                    origin, direction, moves.pending[j], sign,
+                    self.ray_offset[moves.photons[moves.pending[j]]]
+                )
                 finite &= isfinite(
                     self.frame.ray_to_embree(
                         origin, direction, NULL, &origins[j, 0], &directions[j, 0]
@@ -157,6 +165,7 @@ cdef class SurfacePositions:
     cdef bint project_without_ray(self, Displacements moves, Py_ssize_t i) noexcept nogil:
         """Project a photon within its triangle, or one that stays; false for any other."""
         cdef Py_ssize_t photon = moves.photons[i]
+        cdef double offset = self.ray_offset[photon]
         cdef int32_t triangle = self.triangle[photon]
         cdef double[3] origin
         cdef double[3] direction
@@ -168,8 +177,8 @@ cdef class SurfacePositions:
             return True
         if triangle < 0:
             return False
-        moves.ray(origin, direction, i, -1, self.ray_offset)
-        if not self.triangles.intersects(triangle, origin, direction, 2.0 * self.ray_offset, &hit):
+        moves.ray(origin, direction, i, -1, offset)
+        if not self.triangles.intersects(triangle, origin, direction, 2.0 * offset, &hit):
             return False
         self.place(moves, i, triangle, &hit)
         return True
@@ -180,14 +189,15 @@ cdef class SurfacePositions:
         """Project a photon to what its ray hit; false where a ray the other way is needed."""
         cdef Py_ssize_t i = moves.pending[j]
         cdef Py_ssize_t photon = moves.photons[i]
+        cdef double offset = self.ray_offset[photon]
         cdef double[3] origin
         cdef double[3] direction
         cdef double max_distance = (
-            MAX_DISTANCE_SCALE * sqrt(moves.squared_length(i)) + 2.0 * self.ray_offset
+            MAX_DISTANCE_SCALE * sqrt(moves.squared_length(i)) + 2.0 * offset
         )
         cdef Hit hit
         cdef bint any_hit
-        moves.ray(origin, direction, i, sign, self.ray_offset)
+        moves.ray(origin, direction, i, sign, offset)
         any_hit = self.triangles.refine_hit(found, j, origin, direction, &hit)
         if any_hit and hit.distance <= max_distance and hit.object_id == self.object_id[photon]:
             self.place(moves, i, found.triangle[j], &hit)
