@@ -12,6 +12,7 @@ python -m bench frequency         frequency-driven and progressive photon mappin
 python -m bench methods           errors and times of every method on the same photons
 python -m bench refinements       refinements of standard estimates compared with relaxations
 python -m bench initial-radius    progressive photon mapping by its initial radius
+python -m bench resolution        errors by gaps, thicknesses and widths that float32 tells apart
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from bench.studies import (
     methods,
     progressive,
     refinements,
+    resolution,
     shapes,
     table1,
 )
@@ -46,6 +48,7 @@ _COMMANDS = {
     "frequency": frequency,
     "refinements": refinements,
     "initial-radius": initial_radius,
+    "resolution": resolution,
     # The processes that `compare` and `memory` start.
     "simd": simd,
     "stage": memory_stage,

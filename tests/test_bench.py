@@ -16,6 +16,7 @@ from bench.studies import (
     initial_radius,
     methods,
     refinements,
+    resolution,
     shapes,
     table1,
 )
@@ -388,3 +389,10 @@ def test_counted_floors_and_pictures_are_the_same_way_up():
     shown = floor.image(pr.IrradianceField(photons, pr.GatherSettings(k=50)))
     np.testing.assert_allclose(shown[:2, 8:], counted[:2, 8:], atol=0.25)
     assert shown[4:, :6].max() == 0.0
+
+
+def test_errors_of_resolution_are_small_where_there_is_no_warning():
+    cells = [row.split(" | ")[1:] for row in resolution.markdown(5_000, 8).splitlines()[2:10]]
+    assert [thickness.startswith("(") for _, thickness, *_ in cells] == 5 * [False] + 3 * [True]
+    errors = [float(cell.strip("%| ")) for row in cells for cell in (row[0], row[3])]
+    assert np.abs(errors).max() < 2.0
