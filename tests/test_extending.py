@@ -99,6 +99,10 @@ class HalfEmitter(Emitter):
     position: tuple
     power: float = 2.0
 
+    @property
+    def point(self):
+        return np.asarray(self.position)
+
     def emission_region(self, target, scene, emitter_offset):
         position = np.asarray(self.position)
         start = start_distance(position, scene, emitter_offset)
