@@ -6,6 +6,7 @@ import fcntl
 import glob
 import json
 import os
+import stat
 import uuid
 import zipfile
 import zlib
@@ -22,21 +23,43 @@ NOT_READABLE = (
 )
 
 
+class WriteError(OSError):
+    """A file that cannot be written, and the reason."""
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f"cannot write {path}: {reason}")
+        self.path, self.reason = path, reason
+
+
 @contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside `path`, which is renamed to `path` unless an error is raised.
+
+    A symbolic link stays one: the file it points to is written. A file that is replaced keeps its
+    mode.
 
     Raises
     ------
     FileNotFoundError
         If the folder of `path` does not exist.
+    WriteError
+        If writing fails.
     """
     path = Path(path)
     _check_folder(path)
-    partial = _partial(path)
+    target = Path(os.path.realpath(path))
+    partial = _partial(target)
     try:
         yield partial
-        partial.replace(path)
+        if target.exists():
+            partial.chmod(stat.S_IMODE(target.stat().st_mode))
+        partial.replace(target)
+    except WriteError as error:
+        raise WriteError(path, error.reason) if error.path == partial else error from None
+    except OSError as error:
+        if error.errno is None or error.filename not in (None, str(partial), partial):
+            raise
+        raise WriteError(path, error.strerror or str(error)) from None
     finally:
         partial.unlink(missing_ok=True)
 
@@ -83,6 +106,7 @@ def _acquire(lock: Path) -> int | None:
 
 def remove_leftovers(path: Path) -> None:
     """Remove temporary files of `whole_file` left by processes that were killed."""
+    path = Path(os.path.realpath(path))
     pattern = f"{glob.escape(_partial_prefix(path))}.{'[0-9a-f]' * 32}.part"
     for partial in path.parent.glob(pattern):
         partial.unlink(missing_ok=True)
@@ -102,7 +126,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         raise IsADirectoryError(f"cannot write {path}: it is a folder")
     if path.exists() and not path.is_file():
         raise OSError(f"cannot write {path}: it is a device, not a regular file")
-    probe = _partial(path)
+    probe = _partial(Path(os.path.realpath(path)))
     try:
         probe.touch()
     except OSError as error:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._util.files import whole_file
+from .._util.files import WriteError, whole_file
 from .._util.frozen import set_field
 from .._util.validation import Floats, float_array
 
@@ -104,7 +104,8 @@ class Image:
             try:
                 file.write(str(partial))
             except RuntimeError as error:
-                raise OSError(f"cannot write {path}: {error}") from None
+                reason = str(error).replace(str(partial), "the temporary file")
+                raise WriteError(partial, reason) from None
 
     def write_png(self, path: str | os.PathLike[str], exposure: float = 0.0) -> None:
         """Write ``radiance`` times 2^exposure as an 8-bit sRGB image, atomically.
