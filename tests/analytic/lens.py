@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
+from tests.analytic.interface import fresnel_reflectance, refraction_angle
+
 
 @dataclass(frozen=True)
 class PlanoConvex:
@@ -37,20 +39,13 @@ class PlanoConvex:
         """W within a radius of the axis, `depth` below the flat face, of 1 W/mm² from above."""
         y = self.radius * (np.arange(n_rays) + 0.5) / n_rays
         entering = np.arcsin(y / self.curvature_radius)
-        inside, t_convex = refract(entering, 1.0, self.ior)
+        inside = refraction_angle(entering, self.ior)
         # Angles from the axis: the normal of the convex face leans by `entering`.
         slope = entering - inside
         z = self.thickness - self.curvature_radius + self.height_of_centre(y)
-        below, t_flat = refract(slope, self.ior, 1.0)
+        below = refraction_angle(slope, 1.0 / self.ior)
         landed = y - z * np.tan(slope) - depth * np.tan(below)
-        power = 2 * np.pi * y * self.radius / n_rays * t_convex * t_flat
+        power = 2 * np.pi * y * self.radius / n_rays
+        power *= 1.0 - fresnel_reflectance(entering, self.ior)
+        power *= 1.0 - fresnel_reflectance(slope, 1.0 / self.ior)
         return power[np.abs(landed) < radius].sum()
-
-
-def refract(angle, n1, n2):
-    """The refracted angle, and the transmittance of unpolarised light."""
-    refracted = np.arcsin(np.sin(angle) * n1 / n2)
-    c1, c2 = np.cos(angle), np.cos(refracted)
-    s = ((n1 * c1 - n2 * c2) / (n1 * c1 + n2 * c2)) ** 2
-    p = ((n1 * c2 - n2 * c1) / (n1 * c2 + n2 * c1)) ** 2
-    return refracted, 1.0 - 0.5 * (s + p)

@@ -49,6 +49,18 @@ def face_bounds(vertices: Floats, faces: NDArray) -> tuple[Floats, Floats]:
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
+def face_normals(corners: Floats) -> Floats:
+    """Unit normals (f, 3) by the winding of faces (f, 3, 3); zero for faces without an area."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    normal = np.cross(b - a, c - a)
+    return divided(normal, np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def divided(vectors: Floats, divisor: Floats) -> Floats:
+    """Vectors over numbers, and zero over zero."""
+    return np.divide(vectors, divisor, out=np.zeros_like(vectors), where=divisor > 0.0)
+
+
 def vertices_of(faces: NDArray, n_vertices: int) -> NDArray[np.bool_]:
     """Mask of the vertices that belong to a face, (n_vertices,)."""
     used = np.zeros(n_vertices, dtype=bool)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._util.validation import Floats, float_array
-from .meshes import in_unit_cube, release_arrays
+from .meshes import divided, face_normals, in_unit_cube, release_arrays
 from .welding import HalfEdges, Ids, components, weld
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ def _ply_normals(mesh: trimesh.Trimesh) -> ShadingNormals | None:
         return None
     # Normals map by the cofactors, whatever the map does to lengths.
     mapped = normals @ np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])
-    mapped = _divided(mapped, np.linalg.norm(mapped, axis=1, keepdims=True))
+    mapped = divided(mapped, np.linalg.norm(mapped, axis=1, keepdims=True))
     return ShadingNormals.split(np.asarray(mesh.faces), read["faces"], mapped)
 
 
@@ -160,7 +160,7 @@ class _Fans:
 
 
 def _fans(triangles: Floats, half_edges: HalfEdges, crease_angle: float) -> _Fans:
-    normals = _face_normals(triangles)
+    normals = face_normals(triangles)
     least_cosine = np.cos(np.radians(min(crease_angle + _ROUNDING, 180.0)))
     joined = [(np.empty(0, np.intp), np.empty(0, np.intp))]
     sharp = np.zeros(3 * len(triangles), dtype=bool)
@@ -197,10 +197,10 @@ def _vertex_normals(triangles: Floats, fan: NDArray) -> Floats:
         ahead = triangles[:, (i + 1) % 3] - triangles[:, i]
         back = triangles[:, (i + 2) % 3] - triangles[:, i]
         squares = np.einsum("ij,ij->i", ahead, ahead) * np.einsum("ij,ij->i", back, back)
-        normal = _divided(np.cross(ahead, back), squares[:, None])
+        normal = divided(np.cross(ahead, back), squares[:, None])
         for axis in range(3):
             total[:, axis] += np.bincount(fan[:, i], normal[:, axis], len(total))
-    return _divided(total, np.linalg.norm(total, axis=1, keepdims=True))
+    return divided(total, np.linalg.norm(total, axis=1, keepdims=True))
 
 
 def _extrapolate(normal: Floats, triangles: Floats, fans: _Fans) -> None:
@@ -217,7 +217,7 @@ def _extrapolate(normal: Floats, triangles: Floats, fans: _Fans) -> None:
     right = _PRIOR * normal[corrected]
     np.add.at(right, row, -chord * np.einsum("ij,ij->i", normal[beside], chord)[:, None])
     solved = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
-    normal[corrected] = _divided(solved, np.linalg.norm(solved, axis=1, keepdims=True))
+    normal[corrected] = divided(solved, np.linalg.norm(solved, axis=1, keepdims=True))
 
 
 def _open_edges(triangles: Floats, fans: _Fans, i: int, j: int) -> tuple[NDArray, NDArray, Floats]:
@@ -225,19 +225,8 @@ def _open_edges(triangles: Floats, fans: _Fans, i: int, j: int) -> tuple[NDArray
     is_open = fans.is_open[fans.of_corner]
     rows = np.flatnonzero(is_open[:, i] & ~is_open[:, j])
     chord = triangles[rows, i] - triangles[rows, j]
-    chord = _divided(chord, np.linalg.norm(chord, axis=1, keepdims=True))
+    chord = divided(chord, np.linalg.norm(chord, axis=1, keepdims=True))
     return fans.of_corner[rows, i], fans.of_corner[rows, j], chord
-
-
-def _face_normals(triangles: Floats) -> Floats:
-    a, b, c = np.moveaxis(triangles, 1, 0)
-    crosses = np.cross(b - a, c - a)
-    return _divided(crosses, np.linalg.norm(crosses, axis=1, keepdims=True))
-
-
-def _divided(vectors: Floats, divisor: Floats) -> Floats:
-    """Vectors over numbers, and zero over zero."""
-    return np.divide(vectors, divisor, out=np.zeros_like(vectors), where=divisor > 0.0)
 
 
 def _mean_normals(vertices: Floats, faces: NDArray) -> Floats:

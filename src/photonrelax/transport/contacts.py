@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._util.validation import Floats
-from ..scene.meshes import face_bounds
+from ..scene.meshes import face_bounds, face_normals
 from ..scene.resolution import ROUNDING, Resolution
 from ..spatial.kdtree import KDTree
 
@@ -47,8 +47,8 @@ def open_contacts(
         return
     gap = _GAP * resolution.at(vertices[inner]).max(axis=1)
     size = float(np.ptp(vertices[inner], axis=(0, 1)).max())
-    origin, normals = vertices[inner[0, 0]], _normals(vertices[inner])
-    planes = _planes(_normals(vertices[outer]), vertices[outer] - origin, size)
+    origin, normals = vertices[inner[0, 0]], face_normals(vertices[inner])
+    planes = _planes(face_normals(vertices[outer]), vertices[outer] - origin, size)
     own = _planes(normals, vertices[inner] - origin, size)
     touching = KDTree(np.concatenate([planes, -planes])).query(own, 1).distance[:, 0] < gap
     if touching.any():
@@ -70,11 +70,6 @@ def _overlapping(
         reach = (low <= corner[1] + margin) & (high >= corner[0] - margin)
         inside[kind] = reach[kind].all(axis=1)
     return inside
-
-
-def _normals(corners: Floats) -> Floats:
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
 def _planes(normals: Floats, corners: Floats, size: float) -> Floats:

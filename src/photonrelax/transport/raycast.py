@@ -200,8 +200,8 @@ class RayCaster:
         origins, directions, origin_offset, n_threads
             As for `intersect`.
         max_distance : float or (n,)
-            m, from the origin; inf for rays without end. It is compared in float32: hits within
-            1e-6 of the scene's size around it may go either way.
+            m, from the origin; inf for rays without end. It is compared in float32: hits nearer
+            to it than `resolution` says may go either way.
 
         Raises
         ------
