@@ -121,7 +121,7 @@ def test_light_passes_thin_plates(thickness):
 
 
 def test_plates_thinner_than_rays_resolve_are_named():
-    with pytest.warns(UserWarning, match=r"object 0 \(unnamed\) is about 1e-06 m thick"):
+    with pytest.warns(UserWarning, match=r"objects\[0\] is about 1e-06 m thick"):
         transmitted(0.5, 1e-6, 2.0)
 
 

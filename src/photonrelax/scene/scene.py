@@ -183,14 +183,18 @@ class Scene:
         return np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
 
 
+def object_label(object_id: int, item: SceneObject) -> str:
+    """Index and name of an object of a scene, for messages."""
+    return f"objects[{object_id}]" + (f" ({item.name!r})" if item.name else "")
+
+
 def _defects_text(object_id: int, item: SceneObject) -> str:
-    name = f" ({item.name!r})" if item.name else ""
     defects = item.edge_defects
     return (
-        f"objects[{object_id}]{name} is a Dielectric and should be closed and wind outwards, but "
-        f"has {defects.open} open edges and {defects.inconsistent} edges whose faces wind against "
-        "each other. Light that passes them refracts and is absorbed as if on the wrong side: "
-        "repair the mesh with mesh.merge_vertices(), trimesh.repair.fix_winding(mesh) and "
+        f"{object_label(object_id, item)} is a Dielectric and should be closed and wind outwards, "
+        f"but has {defects.open} open edges and {defects.inconsistent} edges whose faces wind "
+        "against each other. Light that passes them refracts and is absorbed as if on the wrong "
+        "side: repair the mesh with mesh.merge_vertices(), trimesh.repair.fix_winding(mesh) and "
         "mesh.fill_holes()"
     )
 

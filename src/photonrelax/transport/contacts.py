@@ -95,7 +95,7 @@ def _move(vertices: Floats, movable: NDArray, faces: NDArray, offsets: Floats) -
 
 
 def warn_of_thin_objects(
-    corners: Floats, object_id: NDArray[np.int32], names: Sequence[str], resolution: Resolution
+    corners: Floats, object_id: NDArray[np.int32], labels: Sequence[str], resolution: Resolution
 ) -> None:
     """Warn of transparent objects that are thinner than rays resolve.
 
@@ -105,8 +105,8 @@ def warn_of_thin_objects(
         Of the faces of transparent objects, m.
     object_id : (f,)
         The object of each face, ascending.
-    names : sequence of str
-        Of all objects.
+    labels : sequence of str
+        Of all objects, for the message.
     resolution : Resolution
         Distance that rays resolve.
     """
@@ -122,8 +122,8 @@ def warn_of_thin_objects(
     least = _MIN_THICKNESS * ROUNDING * np.maximum.reduceat(reach, first)
     for i in np.flatnonzero((thickness < least) & (volume > area**1.5 * np.finfo(float).eps)):
         warnings.warn(
-            f"object {ids[i]} ({names[ids[i]] or 'unnamed'}) is about {thickness[i]:.2g} m thick, "
-            f"but rays in this scene resolve {least[i]:.2g} m there: light may leak through it. "
-            "Make it thicker, or the scene smaller.",
+            f"{labels[ids[i]]} is about {thickness[i]:.2g} m thick, but rays in this "
+            f"scene resolve {least[i]:.2g} m there: light may leak through it. Make it thicker, or "
+            "the scene smaller.",
             stacklevel=4,
         )

@@ -18,7 +18,7 @@ from .._util.parallel import for_each_slice, thread_count
 from .._util.validation import Floats, float_array
 from ..scene.meshes import nondegenerate_faces, vertices_of
 from ..scene.resolution import MAX_SPREAD, ROUNDING, Resolution
-from ..scene.scene import SceneObject
+from ..scene.scene import SceneObject, object_label
 from .contacts import open_contacts, warn_of_thin_objects
 from .split_triangles import Pieces, split_triangles
 
@@ -114,7 +114,7 @@ class RayCaster:
         warn_of_thin_objects(
             vertices[faces[of_glass]],
             whole.faces[of_glass, 3],
-            [item.name for item in objects],
+            [object_label(i, item) for i, item in enumerate(objects)],
             self.resolution,
         )
         open_contacts(vertices, faces, of_glass, self.resolution)
