@@ -2,6 +2,7 @@
 
 python -m bench                   compare with peers: tables, JSON and a plot
 python -m bench versions          every stage compared with another build
+python -m bench contention        every stage on several threads and on one, beside busy processes
 python -m bench table1            SJ13's Table I compared with the paper's own figures
 python -m bench memory            bytes a photon takes in each stage
 python -m bench figure7           SJ13's Fig. 7: λ₂ of uniform photons, and the constraint
@@ -20,7 +21,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from bench.speed import memory, memory_stage, side_by_side, simd, versions
+from bench.speed import contention, memory, memory_stage, side_by_side, simd, versions
 from bench.studies import (
     equal_error,
     figure7,
@@ -38,6 +39,7 @@ _DEFAULT = "compare"
 _COMMANDS = {
     _DEFAULT: side_by_side,
     "versions": versions,
+    "contention": contention,
     "table1": table1,
     "figure7": figure7,
     "memory": memory,

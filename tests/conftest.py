@@ -1,12 +1,5 @@
 """Fixtures of all tests."""
 
-import os
-
-# Processes of `pytest -n` share the cores: a thread that spins while it waits keeps the others
-# from theirs. OpenMP reads this when the first kernel is imported.
-if "PYTEST_XDIST_WORKER" in os.environ:
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-
 import numpy as np
 import pytest
 

@@ -1,12 +1,13 @@
 """Inputs, recipes, timing and tables of the benchmarks."""
 
+import argparse
 import os
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from bench.speed import inputs, peers, plot, report, stages, versions, workbench
+from bench.speed import contention, inputs, peers, plot, report, stages, versions, workbench
 from bench.speed.checks import assert_nearest, assert_nearest_in_range
 from bench.speed.timing import Case, Timing, interleave
 from bench.studies import (
@@ -179,6 +180,13 @@ def test_builds_are_compared_on_the_same_inputs(tmp_path):
     assert all(len(timing.wall) == 2 for both in timings.values() for timing in both)
     lines = versions.markdown("2,000 photons", timings | {"trace": None}).splitlines()
     assert [line.split(" | ")[0] for line in lines[2:6]] == [*(f"| {task}" for task in tasks), ""]
+
+
+def test_stages_are_timed_beside_busy_processes(capsys):
+    tasks = ("build", "gather")
+    contention.run(argparse.Namespace(photons=2e3, threads=2, rounds=1, pixels=8, tasks=tasks))
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(" | ")[0] for line in lines[2:5]] == [*(f"| {task}" for task in tasks), ""]
 
 
 def test_a_task_that_a_build_cannot_do_is_left_out(monkeypatch, capsys):

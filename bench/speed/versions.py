@@ -82,9 +82,9 @@ def save_inputs(folder: Path, n: int, pixels: int) -> None:
 
 @contextmanager
 def worker(
-    python: Path, arguments: list[str], environment: dict[str, str]
+    python: Path, arguments: list[str], environment: dict[str, str] | None
 ) -> Iterator[subprocess.Popen[str]]:
-    """Start a worker with an interpreter; it ends with the block."""
+    """Start a worker with an interpreter; it ends with the block. None: the same environment."""
     process = subprocess.Popen(
         [python, "-m", "bench.speed.version_worker", *arguments],
         cwd=ROOT,

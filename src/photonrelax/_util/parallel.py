@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -9,6 +10,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
 
+from .cgroups import cpu_quota
 from .validation import count
 
 Job = TypeVar("Job")
@@ -21,17 +23,26 @@ _MAX_THREADS = 1024
 def thread_count(n_threads: int | None) -> int:
     """Return the number of threads to use; None means every core this process may use.
 
+    Those of its affinity, and no more than the CPU quotas of its control groups, rounded up.
+
     Raises
     ------
     TypeError, ValueError
         If it is neither None nor an integer from 1 to 1024.
     """
     if n_threads is None:
-        # macOS has no affinity.
-        if hasattr(os, "sched_getaffinity"):
-            return len(os.sched_getaffinity(0))
-        return os.cpu_count() or 1
+        return min(_n_cores(), _MAX_THREADS)
     return count(n_threads, "n_threads", high=_MAX_THREADS)
+
+
+def _n_cores() -> int:
+    # macOS has no affinity.
+    if hasattr(os, "sched_getaffinity"):
+        n_cores = len(os.sched_getaffinity(0))
+    else:
+        n_cores = os.cpu_count() or 1
+    quota = cpu_quota()
+    return n_cores if quota >= n_cores else max(1, math.ceil(quota))
 
 
 @contextmanager

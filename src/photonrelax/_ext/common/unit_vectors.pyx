@@ -2,12 +2,14 @@
 
 from cython.parallel cimport prange
 
+from .threads cimport team_size
+
 
 def unit_vectors(const double[:, ::1] vectors, double[:, ::1] out, int n_threads):
     """Write vectors (n, 3) scaled to unit length; true if all have one."""
-    cdef Py_ssize_t part, n_bad = 0
+    cdef Py_ssize_t part, n_bad = 0, n_parts = n_grains(vectors.shape[0])
     for part in prange(
-        n_grains(vectors.shape[0]), nogil=True, schedule="static", num_threads=n_threads
+        n_parts, nogil=True, schedule="static", num_threads=team_size(n_threads, n_parts, 1)
     ):
         n_bad += scale_part(vectors, out, part)
     return n_bad == 0

@@ -5,9 +5,10 @@ Appendix A). Offsets there are in bandwidths, and flux and gradients in units of
 that squares stay within the range of floats in any scene.
 """
 
-from cython.parallel cimport prange
+from cython.parallel cimport prange, threadid
 from libc.math cimport M_PI, pow, sqrt
 
+from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
 from ..relaxation.structure cimport Components, decompose
 from ..spatial.radius cimport visit_radius
 from ..spatial.simd.kernels cimport BLOCK, lowest_bit
@@ -15,6 +16,10 @@ from ..spatial.tree cimport Tree
 from .tangent_plane cimport (
     EvaluationPoints, Plane, TangentPhotons, along, fit, open_plane, project,
 )
+
+cdef enum:
+    # Points that a thread takes at a time.
+    GRAIN = 64
 
 
 cdef class KernelShape:
@@ -66,10 +71,14 @@ def gradients(TangentPhotons photons, EvaluationPoints points, double[:, ::1] ou
     cdef Py_ssize_t i
     if out.shape[0] != points.queries.shape[0] or out.shape[1] != 3 or not fit(photons, points, 1):
         raise ValueError("gradients do not fit the points")
+    cdef Watch watch = open_watch()
     for i in prange(
-        points.rows.shape[0], nogil=True, schedule="dynamic", chunksize=64, num_threads=n_threads
+        points.rows.shape[0], nogil=True, schedule="dynamic", chunksize=GRAIN,
+        num_threads=team_size(n_threads, points.rows.shape[0], GRAIN)
     ):
-        write_gradient(photons, points, i, &out[points.rows[i], 0])
+        if goes_on(&watch, threadid() == 0):
+            write_gradient(photons, points, i, &out[points.rows[i], 0])
+    close_watch(&watch)
 
 
 cdef void write_gradient(
@@ -208,10 +217,14 @@ def eigenvalues(TangentPhotons photons, EvaluationPoints points, double[::1] out
     cdef Py_ssize_t i
     if out.shape[0] != points.queries.shape[0] or not fit(photons, points, 4):
         raise ValueError("eigenvalues do not fit the points")
+    cdef Watch watch = open_watch()
     for i in prange(
-        points.rows.shape[0], nogil=True, schedule="dynamic", chunksize=64, num_threads=n_threads
+        points.rows.shape[0], nogil=True, schedule="dynamic", chunksize=GRAIN,
+        num_threads=team_size(n_threads, points.rows.shape[0], GRAIN)
     ):
-        out[points.rows[i]] = first_eigenvalue(photons, points, i)
+        if goes_on(&watch, threadid() == 0):
+            out[points.rows[i]] = first_eigenvalue(photons, points, i)
+    close_watch(&watch)
 
 
 cdef double first_eigenvalue(
@@ -233,10 +246,14 @@ def half_axes(
         and fit(photons, points, 4)
     ):
         raise ValueError("axes do not fit the points")
+    cdef Watch watch = open_watch()
     for i in prange(
-        points.rows.shape[0], nogil=True, schedule="dynamic", chunksize=64, num_threads=n_threads
+        points.rows.shape[0], nogil=True, schedule="dynamic", chunksize=GRAIN,
+        num_threads=team_size(n_threads, points.rows.shape[0], GRAIN)
     ):
-        write_axes(photons, points, kernel_shape, i, &out[points.rows[i], 0, 0])
+        if goes_on(&watch, threadid() == 0):
+            write_axes(photons, points, kernel_shape, i, &out[points.rows[i], 0, 0])
+    close_watch(&watch)
 
 
 cdef void write_axes(
@@ -285,10 +302,14 @@ def densities(
         and values.shape[0] == photons.columns.shape[0] and fit(photons, points, 4)
     ):
         raise ValueError("photons, values, points and densities do not fit one another")
+    cdef Watch watch = open_watch()
     for i in prange(
-        points.rows.shape[0], nogil=True, schedule="dynamic", chunksize=64, num_threads=n_threads
+        points.rows.shape[0], nogil=True, schedule="dynamic", chunksize=GRAIN,
+        num_threads=team_size(n_threads, points.rows.shape[0], GRAIN)
     ):
-        write_densities(photons, values, points, kernel_shape, i, &out[points.rows[i], 0])
+        if goes_on(&watch, threadid() == 0):
+            write_densities(photons, values, points, kernel_shape, i, &out[points.rows[i], 0])
+    close_watch(&watch)
 
 
 cdef void write_densities(

@@ -1,10 +1,11 @@
 """Maxima of photon values within a radius."""
 
-from cython.parallel cimport prange
+from cython.parallel cimport prange, threadid
 
+from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
 from ..spatial.tree cimport Tree
 from ..spatial.simd.kernels cimport BLOCK, SearchBounds, lowest_bit
-from ..spatial.radius cimport ball, visit_radius
+from ..spatial.radius cimport LOOK_EVERY, QUERY_GRAIN, ball, visit_radius
 
 
 cdef struct Largest:
@@ -62,10 +63,14 @@ cdef class MaxInRadius:
             and out.shape[1] == self.values.shape[1]
         ):
             raise ValueError("queries, radii and maxima do not fit one another")
+        cdef Watch watch = open_watch()
         for i in prange(
-            rows.shape[0], nogil=True, schedule="dynamic", chunksize=256, num_threads=n_threads
+            rows.shape[0], nogil=True, schedule="dynamic", chunksize=QUERY_GRAIN,
+            num_threads=team_size(n_threads, rows.shape[0], QUERY_GRAIN)
         ):
-            update_one(self, queries, rows[i], radius, out)
+            if goes_on(&watch, threadid() == 0 and i % LOOK_EVERY == 0):
+                update_one(self, queries, rows[i], radius, out)
+        close_watch(&watch)
 
 
 cdef void update_one(

@@ -4,6 +4,8 @@ from cython.parallel cimport prange
 from libc.math cimport sqrt
 from libc.stdint cimport int64_t
 
+from ..common.threads cimport ELEMENTS, team_size
+
 
 def update(
     double[::1] n, double[:, ::1] tau, double[::1] radius, *,
@@ -21,7 +23,10 @@ def update(
         and tau.shape[1] == sums.shape[1] and (least is None or least.shape[0] == n.shape[0])
     ):
         raise ValueError("numbers, sums and radii do not fit one another")
-    for i in prange(n.shape[0], nogil=True, schedule="static", num_threads=n_threads):
+    for i in prange(
+        n.shape[0], nogil=True, schedule="static",
+        num_threads=team_size(n_threads, n.shape[0], ELEMENTS)
+    ):
         if counts[i] > 0:
             update_one(i, n, tau, radius, counts[i], sums, least, alpha, weight)
 

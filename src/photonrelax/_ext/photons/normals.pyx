@@ -6,6 +6,7 @@ from libc.stdint cimport int8_t, uint64_t
 
 import numpy as np
 
+from ..common.threads cimport team_size
 from ..common.unit_vectors cimport GRAIN_SIZE, n_grains, to_unit
 
 # Largest difference between the normals of the triangles of a plane, by rounding.
@@ -107,9 +108,9 @@ def find_face_sets(
         of the sets; -2 where the normal is zero or not finite.
     """
     cdef int8_t[::1] found = np.empty(normals.shape[0], np.int8)
-    cdef Py_ssize_t grain
+    cdef Py_ssize_t grain, n_parts = n_grains(normals.shape[0])
     for grain in prange(
-        n_grains(normals.shape[0]), nogil=True, schedule="static", num_threads=n_threads
+        n_parts, nogil=True, schedule="static", num_threads=team_size(n_threads, n_parts, 1)
     ):
         find_sets_of_grain(normals, faces, sets, limit * limit, grain, found)
     return found.base

@@ -7,6 +7,7 @@ from libc.math cimport INFINITY, M_PI, erf, fabs, sqrt
 import numpy as np
 
 from ..common.prefetch cimport prefetch_row
+from ..common.threads cimport ELEMENTS, team_size
 from ..common.vec3 cimport orthonormal_frame
 from ..spatial.batch cimport Batch, Query, limit_radius, limit_range
 from ..spatial.query_loop cimport BatchWork, search_points
@@ -319,7 +320,9 @@ def principal_components(const double[:, :, ::1] offsets, int n_threads):
     cdef double[:, ::1] eigenvalues_view = eigenvalues
     cdef double[:, ::1] vectors_view = vectors
     cdef Py_ssize_t i
-    for i in prange(n, nogil=True, schedule="static", num_threads=n_threads):
+    for i in prange(
+        n, nogil=True, schedule="static", num_threads=team_size(n_threads, n, ELEMENTS)
+    ):
         write_components(i, offsets, eigenvalues_view, vectors_view)
     return eigenvalues, vectors
 

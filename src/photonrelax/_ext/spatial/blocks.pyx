@@ -4,6 +4,7 @@ from cython.parallel cimport prange
 
 import numpy as np
 
+from ..common.threads cimport team_size
 from .simd.kernels cimport BLOCK
 
 from .tree import aligned
@@ -11,6 +12,9 @@ from .tree import aligned
 cdef enum:
     # Rows of a column processed before those of the next; they fit the cache.
     GRAIN_SIZE = 1024
+    # Rows, and blocks, of a thread, at least.
+    ROWS_PER_THREAD = 1 << 14
+    BLOCKS_PER_THREAD = ROWS_PER_THREAD // BLOCK
 
 
 def copy_scaled_rows(
@@ -23,7 +27,10 @@ def copy_scaled_rows(
         raise ValueError("rows do not fit the target")
     if first < 0 or first + source.shape[1] > target.shape[1]:
         raise ValueError("columns do not fit the target")
-    for i in prange(target.shape[0], nogil=True, schedule="static", num_threads=n_threads):
+    for i in prange(
+        target.shape[0], nogil=True, schedule="static",
+        num_threads=team_size(n_threads, target.shape[0], ROWS_PER_THREAD)
+    ):
         row = i if rows is None else rows[i]
         copy_row(&target[i, first], &source[row, 0], source.shape[1], scale)
 
@@ -43,11 +50,11 @@ def bounds(const double[:, ::1] points, Py_ssize_t n_axes, int n_threads):
     """
     if not 0 <= n_axes <= points.shape[1]:
         raise ValueError(f"n_axes should be from 0 to {points.shape[1]}, but is {n_axes}")
-    cdef double[:, ::1] low = np.full((n_threads, n_axes), np.inf)
-    cdef double[:, ::1] high = np.full((n_threads, n_axes), -np.inf)
-    cdef int thread
-    for thread in prange(n_threads, nogil=True, num_threads=n_threads):
-        bound_range(points, n_axes, thread, n_threads, low, high)
+    cdef int thread, team = team_size(n_threads, points.shape[0], ROWS_PER_THREAD)
+    cdef double[:, ::1] low = np.full((team, n_axes), np.inf)
+    cdef double[:, ::1] high = np.full((team, n_axes), -np.inf)
+    for thread in prange(team, nogil=True, num_threads=team):
+        bound_range(points, n_axes, thread, team, low, high)
     return np.min(low, axis=0), np.max(high, axis=0)
 
 
@@ -88,7 +95,10 @@ def to_soa_blocks(const double[:, ::1] values, const Py_ssize_t[::1] rows, int n
     cdef Py_ssize_t block
     out = aligned((n_blocks, values.shape[1], BLOCK))
     cdef double[:, :, ::1] blocks = out
-    for block in prange(n_blocks, nogil=True, schedule="static", num_threads=n_threads):
+    for block in prange(
+        n_blocks, nogil=True, schedule="static",
+        num_threads=team_size(n_threads, n_blocks, BLOCKS_PER_THREAD)
+    ):
         fill_block(values, rows, block, blocks)
     return out
 

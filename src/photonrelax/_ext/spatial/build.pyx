@@ -11,11 +11,12 @@ Partitions are stable, so ids ascend in every node. Hence the first of equal coo
 lowest ids, and no split has to compare ids.
 """
 
-from cython.parallel cimport prange
+from cython.parallel cimport prange, threadid
 from libc.math cimport INFINITY
 from libc.stdint cimport INT32_MAX, INT32_MIN, int32_t
 from libc.string cimport memcpy, memset
 
+from ..common.threads cimport Watch, check_signals, close_watch, goes_on, open_watch, team_size
 from .simd.kernels cimport BLOCK
 from .build_node cimport (
     COARSE, MAX_AXES, MAX_WORDS, Job, Node, bound_keys, bound_points, divide, divide_tied, keys_of,
@@ -30,6 +31,8 @@ cdef enum:
     # threads take subtrees.
     SUBTREES = 4
     MIN_POINTS = 1 << 14
+    # Blocks of a node before whose split signals are looked for.
+    WATCHED_BLOCKS = 1 << 9
 
 
 cdef struct ThreadPartial:
@@ -46,6 +49,7 @@ cdef struct Workers:
     const Job* job
     ThreadPartial* partials
     int n_threads
+    Watch watch
 
 
 def median_order(const double[:, ::1] points, const double[::1] axis_scale, int n_threads):
@@ -92,7 +96,10 @@ def median_order(const double[:, ::1] points, const double[::1] axis_scale, int 
     job.words = (job.n_keys + QUAD) // QUAD * QUAD
     cdef Py_ssize_t[::1] order_view = order
     cdef int32_t[:, :, ::1] rows = np.empty((2, n, job.words), np.int32)
-    cdef unsigned char[:, ::1] found = np.zeros((n_threads, sizeof(ThreadPartial)), np.uint8)
+    workers.n_threads = team_size(n_threads, n, MIN_POINTS)
+    cdef unsigned char[:, ::1] found = np.zeros(
+        (workers.n_threads, sizeof(ThreadPartial)), np.uint8
+    )
     job.points = &points[0, 0]
     job.n_points = n
     job.n_axes = points.shape[1]
@@ -104,9 +111,10 @@ def median_order(const double[:, ::1] points, const double[::1] axis_scale, int 
     job.order = &order_view[0]
     workers.job = &job
     workers.partials = <ThreadPartial*> &found[0, 0]
-    workers.n_threads = n_threads
+    workers.watch = open_watch()
     with nogil:
         build(&workers)
+    close_watch(&workers.watch)
     return order
 
 
@@ -123,12 +131,12 @@ cdef object check(
         )
 
 
-cdef void build(const Workers* workers) noexcept nogil:
+cdef void build(Workers* workers) noexcept nogil:
     cdef int level = 0
     cdef Py_ssize_t index
     write_root(workers)
     while workers.n_threads > 1 and (1 << level) < SUBTREES * workers.n_threads and (
-        workers.job.n_points >> level >= MIN_POINTS
+        workers.job.n_points >> level >= MIN_POINTS and check_signals(&workers.watch)
     ):
         if (1 << level) < workers.n_threads:
             for index in range(1 << level):
@@ -138,7 +146,7 @@ cdef void build(const Workers* workers) noexcept nogil:
                 split_serial(workers.job, level, index)
         level += 1
     for index in prange(1 << level, schedule="dynamic", num_threads=workers.n_threads):
-        descend(workers.job, level, index)
+        descend(workers, level, index)
 
 
 cdef void split_serial(const Job* job, int level, Py_ssize_t index) noexcept nogil:
@@ -166,14 +174,17 @@ cdef Node node_at(const Job* job, int level, Py_ssize_t index) noexcept nogil:
     return node
 
 
-cdef void descend(const Job* job, int level, Py_ssize_t index) noexcept nogil:
+cdef void descend(Workers* workers, int level, Py_ssize_t index) noexcept nogil:
     """Order the points of a node."""
+    cdef const Job* job = workers.job
     cdef Node node = node_at(job, level, index)
+    if node.n_blocks >= WATCHED_BLOCKS and not goes_on(&workers.watch, threadid() == 0):
+        return
     if node.n_blocks < 2 or not split(job, &node):
         write_ids(job, &node)
         return
-    descend(job, level + 1, 2 * index)
-    descend(job, level + 1, 2 * index + 1)
+    descend(workers, level + 1, 2 * index)
+    descend(workers, level + 1, 2 * index + 1)
 
 
 cdef void write_ids(const Job* job, const Node* node) noexcept nogil:

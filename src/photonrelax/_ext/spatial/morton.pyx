@@ -12,9 +12,13 @@ from libc.string cimport memset
 
 import numpy as np
 
+from ..common.threads cimport Watch, check_signals, close_watch, open_watch, team_size
+
 from .blocks import bounds
 
 cdef enum:
+    # Points of a thread, at least.
+    GRAIN = 1 << 14
     KEY_BITS = 32
     DIGIT_BITS = 11
     N_DIGITS = 1 << DIGIT_BITS
@@ -80,7 +84,7 @@ def morton_order(const double[:, ::1] points, int n_axes, int n_threads):
     job.n_axes = 0
     job.n_points = n
     job.n_columns = points.shape[1]
-    job.n_threads = n_threads
+    job.n_threads = team_size(n_threads, n, GRAIN)
     if n > 0 and n_axes > 0:
         job.points = &points[0, 0]
         low, high = bounds(points, n_axes, n_threads)
@@ -90,9 +94,11 @@ def morton_order(const double[:, ::1] points, int n_axes, int n_threads):
     order = np.empty(n, np.intp)
     cdef Py_ssize_t[::1] words = order
     cdef uint64_t[::1] spare = np.empty(n, np.uint64)
-    cdef Py_ssize_t[:, ::1] sizes = np.empty((n_threads, N_DIGITS), np.intp)
+    cdef Py_ssize_t[:, ::1] sizes = np.empty((job.n_threads, N_DIGITS), np.intp)
+    cdef Watch watch = open_watch()
     with nogil:
-        sort(&job, <uint64_t*> &words[0], &spare[0], &sizes[0, 0])
+        sort(&job, <uint64_t*> &words[0], &spare[0], &sizes[0, 0], &watch)
+    close_watch(&watch)
     return order
 
 
@@ -165,7 +171,7 @@ cdef inline uint32_t key_of(const Job* job, const double* point) noexcept nogil:
 # Sorting
 
 cdef void sort(
-    const Job* job, uint64_t* words, uint64_t* spare, Py_ssize_t* sizes
+    const Job* job, uint64_t* words, uint64_t* spare, Py_ssize_t* sizes, Watch* watch
 ) noexcept nogil:
     """Write the order to `words`; `sizes` has N_DIGITS counts per thread."""
     cdef uint64_t* source = spare
@@ -173,7 +179,7 @@ cdef void sort(
     cdef int thread, shift = 32
     for thread in prange(job.n_threads, num_threads=job.n_threads):
         write_words(job, thread, spare)
-    while shift < 64:
+    while shift < 64 and check_signals(watch):
         for thread in prange(job.n_threads, num_threads=job.n_threads):
             count_digits(job, thread, source, shift, sizes + thread * N_DIGITS)
         if find_places(job, sizes):
@@ -181,6 +187,8 @@ cdef void sort(
                 move_words(job, thread, source, shift, sizes + thread * N_DIGITS, target)
             source, target = target, source
         shift += DIGIT_BITS
+    if watch.raised:
+        return
     for thread in prange(job.n_threads, num_threads=job.n_threads):
         write_rows(job, thread, source, words)
 

@@ -3,9 +3,14 @@
 from cython.parallel cimport prange, threadid
 
 from ..common.prefetch cimport prefetch_row
+from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
 from .batch cimport allocate_batches, limit_radius, limit_range, open_block, open_query
 from .knn cimport query_batch
 from .simd.kernels cimport BLOCK
+
+cdef enum:
+    # Batches that a thread takes at a time.
+    GRAIN = 16
 
 
 cdef class BatchWork:
@@ -43,12 +48,17 @@ cdef int search_queries(
     """Search around the queries named by `order`, close ones in sequence."""
     cdef Py_ssize_t n_batches = (order.shape[0] + BLOCK - 1) // BLOCK
     cdef unsigned char[:, ::1] batches = allocate_batches(work.tree, work.k, n_threads)
+    cdef Watch watch = open_watch()
     cdef Py_ssize_t i
     for i in prange(
-        n_batches, nogil=True, schedule="dynamic", chunksize=16, num_threads=n_threads
+        n_batches, nogil=True, schedule="dynamic", chunksize=GRAIN,
+        num_threads=team_size(n_threads, n_batches, GRAIN)
     ):
-        search_batch(work, <Batch*> &batches[threadid(), 0], queries, order, BLOCK * i, threadid())
-    return 0
+        if goes_on(&watch, threadid() == 0):
+            search_batch(
+                work, <Batch*> &batches[threadid(), 0], queries, order, BLOCK * i, threadid()
+            )
+    return close_watch(&watch)
 
 
 cdef void search_batch(
@@ -73,13 +83,17 @@ cdef int search_points(
 ) except -1:
     """Search around the tree's own points at tree positions first … end, whole blocks."""
     cdef unsigned char[:, ::1] batches = allocate_batches(work.tree, work.k, n_threads)
+    cdef Watch watch = open_watch()
+    cdef Py_ssize_t first_block = first // BLOCK
+    cdef Py_ssize_t end_block = (end + BLOCK - 1) // BLOCK
     cdef Py_ssize_t block
     for block in prange(
-        first // BLOCK, (end + BLOCK - 1) // BLOCK, nogil=True, schedule="dynamic", chunksize=16,
-        num_threads=n_threads
+        first_block, end_block, nogil=True, schedule="dynamic", chunksize=GRAIN,
+        num_threads=team_size(n_threads, end_block - first_block, GRAIN)
     ):
-        search_block(work, <Batch*> &batches[threadid(), 0], block, threadid())
-    return 0
+        if goes_on(&watch, threadid() == 0):
+            search_block(work, <Batch*> &batches[threadid(), 0], block, threadid())
+    return close_watch(&watch)
 
 
 cdef void search_block(

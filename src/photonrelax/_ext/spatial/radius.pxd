@@ -9,6 +9,11 @@ from libc.math cimport sqrt
 from .tree cimport Tree
 from .simd.kernels cimport CONE_WEIGHTS, EPANECHNIKOV_WEIGHTS, SearchBounds
 
+cdef enum:
+    # Queries that a thread takes at a time, and after which it looks for signals.
+    QUERY_GRAIN = 256
+    LOOK_EVERY = 16
+
 ctypedef void (*Visitor)(
     void* state, Tree tree, Py_ssize_t block, unsigned int lanes
 ) noexcept nogil

@@ -1,9 +1,10 @@
 """Fixed-radius query, and weighted sums over the points it finds; see radius.pxd."""
 
-from cython.parallel cimport prange
+from cython.parallel cimport prange, threadid
 from libc.float cimport DBL_MAX
 from libc.stdint cimport int64_t
 
+from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
 from .tree cimport Tree, fan_out, first_block, last_kept
 from .simd.kernels cimport BLOCK, SearchBounds, highest_bit, lowest_bit
 
@@ -168,12 +169,16 @@ cdef class RadiusGather:
             and out.shape[1] == self.values.shape[1]
         ):
             raise ValueError("queries, radii, sums and counts do not fit one another")
+        cdef Watch watch = open_watch()
         for i in prange(
-            order.shape[0], nogil=True, schedule="dynamic", chunksize=256, num_threads=n_threads
+            order.shape[0], nogil=True, schedule="dynamic", chunksize=QUERY_GRAIN,
+            num_threads=team_size(n_threads, order.shape[0], QUERY_GRAIN)
         ):
-            counts[order[i]] = sum_one(
-                self, &queries[order[i], 0], radius[order[i]], &out[order[i], 0]
-            )
+            if goes_on(&watch, threadid() == 0 and i % LOOK_EVERY == 0):
+                counts[order[i]] = sum_one(
+                    self, &queries[order[i], 0], radius[order[i]], &out[order[i], 0]
+                )
+        close_watch(&watch)
 
 
 cdef int64_t sum_one(

@@ -11,6 +11,7 @@ from libc.math cimport INFINITY
 import numpy as np
 
 from ..common.prefetch cimport prefetch_row
+from ..common.threads cimport team_size
 from .simd.kernels cimport simd_kernels_named
 
 from .build import median_order
@@ -18,6 +19,8 @@ from .build import median_order
 cdef enum:
     # Loads that straddle two cache lines take twice as long.
     CACHE_LINE = 64
+    # Blocks of a thread, at least.
+    BLOCKS_PER_THREAD = 1 << 10
 
 
 def aligned(shape, dtype=np.float64):
@@ -203,7 +206,10 @@ cdef class Tree:
         self.allocate()
         if self.n_points == 0:
             return
-        for block in prange(self.n_blocks, nogil=True, schedule="static", num_threads=n_threads):
+        for block in prange(
+            self.n_blocks, nogil=True, schedule="static",
+            num_threads=team_size(n_threads, self.n_blocks, BLOCKS_PER_THREAD)
+        ):
             place_block(self, points, block)
         set_lowest_ids(self)
         self.box(n_threads)
@@ -229,16 +235,20 @@ cdef class Tree:
         cdef Py_ssize_t block
         if moved.shape[0] != self.n_points or first_axis + moved.shape[1] > self.n_axes:
             raise ValueError("coordinates do not fit the tree")
-        for block in prange(self.n_blocks, nogil=True, schedule="static", num_threads=n_threads):
+        for block in prange(
+            self.n_blocks, nogil=True, schedule="static",
+            num_threads=team_size(n_threads, self.n_blocks, BLOCKS_PER_THREAD)
+        ):
             move_block(self, moved, first_axis, scale, block)
 
     def box(self, int n_threads):
         """Recompute the bounding boxes of all nodes, from the blocks upwards."""
         cdef Py_ssize_t last = last_kept(self)
         cdef Py_ssize_t g, level
+        cdef Py_ssize_t n_groups = self.first_group[last + 1] - self.first_group[last]
         for g in prange(
-            self.first_group[last + 1] - self.first_group[last], nogil=True, schedule="static",
-            num_threads=n_threads
+            n_groups, nogil=True, schedule="static",
+            num_threads=team_size(n_threads, n_groups, BLOCKS_PER_THREAD // BLOCK)
         ):
             box_leaf_group(self, g)
         for level in range(last - 1, -1, -1):

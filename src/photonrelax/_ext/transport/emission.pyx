@@ -6,6 +6,7 @@ from libc.math cimport sqrt
 from libc.stdint cimport uint8_t, uint64_t
 
 from ..common.rng cimport hash_key, uniform
+from ..common.threads cimport ELEMENTS, team_size
 from ..common.vec3 cimport normalise
 from .sampling cimport (
     cap_direction, disk_point, radical_inverse_2, radical_inverse_3, sphere_direction, wrapped,
@@ -166,5 +167,7 @@ def emit(
         and coords.shape[1] == (2 if emission.region.kind == DISK else 3)
     ):
         raise ValueError("origin, direction, coords and density do not fit one another")
-    for i in prange(n, nogil=True, num_threads=n_threads, schedule="static"):
+    for i in prange(
+        n, nogil=True, schedule="static", num_threads=team_size(n_threads, n, ELEMENTS)
+    ):
         density[i] = emission.ray(first + i, &origin[i, 0], &direction[i, 0], &coords[i, 0])

@@ -6,6 +6,7 @@ Every loop body writes only rows 2i and 2i + 1.
 from cython.parallel cimport prange
 from libc.stdint cimport int32_t
 
+from ..common.threads cimport ELEMENTS, team_size
 from ..common.vec3 cimport dot
 from .materials cimport (
     Interface, Materials, interface_at, medium_at_hit, medium_beyond, reflected_share,
@@ -35,7 +36,9 @@ def split(
         == out_direction.shape[1] == out_weight.shape[1]
     ):
         raise ValueError("rays, hits and continuations do not fit one another")
-    for i in prange(n, nogil=True, num_threads=n_threads, schedule="static"):
+    for i in prange(
+        n, nogil=True, schedule="static", num_threads=team_size(n_threads, n, ELEMENTS)
+    ):
         split_direction(
             &out_direction[2 * i, 0], &out_weight[2 * i, 0], materials, object_id[i],
             &direction[i, 0], &weight[i, 0], &geometric[i, 0], &shading[i, 0],

@@ -4,6 +4,7 @@ from cython.parallel cimport prange
 from libc.math cimport NAN, exp
 from libc.stdint cimport uint8_t
 
+from ..common.threads cimport ELEMENTS, team_size
 from .optics cimport fresnel_reflectance, reflect_into, refract_into
 
 
@@ -12,7 +13,10 @@ def fresnel(
     int n_threads,
 ):
     cdef Py_ssize_t i
-    for i in prange(out.shape[0], nogil=True, num_threads=n_threads, schedule="static"):
+    for i in prange(
+        out.shape[0], nogil=True, schedule="static",
+        num_threads=team_size(n_threads, out.shape[0], ELEMENTS)
+    ):
         out[i] = fresnel_reflectance(cos_i[i], n1[i], n2[i])
 
 
@@ -20,7 +24,10 @@ def reflect(
     const double[:, ::1] direction, const double[:, ::1] normal, double[:, ::1] out, int n_threads
 ):
     cdef Py_ssize_t i
-    for i in prange(out.shape[0], nogil=True, num_threads=n_threads, schedule="static"):
+    for i in prange(
+        out.shape[0], nogil=True, schedule="static",
+        num_threads=team_size(n_threads, out.shape[0], ELEMENTS)
+    ):
         reflect_into(&out[i, 0], &direction[i, 0], &normal[i, 0])
 
 
@@ -38,7 +45,10 @@ def refract(
     const double[::1] n2, *, double[:, ::1] out, uint8_t[::1] ok, int n_threads,
 ):
     cdef Py_ssize_t i
-    for i in prange(out.shape[0], nogil=True, num_threads=n_threads, schedule="static"):
+    for i in prange(
+        out.shape[0], nogil=True, schedule="static",
+        num_threads=team_size(n_threads, out.shape[0], ELEMENTS)
+    ):
         _refract_row(out, ok, i, &direction[i, 0], &normal[i, 0], n1[i], n2[i])
 
 
@@ -46,7 +56,10 @@ def beer_lambert(
     const double[:, ::1] absorption, const double[::1] distance, double[:, ::1] out, int n_threads
 ):
     cdef Py_ssize_t i
-    for i in prange(out.shape[0], nogil=True, num_threads=n_threads, schedule="static"):
+    for i in prange(
+        out.shape[0], nogil=True, schedule="static",
+        num_threads=team_size(n_threads, out.shape[0], ELEMENTS)
+    ):
         out[i, 0] = exp(-absorption[i, 0] * distance[i])
         out[i, 1] = exp(-absorption[i, 1] * distance[i])
         out[i, 2] = exp(-absorption[i, 2] * distance[i])
