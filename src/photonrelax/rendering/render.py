@@ -99,7 +99,7 @@ def _check_scene(photons: PhotonMap, scene: Scene) -> None:
     """Raise ValueError if the emitters of a scene do not emit the flux of the photons' ledger."""
     if photons.ledger is None or photons.paths not in PATHS:
         return
-    other = _difference(photons.ledger.emitted, scene, photons.paths)
+    other = _difference(photons, photons.ledger.emitted, scene)
     if other:
         raise ValueError(
             f"photons should be of the scene rendered, {other}; they are taken as they are without "
@@ -107,19 +107,21 @@ def _check_scene(photons: PhotonMap, scene: Scene) -> None:
         )
 
 
-def _difference(emitted: Floats, scene: Scene, paths: str) -> str:
+def _difference(photons: PhotonMap, emitted: Floats, scene: Scene) -> str:
     """Description of the difference between a scene and that which emitted a flux, "" if none."""
     if len(emitted) != len(scene.emitters):
         return f"which has {len(scene.emitters)} emitters, but are of one with {len(emitted)}"
     try:
-        regions = plan_emission(scene, len(emitted), paths).regions
+        # As many photons, as they decide on regions, but those are not traced.
+        n_emitted = max(photons.n_emitted or 0, len(emitted))
+        sent = plan_emission(scene, n_emitted, photons.paths).flux
     except ValueError as error:
         return f"in which they cannot have been traced: {error}"
-    for number, (region, flux) in enumerate(zip(regions, emitted, strict=True)):
-        if not np.allclose(region.flux, flux, rtol=_SAME_FLUX, atol=0.0):
+    for number, (flux, compared) in enumerate(zip(sent, emitted, strict=True)):
+        if not np.allclose(flux, compared, rtol=_SAME_FLUX, atol=0.0):
             return (
-                f"whose emitter {number} sends out {region.flux.tolist()} W, "
-                f"but it sent out {flux.tolist()} W for them"
+                f"whose emitter {number} sends out {flux.tolist()} W, "
+                f"but it sent out {compared.tolist()} W for them"
             )
     return ""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +47,8 @@ class EmissionRegion:
     start_distance : float
         Distance from the point to the origins of the rays, m: off the surface the point may lie
         on, and up to the scene. Rays from afar would lose their digits in float32 otherwise.
+    coords_offset : (2,) float64
+        Emitter coordinates of the centre of a disk, m.
     """
 
     kind: int
@@ -56,11 +58,29 @@ class EmissionRegion:
     area: float
     flux: Floats
     start_distance: float = 0.0
+    coords_offset: Floats = field(default_factory=lambda: np.zeros(2))
 
     @property
     def is_plane(self) -> bool:
         """True if emitter coordinates are metres on a plane, false if unit vectors."""
         return self.kind == DISK
+
+    @property
+    def outline(self) -> tuple[Floats, float]:
+        """Centre and radius of the region in emitter coordinates: of a disk, or of a cap.
+
+        The radius of a cap is the chord from its axis to its border.
+        """
+        if self.kind == DISK:
+            return self.coords_offset, float(self.shape[0])
+        if self.kind == CAP:
+            return self.frame[2], float(np.sqrt(2.0 * self.shape[0]))
+        if self.kind == ELLIPSE:
+            cos_tilt, sin_tilt, cos, sin = self.shape
+            return cos_tilt * self.frame[2] + sin_tilt * self.frame[0], float(
+                sin * np.sqrt(2.0 / (1.0 + cos))
+            )
+        return self.frame[2], 2.0
 
     @property
     def is_cosine_lobe(self) -> bool:

@@ -17,6 +17,7 @@ import numpy as np
 from .._util.frozen import set_field
 from .._util.validation import Floats
 from .camera import Camera
+from .casters import MAX_GROUPS, group_spheres
 from .emission_region import Sphere
 from .emitters import Emitter
 from .materials import Material, MaterialTable
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 # Least distance from a point-like emitter to the origins of its rays over what rays resolve there.
 _EMITTER_OFFSET = 2.0
+# Emission regions of all emitters together, a few tens of microseconds each.
+_MAX_REGIONS = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,6 +170,19 @@ class Scene:
         centre = low + 0.5 * (high - low)
         radii = [np.linalg.norm(self._vertices[i] - centre, axis=1).max() for i in ids]
         return Sphere(centre, float(max(radii)))
+
+    @cached_property
+    def caster_spheres(self) -> tuple[Sphere, ...]:
+        """Spheres around groups of the specular objects' parts, apart from one another.
+
+        Empty without specular objects.
+        """
+        if not self.specular_objects:
+            return ()
+        max_groups = max(1, min(MAX_GROUPS, _MAX_REGIONS // len(self.emitters)))
+        meshes = [self.objects[i].mesh for i in self.specular_objects]
+        spheres = group_spheres(meshes, max_groups)
+        return spheres if len(spheres) > 1 else (self.bounding_sphere(self.specular_objects),)
 
     def material_table(self) -> MaterialTable:
         """The materials of all objects as arrays."""

@@ -17,11 +17,12 @@ from .._ext.transport.materials import Materials
 from .._util.validation import Floats
 from ..photons.energy_ledger import PATH_OUTCOMES
 from ..scene.scene import Scene
-from .emission import LUMINANCE, PATHS, EmissionPlan, emission
+from .aim import LUMINANCE
+from .emission import PATHS, EmissionPlan
 from .raycast import RayCaster
 
 Job = tuple[int, range]
-"""An emitter and the indices of some of its photons."""
+"""A region of an emission plan and the indices of some of its photons."""
 
 
 @dataclass(frozen=True)
@@ -37,13 +38,13 @@ class TraceSettings:
 
 @dataclass(frozen=True, eq=False)
 class BatchLedger:
-    """Outcomes of some paths of one emitter.
+    """Outcomes of some paths of one region.
 
     `energy` (blocks, outcomes, 3) is relative to the flux of a photon; `ends` (outcomes,) and
     `n_met_specular` count paths.
     """
 
-    emitter_id: int
+    region_id: int
     n_paths: int
     energy: Floats
     ends: NDArray[np.int64]
@@ -52,7 +53,7 @@ class BatchLedger:
 
 @dataclass(frozen=True, eq=False)
 class TracedBatch:
-    """Photons deposited by some paths of one emitter.
+    """Photons deposited by some paths of one region.
 
     Attributes
     ----------
@@ -63,7 +64,7 @@ class TracedBatch:
     ledger : BatchLedger
         Outcomes of the paths.
     spectrum_photons : (m,) int64
-        Indices of the photons that are to get spectra.
+        The photons that are to get spectra, by their indices among the candidates.
     spectrum_rows : (m,) intp
         Their rows among the deposits in the order of the paths.
     """
@@ -101,10 +102,7 @@ class TraceContext:
         self.scene, self.plan, self.settings, self.size = scene, plan, settings, size
         self.caster = caster or RayCaster(scene.objects)
         self.flux = plan.flux_per_photon
-        self.emissions = [
-            emission(plan, e, seed=settings.seed, sampler=settings.sampler)
-            for e in range(len(plan.regions))
-        ]
+        self.emissions = [plan.emission(region) for region in range(len(plan.aimed))]
         self._free_list: list[_kernel.Paths] = []
         self._pickled: tuple[str, bytes] | None = None
 
@@ -146,38 +144,40 @@ def _unpickled_context(key: str, parts: bytes) -> TraceContext:
 
 
 def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
-    """Trace some photons of one emitter to the ends of their paths."""
-    emitter_id, photons = job
-    n = len(photons)
+    """Trace some photons of one region to the ends of their paths."""
+    region_id, photons = job
+    n, candidates = len(photons), context.plan.candidates_of(region_id, photons)
     energy = np.zeros((-(-n // _kernel.LEDGER_BLOCK), len(PATH_OUTCOMES), 3))
     ends = np.zeros(len(PATH_OUTCOMES), dtype=np.int64)
     paths = context.acquire_paths()
     paths.start(
-        context.emissions[emitter_id],
-        np.arange(photons.start, photons.stop, dtype=np.int64),
-        luminance=LUMINANCE * context.flux[emitter_id],
+        context.emissions[region_id],
+        candidates,
+        luminance=LUMINANCE * context.flux[region_id],
         ledger=energy,
         ends=ends,
     )
     while paths.n_live:
         paths.advance(context.caster.find(*paths.rays))
     deposits, coords, density = paths.take_deposits()
-    ledger = BatchLedger(emitter_id, n, energy, ends, paths.n_met_specular)
+    ledger = BatchLedger(region_id, n, energy, ends, paths.n_met_specular)
     context.release_paths(paths)
-    path, rows = _spectrum_rows(context, job, deposits)
-    return TracedBatch(deposits, coords, density, ledger, photons.start + path, rows)
+    path, rows = _spectrum_rows(context, region_id, candidates, deposits)
+    return TracedBatch(deposits, coords, density, ledger, candidates[path], rows)
 
 
 def _spectrum_rows(
-    context: TraceContext, job: Job, deposits: NDArray[np.void]
-) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+    context: TraceContext,
+    region_id: int,
+    candidates: NDArray[np.int64],
+    deposits: NDArray[np.void],
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the paths of a batch whose first deposits are to get spectra, and their rows."""
-    emitter_id, photons = job
     share = context.settings.frequency_share
     if share == 0.0:
-        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.intp)
-    selected = np.empty(len(photons), dtype=np.uint8)
-    context.emissions[emitter_id].spectrum_photons(photons.start, selected, share)
-    n_deposits = np.bincount(deposits["path"], minlength=len(photons))
+        return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
+    selected = np.empty(len(candidates), dtype=np.uint8)
+    context.emissions[region_id].spectrum_photons(candidates, selected, share)
+    n_deposits = np.bincount(deposits["path"], minlength=len(candidates))
     path = np.flatnonzero((selected > 0) & (n_deposits > 0))
     return path, (np.cumsum(n_deposits) - n_deposits)[path]

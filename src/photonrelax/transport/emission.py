@@ -1,13 +1,17 @@
 """Emission of photons towards a target (SJ13 §4.1).
 
 Each emitter is sampled over a region of its emitter coordinates, metres on the plane of a
-collimated emitter or unit vectors around a point, which the emitter itself provides. All photons
-of an emitter carry the same flux.
+collimated emitter or unit vectors around a point, which the emitter itself provides: one region, or
+one for each group of casters where these lie apart. All photons of a region carry the same flux,
+and those of the other regions of an emitter differ from it by the rounding of their numbers.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,39 +21,112 @@ from .._util.parallel import thread_count
 from .._util.validation import Floats, check_choice, check_seed, count
 from ..scene.emission_region import EmissionRegion, Sphere
 from ..scene.scene import Scene
+from .aim import aimed_regions, luminance, overlapped
 from .sampling import seed_shift
 
 PATHS = ("caustic", "global", "all")
 SAMPLERS = ("halton", "random")
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Weights of red, green and blue in the luminance (Rec. 709)."""
+
+# Candidates from which the share of a region that lies in no earlier one is estimated, and how
+# many times as many as that suggests are tried.
+_N_PILOT = 1 << 12
+_MAX_TRIES = 4
+# Photons of a region in the mean, at least, or an emitter aims at all casters together.
+_PER_REGION = 16
+# Photons between those whose candidates are noted.
+_STARTS_EVERY = 1024
+# Emitters are fewer than two to this power.
+_EMITTER_BITS = 32
+
+
+class AimedRegion(NamedTuple):
+    """A region of an emitter.
+
+    Attributes
+    ----------
+    emitter_id, number : int
+        Index of the emitter in the scene, and of the region among those of the emitter.
+    region : EmissionRegion
+        The region.
+    outlines : (m, 4) float64
+        Of the emitter's earlier regions that overlap it; see `photonrelax.transport.aim.overlapped`.
+    """
+
+    emitter_id: int
+    number: int
+    region: EmissionRegion
+    outlines: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class EmissionPlan:
-    """The emission region and the number of photons of each emitter of a scene.
+    """The emission regions of a scene, and the number of photons of each.
+
+    The photons of a region are those of its candidates, a sequence over the whole region, that lie
+    in no earlier region of the same emitter.
 
     Attributes
     ----------
-    regions : tuple of EmissionRegion
-        One per emitter.
-    counts : (n_emitters,) int64
-        Photons of each emitter; none where no flux leaves through its region.
+    aimed : tuple of AimedRegion
+        One or more per emitter, in the order of the emitters.
+    starts : tuple of sequences of int
+        For regions that others overlap, the candidates that are their photons 0, 1024, ….
+    counts, candidates : (n_regions,) int64
+        Photons of each region, none where no flux leaves through it, and its candidates.
+    seed, sampler : int, str
+        The sequence of the candidates.
     """
 
-    regions: tuple[EmissionRegion, ...]
+    aimed: tuple[AimedRegion, ...]
+    starts: tuple[Sequence[int], ...]
     counts: NDArray[np.int64]
+    candidates: NDArray[np.int64]
+    seed: int
+    sampler: str
+
+    @property
+    def regions(self) -> tuple[EmissionRegion, ...]:
+        """The regions alone."""
+        return tuple(each.region for each in self.aimed)
+
+    @property
+    def emitter_ids(self) -> NDArray[np.int64]:
+        """The emitter of each region, (n_regions,)."""
+        return np.array([each.emitter_id for each in self.aimed], dtype=np.int64)
 
     @property
     def flux_per_photon(self) -> Floats:
-        """W carried by each photon of each emitter, (n_emitters, 3)."""
-        flux = np.array([region.flux for region in self.regions])
-        return flux / np.maximum(self.counts, 1)[:, np.newaxis]
+        """W carried by each photon of each region, (n_regions, 3)."""
+        flux = np.array([each.region.flux for each in self.aimed])
+        return flux / np.maximum(self.candidates, 1)[:, np.newaxis]
+
+    @property
+    def flux(self) -> Floats:
+        """W that each emitter sends out, (n_emitters, 3)."""
+        ids = self.emitter_ids
+        flux = np.zeros((int(ids[-1]) + 1, 3))
+        np.add.at(flux, ids, self.counts[:, np.newaxis] * self.flux_per_photon)
+        return flux
+
+    def emission(self, region_id: int) -> _kernel.Emission:
+        """The kernel that emits the candidates of a region, each from its index."""
+        n_candidates = int(self.candidates[region_id])
+        return _emission(self.aimed[region_id], n_candidates, self.seed, self.sampler)
+
+    def candidates_of(self, region_id: int, photons: range) -> NDArray[np.int64]:
+        """Indices, among the candidates of a region, of some of its photons."""
+        starts = self.starts[region_id]
+        if not len(starts):
+            return np.arange(photons.start, photons.stop, dtype=np.int64)
+        block = photons.start // _STARTS_EVERY
+        skipped = photons.start - block * _STARTS_EVERY
+        found = self.emission(region_id).accepted(starts[block], skipped + len(photons))
+        return found[skipped:]
 
 
 @dataclass(frozen=True, eq=False)
 class PrimalRays:
-    """Rays that leave one emitter.
+    """Rays that leave one emitter through one of its regions.
 
     Attributes
     ----------
@@ -76,68 +153,70 @@ class PrimalRays:
         return len(self.origin)
 
 
-def plan_emission(scene: Scene, n_emitted: int, paths: str = "caustic") -> EmissionPlan:
-    """Aim the emitters of a scene, and apportion photons to them.
+def plan_emission(
+    scene: Scene, n_emitted: int, paths: str = "caustic", *, seed: int = 0, sampler: str = "halton"
+) -> EmissionPlan:
+    """Aim the emitters of a scene, and apportion photons to their regions.
 
-    The target is the bounding sphere of the specular objects for caustics, else of all objects.
-    Emitters get photons in proportion to the luminance of the flux through their regions.
+    Targets are the groups of the specular objects' parts for caustics, else all objects together.
+    Regions get photons in proportion to the luminance of the flux that they alone bring.
 
     Parameters
     ----------
     scene : Scene
         Its emitters and objects.
     n_emitted : int
-        Photons in all; at least one per emitter that shines on the target.
+        Photons in all; at least one per region.
     paths : {"caustic", "global", "all"}
         The light to be traced.
+    seed, sampler : int, str
+        As of `emit`: where regions overlap, photons depend on them.
 
     Raises
     ------
-    ValueError
-        If `paths` is unknown, there is no specular object to aim at, no emitter shines on the
-        target, or there are fewer photons than emitters.
+    TypeError, ValueError
+        If `paths`, seed or sampler is invalid, there is no specular object to aim at, no emitter
+        shines on the target, or there are fewer photons than regions.
     """
     n_emitted = count(n_emitted, "n_emitted")
-    target = _target(scene, paths)
-    whole = scene.bounding_sphere()
-    regions = tuple(
-        emitter.emission_region(target, whole, scene.emitter_offset(emitter))
-        for emitter in scene.emitters
-    )
-    luminances = [float(region.flux @ LUMINANCE) for region in regions]
-    if not any(luminances):
+    check_choice(sampler, "sampler", SAMPLERS)
+    draw = partial(_emission, n_candidates=0, seed=check_seed(seed), sampler=sampler)
+    aimed = _aimed(scene, paths, n_emitted)
+    # Whole regions are not sampled for it: there may be many emitters.
+    shares = [draw(each).share(_N_PILOT) if len(each.outlines) else 1.0 for each in aimed]
+    weights = [luminance(each.region) * share for each, share in zip(aimed, shares, strict=True)]
+    if not any(weights):
         what = "the specular objects" if paths == "caustic" else "the scene"
         raise ValueError(
-            f"emitters should shine on {what}, but all {len(regions)} have no power or face away"
+            f"emitters should shine on {what}, "
+            f"but all {len(scene.emitters)} have no power or face away"
         )
-    return EmissionPlan(regions, _apportion(n_emitted, luminances))
+    found = [
+        draw(each).photons(n, _STARTS_EVERY, int(_MAX_TRIES * n / share))
+        if len(each.outlines)
+        else ((), n, n)
+        for each, n, share in zip(aimed, _apportion(n_emitted, weights), shares, strict=True)
+    ]
+    starts, counts, candidates = zip(*found, strict=True)
+    return EmissionPlan(aimed, starts, np.array(counts), np.array(candidates), seed, sampler)
 
 
 def emit(
-    plan: EmissionPlan,
-    emitter_id: int,
-    photons: range,
-    *,
-    seed: int = 0,
-    sampler: str = "halton",
-    n_threads: int | None = None,
+    plan: EmissionPlan, region_id: int, photons: range, *, n_threads: int | None = None
 ) -> PrimalRays:
-    """Return the primal rays of some photons of one emitter.
+    """Return the primal rays of some photons of one region.
 
-    Photon i depends on seed, emitter and i alone (and, for its density, on the count planned).
+    Photon i depends on seed, emitter, region and i alone (and, for its density, on the count
+    planned).
 
     Parameters
     ----------
     plan : EmissionPlan
         From `plan_emission`.
-    emitter_id : int
-        Which emitter.
+    region_id : int
+        Which region.
     photons : range
-        Indices of the photons among those of the emitter, step 1.
-    seed : int
-        Shifts the Halton sequence, or chooses the random one.
-    sampler : {"halton", "random"}
-        Evenly spaced points (SJ13), or independent ones.
+        Indices of the photons among those of the region, step 1.
     n_threads : int, optional
         Threads to use; None for all cores.
 
@@ -148,17 +227,16 @@ def emit(
 
     Raises
     ------
-    TypeError, ValueError
-        If the seed or sampler is invalid or the photons are not among those planned.
+    ValueError
+        If the photons are not among those planned.
     """
-    check_choice(sampler, "sampler", SAMPLERS)
-    planned = int(plan.counts[emitter_id])
+    planned = int(plan.counts[region_id])
     if photons.step != 1 or photons.start < 0 or photons.stop > planned:
         raise ValueError(f"photons should lie in {range(planned)} in steps of 1, but is {photons}")
-    rays = _empty_rays(emitter_id, len(photons), plan.regions[emitter_id])
+    rays = _empty_rays(plan.aimed[region_id], len(photons))
     _kernel.emit(
-        emission(plan, emitter_id, seed=seed, sampler=sampler),
-        photons.start,
+        plan.emission(region_id),
+        plan.candidates_of(region_id, photons),
         origin=rays.origin,
         direction=rays.direction,
         coords=rays.emitter_coords,
@@ -168,25 +246,30 @@ def emit(
     return rays
 
 
-def emission(plan: EmissionPlan, emitter_id: int, *, seed: int, sampler: str) -> _kernel.Emission:
-    """Return the kernel that emits the photons of one emitter, each from its index."""
-    region, planned = plan.regions[emitter_id], int(plan.counts[emitter_id])
-    per_area = planned / region.area if planned else 0.0
+def _emission(
+    aimed: AimedRegion, n_candidates: int, seed: int, sampler: str
+) -> _kernel.Emission:
+    region, emitter_id = aimed.region, aimed.emitter_id
+    # Regions of an emitter draw from sequences of their own.
+    stream = emitter_id + (aimed.number << _EMITTER_BITS)
     return _kernel.Emission(
         _kernel.EmissionRegion(
             *(region.kind, region.origin, region.frame, region.shape),
             start_distance=region.start_distance,
-            density=per_area,
+            coords_offset=region.coords_offset,
+            density=n_candidates / region.area if n_candidates else 0.0,
         ),
-        check_seed(seed),
-        emitter_id,
-        np.array(seed_shift(seed, emitter_id) if sampler == "halton" else ()),
+        seed,
+        stream,
+        np.array(seed_shift(seed, stream) if sampler == "halton" else ()),
+        aimed.outlines,
     )
 
 
-def _empty_rays(emitter_id: int, n: int, region: EmissionRegion) -> PrimalRays:
+def _empty_rays(aimed: AimedRegion, n: int) -> PrimalRays:
+    region = aimed.region
     return PrimalRays(
-        emitter_id,
+        aimed.emitter_id,
         origin=np.empty((n, 3)),
         direction=np.empty((n, 3)),
         emitter_coords=np.empty((n, 2 if region.is_plane else 3)),
@@ -195,16 +278,31 @@ def _empty_rays(emitter_id: int, n: int, region: EmissionRegion) -> PrimalRays:
     )
 
 
-def _target(scene: Scene, paths: str) -> Sphere:
+def _aimed(scene: Scene, paths: str, n_emitted: int) -> tuple[AimedRegion, ...]:
+    """The regions of all emitters; one of each where photons are too few for more."""
+    targets, around = _targets(scene, paths)
+    if n_emitted < _PER_REGION * len(targets) * len(scene.emitters):
+        targets = (around,)
+    whole = scene.bounding_sphere()
+    aimed = []
+    for emitter_id, emitter in enumerate(scene.emitters):
+        regions = aimed_regions(emitter, targets, around, whole, scene.emitter_offset(emitter))
+        pairs = zip(regions, overlapped(regions), strict=True)
+        aimed += [AimedRegion(emitter_id, number, *pair) for number, pair in enumerate(pairs)]
+    return tuple(aimed)
+
+
+def _targets(scene: Scene, paths: str) -> tuple[tuple[Sphere, ...], Sphere]:
+    """What photons are aimed at, and a sphere around all of it."""
     check_choice(paths, "paths", PATHS)
     if paths != "caustic":
-        return scene.bounding_sphere()
+        return (scene.bounding_sphere(),), scene.bounding_sphere()
     if not scene.specular_objects:
         raise ValueError(
             'paths="caustic" should have a specular object to aim at, '
             f"but none of the {len(scene.objects)} objects is a Mirror or Dielectric"
         )
-    return scene.bounding_sphere(scene.specular_objects)
+    return scene.caster_spheres, scene.bounding_sphere(scene.specular_objects)
 
 
 def _apportion(n: int, weights: list[float]) -> NDArray[np.int64]:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from itertools import groupby
 from math import fsum
 
 import numpy as np
@@ -34,7 +35,7 @@ from ..photons.photon_map import NothingStoredError, PhotonMap
 from ..scene.scene import Scene
 from .batch import BatchLedger, Job, TraceContext, TracedBatch, TraceSettings, trace_batch
 from .emission import PATHS, SAMPLERS, EmissionPlan, plan_emission
-from .frequency.spectra import ReplayBatch, SpectrumTracer, batches_by_emitter
+from .frequency.spectra import ReplayBatch, SpectrumTracer, batches_by_region
 from .raycast import RayCaster
 
 # Far beyond any path that matters; in a mirrored room paths would never end.
@@ -113,7 +114,7 @@ def trace_photons(
         If an argument is invalid, or if nothing is stored: the message says why.
     """
     settings = _checked_settings(seed, paths, sampler, max_bounces, frequency_share)
-    plan = plan_emission(scene, n_emitted, paths)
+    plan = plan_emission(scene, n_emitted, paths, seed=seed, sampler=sampler)
     most = min(count(batch_size, "batch_size"), int(plan.counts.max()))
     size = -(-most // _kernel.LEDGER_BLOCK) * _kernel.LEDGER_BLOCK
     context = TraceContext(scene, plan, settings, size, caster=caster)
@@ -132,7 +133,7 @@ def _trace_all(context: TraceContext, n_threads: int, progress: Progress | None)
             ledgers.append(batch.ledger)
             if settings.frequency_share:
                 rows = first + batch.spectrum_rows
-                selected.append(ReplayBatch(batch.ledger.emitter_id, batch.spectrum_photons, rows))
+                selected.append(ReplayBatch(batch.ledger.region_id, batch.spectrum_photons, rows))
             report.advance(batch.ledger.n_paths)
             # The deposits are freed before the next batch is traced.
             del batch
@@ -171,14 +172,12 @@ def _spectra(
         context.scene,
         context.plan,
         context.caster,
-        seed=context.settings.seed,
-        sampler=context.settings.sampler,
         max_bounces=context.settings.max_bounces,
         n_threads=n_threads,
     )
     out = np.full((n_stored, 3), np.nan)
     report = Reporter(progress, "spectra", sum(len(some.rows) for some in selected))
-    for some in batches_by_emitter(selected):
+    for some in batches_by_region(selected):
         out[some.rows] = tracer.spectra(some)
         report.advance(len(some.rows))
     return out
@@ -192,7 +191,7 @@ class _Columns:
         coords_width = 2 if all(region.is_plane for region in emitting) else 3
         self._widths = _WIDTHS | {"emitter_coords": coords_width}
         self._arrays = self._empty(0)
-        self._flux = plan.flux_per_photon
+        self._flux, self._emitter_ids = plan.flux_per_photon, plan.emitter_ids
         self._n_planned = int(plan.counts.sum())
         self._n_traced = 0
         self._n_stored = 0
@@ -204,14 +203,14 @@ class _Columns:
         if self._n_stored > len(self._arrays["position"]):
             expected = self._n_stored * self._n_planned / self._n_traced
             self._resize(int(_CAPACITY_MARGIN * expected) + 1)
-        emitter_id = batch.ledger.emitter_id
+        region_id = batch.ledger.region_id
         Columns(**self._arrays).write(
             batch.deposits,
             batch.emitter_coords,
             batch.emitter_density,
             first=first,
-            flux=self._flux[emitter_id],
-            emitter_id=emitter_id,
+            flux=self._flux[region_id],
+            emitter_id=self._emitter_ids[region_id],
         )
         return first
 
@@ -237,9 +236,9 @@ class _Columns:
 
 
 def _jobs(plan: EmissionPlan, size: int) -> Iterator[Job]:
-    for emitter_id, planned in enumerate(plan.counts.tolist()):
+    for region_id, planned in enumerate(plan.counts.tolist()):
         for start in range(0, planned, size):
-            yield emitter_id, range(start, min(start + size, planned))
+            yield region_id, range(start, min(start + size, planned))
 
 
 def _photon_map(
@@ -261,21 +260,20 @@ def _photon_map(
 
 
 def _ledger(plan: EmissionPlan, ledgers: list[BatchLedger]) -> EnergyLedger:
-    n_emitters, flux = len(plan.regions), plan.flux_per_photon
-    totals = np.zeros((len(PATH_OUTCOMES), n_emitters, 3))
-    ends = np.zeros((len(PATH_OUTCOMES), n_emitters), dtype=np.int64)
-    for e in range(n_emitters):
-        mine = [batch for batch in ledgers if batch.emitter_id == e]
-        if mine:
-            blocks = np.concatenate([batch.energy for batch in mine])
-            blocks = blocks.reshape(-1, len(PATH_OUTCOMES) * 3)
-            totals[:, e] = np.reshape(
-                [fsum(column) for column in blocks.T], (len(PATH_OUTCOMES), 3)
-            )
-            ends[:, e] = np.sum([batch.ends for batch in mine], axis=0)
+    """The outcomes of all batches, which are in the order of their regions, by emitter."""
+    flux, emitter_ids, emitted = plan.flux_per_photon, plan.emitter_ids, plan.flux
+    n_emitters, n_outcomes = len(emitted), len(PATH_OUTCOMES)
+    totals = np.zeros((n_outcomes, n_emitters, 3))
+    ends = np.zeros((n_outcomes, n_emitters), dtype=np.int64)
+    for region_id, batches in groupby(ledgers, lambda batch: batch.region_id):
+        mine, emitter_id = list(batches), emitter_ids[region_id]
+        blocks = np.concatenate([batch.energy for batch in mine]).reshape(-1, n_outcomes * 3)
+        energy = np.reshape([fsum(column) for column in blocks.T], (n_outcomes, 3))
+        totals[:, emitter_id] += energy * flux[region_id]
+        ends[:, emitter_id] += np.sum([batch.ends for batch in mine], axis=0)
     return EnergyLedger(
-        emitted=plan.counts[:, np.newaxis] * flux,
-        **dict(zip(PATH_OUTCOMES, totals * flux, strict=True)),
+        emitted=emitted,
+        **dict(zip(PATH_OUTCOMES, totals, strict=True)),
         ends=dict(zip(PATH_OUTCOMES, ends, strict=True)),
     )
 
@@ -289,5 +287,38 @@ def _nothing_stored(
         f'no photons were stored for paths="{settings.paths}": of {sum(ends.values())} paths, '
         f"{met} met a specular object first, {ends['escaped']} escaped from the scene, "
         f"{ends['absorbed']} were absorbed, {ends['discarded']} ended on diffuse objects as light "
-        f"of another kind, {ends['cut']} were cut after max_bounces={settings.max_bounces}"
+        f"of another kind, {ends['cut']} were cut after max_bounces={settings.max_bounces}. "
+        f"{_remedy(ends, met, settings)}"
     )
+
+
+def _remedy(ends: dict[str, int], met: int, settings: TraceSettings) -> str:
+    """The likely cause, and what would do."""
+    if settings.paths == "caustic" and met == 0 and ends["discarded"]:
+        return (
+            "Diffuse objects stand between the emitters and the specular ones: move them out of "
+            "the light, or raise n_emitted if it passes through small gaps"
+        )
+    if settings.paths == "caustic" and met == 0:
+        return (
+            "The light misses the specular objects, which are small within their bounding spheres: "
+            "raise n_emitted"
+        )
+    if settings.paths == "caustic":
+        # Direct light says nothing of what became of light from the specular objects.
+        ends = {**ends, "discarded": 0}
+    return _REMEDIES[max(_REMEDIES, key=lambda outcome: ends[outcome])]
+
+
+# By what became of most paths; the first of equal ones.
+_REMEDIES = {
+    "cut": "Most were cut: raise max_bounces",
+    "escaped": "Most light leaves the scene: place a Diffuse object where it falls",
+    "absorbed": (
+        "Most were absorbed: raise the reflectance of the materials or lower their absorption, "
+        "or raise n_emitted"
+    ),
+    "discarded": (
+        'Light of that kind is missing: trace paths="all" for direct light too, or raise n_emitted'
+    ),
+}

@@ -6,7 +6,7 @@ from libc.stdint cimport uint64_t
 cdef class EmissionRegion:
     cdef int kind
     cdef double start_distance, density
-    cdef const double[::1] origin, shape
+    cdef const double[::1] origin, shape, coords_offset
     cdef const double[:, ::1] frame
 
     cdef void to_world(self, double* out, const double* local) noexcept nogil
@@ -21,11 +21,14 @@ cdef class EmissionRegion:
 
 cdef class Emission:
     cdef EmissionRegion region
-    cdef uint64_t seed, emitter_id
+    cdef uint64_t seed, stream
     cdef bint halton
     cdef double[2] shift
+    # Of earlier regions: centre in emitter coordinates and squared radius.
+    cdef const double[:, ::1] outlines
 
     cdef uint64_t key(self, uint64_t index) noexcept nogil
+    cdef bint accepts(self, uint64_t index) noexcept nogil
     cdef double ray(
         self, uint64_t index, double* origin, double* direction, double* coords
     ) noexcept nogil

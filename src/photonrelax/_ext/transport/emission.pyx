@@ -3,7 +3,7 @@
 cimport cython
 from cython.parallel cimport prange
 from libc.math cimport sqrt
-from libc.stdint cimport uint8_t, uint64_t
+from libc.stdint cimport int64_t, uint8_t, uint64_t
 
 from ..common.rng cimport hash_key, uniform
 from ..common.threads cimport ELEMENTS, team_size
@@ -11,6 +11,8 @@ from ..common.vec3 cimport normalise
 from .sampling cimport (
     cap_direction, disk_point, radical_inverse_2, radical_inverse_3, sphere_direction, wrapped,
 )
+
+import numpy as np
 
 # The kinds of scene.emission_region.
 cdef enum:
@@ -50,13 +52,15 @@ cdef class EmissionRegion:
 
     def __init__(
         self, int kind, const double[::1] origin, const double[:, ::1] frame,
-        const double[::1] shape, *, double start_distance, double density,
+        const double[::1] shape, *, double start_distance, const double[::1] coords_offset,
+        double density,
     ):
         self.kind = kind
         self.origin = origin
         self.frame = frame
         self.shape = shape
         self.start_distance = start_distance
+        self.coords_offset = coords_offset
         self.density = density
 
     cdef void to_world(self, double* out, const double* local) noexcept nogil:
@@ -92,8 +96,10 @@ cdef class EmissionRegion:
         cdef double[3] local
         cdef int c
         disk_point(local, u, v)
-        coords[0] = local[0] = local[0] * self.shape[0]
-        coords[1] = local[1] = local[1] * self.shape[0]
+        local[0] *= self.shape[0]
+        local[1] *= self.shape[0]
+        coords[0] = local[0] + self.coords_offset[0]
+        coords[1] = local[1] + self.coords_offset[1]
         local[2] = 0.0
         self.to_world(origin, local)
         for c in range(3):
@@ -117,28 +123,91 @@ cdef class EmissionRegion:
 
 @cython.final
 cdef class Emission:
-    """The photons of one emitter, by index; an empty shift selects the random sampler."""
+    """The candidates of a region, by index; an empty shift selects the random sampler.
+
+    Those that lie in the `outlines` (m, 4) of earlier regions are no photons.
+    """
 
     def __init__(
-        self, EmissionRegion region, uint64_t seed, uint64_t emitter_id,
-        const double[::1] shift,
+        self, EmissionRegion region, uint64_t seed, uint64_t stream, const double[::1] shift,
+        const double[:, ::1] outlines,
     ):
+        if outlines.shape[1] != 4:
+            raise ValueError(f"outlines should have 4 columns, but have {outlines.shape[1]}")
         self.region = region
         self.seed = seed
-        self.emitter_id = emitter_id
+        self.stream = stream
+        self.outlines = outlines
         self.halton = shift.shape[0] == 2
         if self.halton:
             self.shift[0], self.shift[1] = shift[0], shift[1]
 
     cdef uint64_t key(self, uint64_t index) noexcept nogil:
         """Return the key of the random numbers of a photon."""
-        return hash_key(self.seed, self.emitter_id, index)
+        return hash_key(self.seed, self.stream, index)
 
-    def spectrum_photons(self, uint64_t first, uint8_t[::1] out, double share):
-        """Select a share of the photons, `first` and on, each by its index alone."""
+    def spectrum_photons(self, const int64_t[::1] candidates, uint8_t[::1] out, double share):
+        """Select a share of the photons, each by its index among the candidates alone."""
         cdef Py_ssize_t i
+        if out.shape[0] != candidates.shape[0]:
+            raise ValueError("the selection does not fit the candidates")
         for i in range(out.shape[0]):
-            out[i] = uniform(self.key(first + i), OF_SELECTION) < share
+            out[i] = uniform(self.key(candidates[i]), OF_SELECTION) < share
+
+    def share(self, Py_ssize_t n):
+        """Share of photons among the first n candidates; at least that of half a photon."""
+        cdef Py_ssize_t i, found = 0
+        for i in range(n):
+            found += self.accepts(i)
+        return max(found, 0.5) / n
+
+    def photons(self, Py_ssize_t n, Py_ssize_t step, int64_t limit):
+        """Candidates that are photons 0, step, …, and the numbers of photons and of candidates.
+
+        There are n photons unless the candidates reach their limit before.
+        """
+        cdef Py_ssize_t found = 0
+        cdef int64_t index = 0
+        cdef int64_t[::1] starts = np.empty(n // step + 1, np.int64)
+        with nogil:
+            while found < n and index < limit:
+                if self.accepts(index):
+                    if found % step == 0:
+                        starts[found // step] = index
+                    found += 1
+                index += 1
+        return np.asarray(starts)[: (found + step - 1) // step], found, index
+
+    def accepted(self, int64_t first, Py_ssize_t n):
+        """Indices (n,) of n photons among the candidates from `first` on; there have to be n."""
+        cdef Py_ssize_t found = 0
+        cdef int64_t index = first
+        cdef int64_t[::1] out = np.empty(n, np.int64)
+        with nogil:
+            while found < n:
+                if self.accepts(index):
+                    out[found] = index
+                    found += 1
+                index += 1
+        return np.asarray(out)
+
+    cdef bint accepts(self, uint64_t index) noexcept nogil:
+        """False if a candidate lies in an earlier region."""
+        cdef double[3] origin
+        cdef double[3] direction
+        cdef double[3] coords
+        cdef double squared
+        cdef Py_ssize_t i
+        cdef int c
+        coords[2] = 0.0
+        self.ray(index, origin, direction, coords)
+        for i in range(self.outlines.shape[0]):
+            squared = 0.0
+            for c in range(3):
+                squared += (coords[c] - self.outlines[i, c]) * (coords[c] - self.outlines[i, c])
+            if squared < self.outlines[i, 3]:
+                return False
+        return True
 
     cdef double ray(
         self, uint64_t index, double* origin, double* direction, double* coords
@@ -156,18 +225,18 @@ cdef class Emission:
 
 
 def emit(
-    Emission emission, uint64_t first, *, double[:, ::1] origin, double[:, ::1] direction,
-    double[:, ::1] coords, double[::1] density, int n_threads,
+    Emission emission, const int64_t[::1] candidates, *, double[:, ::1] origin,
+    double[:, ::1] direction, double[:, ::1] coords, double[::1] density, int n_threads,
 ):
-    """Fill the rows with photons `first` and on."""
+    """Fill the rows with the rays of candidates, given by their indices."""
     cdef Py_ssize_t i, n = density.shape[0]
     if not (
-        n == origin.shape[0] == direction.shape[0] == coords.shape[0]
+        n == candidates.shape[0] == origin.shape[0] == direction.shape[0] == coords.shape[0]
         and origin.shape[1] == direction.shape[1] == 3
         and coords.shape[1] == (2 if emission.region.kind == DISK else 3)
     ):
-        raise ValueError("origin, direction, coords and density do not fit one another")
+        raise ValueError("candidates, rays, coords and density do not fit one another")
     for i in prange(
         n, nogil=True, schedule="static", num_threads=team_size(n_threads, n, ELEMENTS)
     ):
-        density[i] = emission.ray(first + i, &origin[i, 0], &direction[i, 0], &coords[i, 0])
+        density[i] = emission.ray(candidates[i], &origin[i, 0], &direction[i, 0], &coords[i, 0])

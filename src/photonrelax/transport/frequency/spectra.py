@@ -28,7 +28,8 @@ from ...photons.energy_ledger import PATH_OUTCOMES
 from ...photons.neighbourhoods import MIN_NORMAL_COSINE
 from ...scene.emission_region import EmissionRegion
 from ...scene.scene import Scene
-from ..emission import LUMINANCE, PATHS, EmissionPlan, emission
+from ..aim import LUMINANCE
+from ..emission import PATHS, EmissionPlan
 from ..frequency import operators
 from ..raycast import Intersections, RayCaster, empty_intersections
 from .paraxial import ParaxialRays, emitted_rays
@@ -57,32 +58,32 @@ _MAX_LINEARISATION_ERROR = 0.5
 
 @dataclass(frozen=True, eq=False)
 class ReplayBatch:
-    """Photons of one emitter whose paths are replayed.
+    """Photons of one emission region whose paths are replayed.
 
     Attributes
     ----------
-    emitter_id : int
-        Index of the emitter.
+    region_id : int
+        Index of the region in the emission plan.
     photons : (m,) int64
-        Indices among the photons of the emitter; each was stored at its first diffuse hit.
+        Indices among the candidates of the region; each was stored at its first diffuse hit.
     rows : (m,) intp
         Rows of the photons in the map.
     """
 
-    emitter_id: int
+    region_id: int
     photons: NDArray[np.int64]
     rows: NDArray[np.intp]
 
 
-def batches_by_emitter(batches: list[ReplayBatch]) -> Iterator[ReplayBatch]:
-    """Regroup photons into batches of up to `BATCH_SIZE` of one emitter, in order."""
-    for emitter_id in sorted({batch.emitter_id for batch in batches}):
-        mine = [batch for batch in batches if batch.emitter_id == emitter_id]
+def batches_by_region(batches: list[ReplayBatch]) -> Iterator[ReplayBatch]:
+    """Regroup photons into batches of up to `BATCH_SIZE` of one region, in order."""
+    for region_id in sorted({batch.region_id for batch in batches}):
+        mine = [batch for batch in batches if batch.region_id == region_id]
         photons = np.concatenate([batch.photons for batch in mine])
         rows = np.concatenate([batch.rows for batch in mine])
         for first in range(0, len(rows), BATCH_SIZE):
             part = slice(first, first + BATCH_SIZE)
-            yield ReplayBatch(emitter_id, photons[part], rows[part])
+            yield ReplayBatch(region_id, photons[part], rows[part])
 
 
 class SpectrumTracer:
@@ -94,12 +95,10 @@ class SpectrumTracer:
         plan: EmissionPlan,
         caster: RayCaster,
         *,
-        seed: int,
-        sampler: str,
         max_bounces: int,
         n_threads: int | None = None,
     ) -> None:
-        self._plan, self._seed, self._sampler = plan, seed, sampler
+        self._plan = plan
         self._materials = Materials(scene.material_table())
         self._caster = caster
         self._paths = _kernel.Paths(
@@ -118,8 +117,8 @@ class SpectrumTracer:
 
         NaN for photons whose replay leaves the path.
         """
-        region = self._plan.regions[batch.emitter_id]
-        events, origin, direction = self._trace_events(batch.emitter_id, batch.photons)
+        region = self._plan.aimed[batch.region_id].region
+        events, origin, direction = self._trace_events(batch.region_id, batch.photons)
         bundle = _Bundle(region, origin, direction)
         hits = self._replayer.replay(bundle.rays(), events)
         distance = occlusion_distance(self._replayer, bundle, events, hits)
@@ -141,15 +140,15 @@ class SpectrumTracer:
         return operators.occluded(light, distance, angular=not region.is_plane)
 
     def _trace_events(
-        self, emitter_id: int, photons: NDArray[np.int64]
+        self, region_id: int, photons: NDArray[np.int64]
     ) -> tuple[PathEvents, Floats, Floats]:
         """Trace photons again; return their events and their primal rays, two of (n, 3)."""
         n = len(photons)
         steps: list[_Step] = []
         self._paths.start(
-            emission(self._plan, emitter_id, seed=self._seed, sampler=self._sampler),
+            self._plan.emission(region_id),
             photons,
-            luminance=LUMINANCE * self._plan.flux_per_photon[emitter_id],
+            luminance=LUMINANCE * self._plan.flux_per_photon[region_id],
             ledger=np.zeros((-(-n // _kernel.LEDGER_BLOCK), len(PATH_OUTCOMES), 3)),
             ends=np.zeros(len(PATH_OUTCOMES), dtype=np.int64),
         )

@@ -1,0 +1,89 @@
+"""The emission regions of each emitter: the outlines of the groups of casters it may light.
+
+Outlines that overlap count once: a photon of a region that lies in an earlier one, too, is not
+emitted. So the regions of an emitter are a partition of the union of the outlines.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from .._util.validation import Floats
+from ..scene.casters import SAVING
+from ..scene.emission_region import EmissionRegion, Sphere
+from ..scene.emitters import Emitter
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Weights of red, green and blue in the luminance (Rec. 709)."""
+
+
+def aimed_regions(
+    emitter: Emitter, targets: tuple[Sphere, ...], around: Sphere, scene: Sphere, offset: float
+) -> list[EmissionRegion]:
+    """Regions of one emitter, the largest first; the one around all targets if that is as good.
+
+    Parameters
+    ----------
+    emitter : Emitter
+        Its regions share one chart of emitter coordinates.
+    targets : tuple of Sphere
+        What photons are aimed at.
+    around, scene : Sphere
+        Around all targets, and around all objects.
+    offset : float
+        As of `Emitter.emission_region`.
+    """
+    whole = emitter.emission_region(around, scene, offset)
+    if len(targets) == 1:
+        return [whole]
+    regions = [_in_chart(emitter.emission_region(each, scene, offset), whole) for each in targets]
+    lit = _outermost([region for region in regions if region.flux.any()])
+    if sum(luminance(region) for region in lit) > SAVING * luminance(whole):
+        return [whole]
+    return lit or regions[:1]
+
+
+def luminance(region: EmissionRegion) -> float:
+    """Luminance of the flux that leaves through a region."""
+    return float(region.flux @ LUMINANCE)
+
+
+def overlapped(regions: list[EmissionRegion]) -> list[Floats]:
+    """Outlines (m, 4) of the earlier regions that overlap each: centre and squared radius.
+
+    Centres are emitter coordinates, of disks with a third one of zero.
+    """
+    outlines = [region.outline for region in regions]
+    found = []
+    for i, (centre, radius) in enumerate(outlines):
+        rows = [
+            (*other, *(3 - len(other)) * (0.0,), other_radius**2)
+            for other, other_radius in outlines[:i]
+            if np.linalg.norm(centre - other) < radius + other_radius
+        ]
+        found.append(np.array(rows, dtype=np.float64).reshape(-1, 4))
+    return found
+
+
+def _in_chart(region: EmissionRegion, whole: EmissionRegion) -> EmissionRegion:
+    """A region whose emitter coordinates are those of the whole one."""
+    if not region.is_plane:
+        return region
+    return replace(region, coords_offset=whole.frame[:2] @ (region.origin - whole.origin))
+
+
+def _outermost(regions: list[EmissionRegion]) -> list[EmissionRegion]:
+    """Regions that lie in no other, the largest first."""
+    kept: list[EmissionRegion] = []
+    for region in sorted(regions, key=lambda region: -region.outline[1]):
+        centre, radius = region.outline
+        if not any(_inside(centre, radius, *other.outline) for other in kept):
+            kept.append(region)
+    return kept
+
+
+def _inside(centre: Floats, radius: float, other: Floats, other_radius: float) -> bool:
+    """Whether one outline surely lies in another; chords of arcs that add up are shorter."""
+    return bool(np.linalg.norm(centre - other) + radius <= other_radius)
