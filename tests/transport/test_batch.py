@@ -18,8 +18,8 @@ GLASS_BALL = SCENES["glass ball"]
 
 
 def context_of(scene, paths="caustic", share=0.0):
-    settings = TraceSettings(3, paths, "halton", 32, share)
-    return TraceContext(scene, plan_emission(scene, 4000, paths), settings, 2048)
+    settings = TraceSettings(paths, 32, share)
+    return TraceContext(scene, plan_emission(scene, 4000, paths, seed=3), settings, 2048)
 
 
 def contents(batch):
@@ -32,7 +32,7 @@ def contents(batch):
         batch.emitter_density.tobytes(),
         ledger.energy.tobytes(),
         ledger.ends.tobytes(),
-        (ledger.emitter_id, ledger.n_paths, ledger.n_met_specular),
+        (ledger.region_id, ledger.n_paths, ledger.n_met_specular),
         batch.spectrum_photons.tobytes(),
         batch.spectrum_rows.tobytes(),
     )

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 import photonrelax as pr
-from photonrelax.transport.emission import LUMINANCE, emit, plan_emission
+from photonrelax.transport.aim import LUMINANCE
+from photonrelax.transport.emission import emit, plan_emission
 from tests.helpers import tracing_scenes
 from tests.helpers.tracing_scenes import floor
 
@@ -22,12 +23,12 @@ def scene(*emitters):
     return pr.Scene([ball(), floor(10.0)], emitters)
 
 
-def planned(emitter, n=N, paths="caustic"):
-    return plan_emission(scene(emitter), n, paths)
+def planned(emitter, n=N, paths="caustic", **options):
+    return plan_emission(scene(emitter), n, paths, **options)
 
 
 def rays_of(emitter, n=N, **options):
-    return emit(planned(emitter, n), 0, range(n), **options)
+    return emit(planned(emitter, n, **options), 0, range(n))
 
 
 def at(tilt, distance, power=(1.0, 2.0, 3.0)):
@@ -206,11 +207,10 @@ def test_other_paths_aim_at_the_whole_scene():
 def test_a_ray_depends_on_seed_and_index_alone(sampler):
     emitter = at(0.3, 3.0)
     rays = rays_of(emitter, 1000, sampler=sampler, seed=3)
-    plan = planned(emitter, 2000)
+    plan = planned(emitter, 2000, sampler=sampler, seed=3)
     for n_threads, cut in ((1, 10), (2, 500), (7, 999)):
         parts = [
-            emit(plan, 0, part, sampler=sampler, seed=3, n_threads=n_threads)
-            for part in (range(cut), range(cut, 1000))
+            emit(plan, 0, part, n_threads=n_threads) for part in (range(cut), range(cut, 1000))
         ]
         together = np.concatenate([part.direction for part in parts])
         assert together.tobytes() == rays.direction.tobytes()
@@ -220,8 +220,8 @@ def test_a_ray_depends_on_seed_and_index_alone(sampler):
 
 @pytest.mark.parametrize("sampler", ["halton", "random"])
 def test_identical_emitters_do_not_emit_the_same_rays(sampler):
-    plan = plan_emission(scene(at(0.3, 3.0), at(0.3, 3.0)), 2000)
-    one, other = (emit(plan, e, range(1000), sampler=sampler).direction for e in (0, 1))
+    plan = plan_emission(scene(at(0.3, 3.0), at(0.3, 3.0)), 2000, sampler=sampler)
+    one, other = (emit(plan, e, range(1000)).direction for e in (0, 1))
     assert not np.isin(one[:, 0], other[:, 0]).any()
 
 

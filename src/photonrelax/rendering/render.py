@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from time import perf_counter
 from typing import Any, Unpack
 
@@ -22,7 +24,7 @@ from ..estimation.methods import (
 from ..imaging.image import Image
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
-from ..transport.emission import PATHS, plan_emission
+from ..transport.emission import PATHS, SAMPLERS, EmissionPlan, plan_emission
 from ..transport.trace import trace_photons
 from .layers import FieldEstimates, band_layers, with_radiance
 from .metadata import ledger_values, photon_metadata
@@ -97,9 +99,18 @@ _SAME_FLUX = 0.01
 
 def _check_scene(photons: PhotonMap, scene: Scene) -> None:
     """Raise ValueError if the emitters of a scene do not emit the flux of the photons' ledger."""
-    if photons.ledger is None or photons.paths not in PATHS:
+    if not isinstance(photons, PhotonMap):
+        raise TypeError(
+            f"photons should be a PhotonMap, but is {type(photons).__name__}; "
+            "the number to trace is n_emitted"
+        )
+    ledger, paths, sampler = photons.ledger, photons.paths, photons.sampler
+    if ledger is None or paths not in PATHS or sampler not in SAMPLERS:
         return
-    other = _difference(photons, photons.ledger.emitted, scene)
+    # As many photons, as they decide on the emission regions; these are not traced.
+    n_emitted = max(photons.n_emitted or 0, len(ledger.emitted))
+    plan = partial(plan_emission, scene, n_emitted, paths, seed=photons.seed or 0, sampler=sampler)
+    other = _difference(ledger.emitted, len(scene.emitters), plan)
     if other:
         raise ValueError(
             f"photons should be of the scene rendered, {other}; they are taken as they are without "
@@ -107,23 +118,22 @@ def _check_scene(photons: PhotonMap, scene: Scene) -> None:
         )
 
 
-def _difference(photons: PhotonMap, emitted: Floats, scene: Scene) -> str:
+def _difference(emitted: Floats, n_emitters: int, plan: Callable[[], EmissionPlan]) -> str:
     """Description of the difference between a scene and that which emitted a flux, "" if none."""
-    if len(emitted) != len(scene.emitters):
-        return f"which has {len(scene.emitters)} emitters, but are of one with {len(emitted)}"
+    if len(emitted) != n_emitters:
+        return f"which has {n_emitters} emitters, but are of one with {len(emitted)}"
     try:
-        # As many photons, as they decide on regions, but those are not traced.
-        n_emitted = max(photons.n_emitted or 0, len(emitted))
-        sent = plan_emission(scene, n_emitted, photons.paths).flux
+        sent = plan().flux
     except ValueError as error:
         return f"in which they cannot have been traced: {error}"
-    for number, (flux, compared) in enumerate(zip(sent, emitted, strict=True)):
-        if not np.allclose(flux, compared, rtol=_SAME_FLUX, atol=0.0):
-            return (
-                f"whose emitter {number} sends out {flux.tolist()} W, "
-                f"but it sent out {compared.tolist()} W for them"
-            )
-    return ""
+    same = np.isclose(sent, emitted, rtol=_SAME_FLUX, atol=0.0).all(axis=1)
+    if same.all():
+        return ""
+    number = int(same.argmin())
+    return (
+        f"whose emitter {number} sends out {sent[number].tolist()} W, "
+        f"but it sent out {emitted[number].tolist()} W for them"
+    )
 
 
 class _Stages:

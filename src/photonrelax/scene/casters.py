@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -38,12 +38,11 @@ def group_spheres(meshes: Iterable[trimesh.Trimesh], max_groups: int) -> tuple[S
     """
     vertices, part = _labelled(meshes)
     order = np.argsort(part, kind="stable")
-    first = np.searchsorted(part[order], np.arange(part.max() + 2))
-    low = np.minimum.reduceat(vertices[order], first[:-1])
-    high = np.maximum.reduceat(vertices[order], first[:-1])
+    vertices, part = vertices[order], part[order]
+    first = np.searchsorted(part, np.arange(part[-1] + 2))
     spheres = [
-        bounding_sphere(vertices[order[_ranges(first, parts)]])
-        for parts in _groups(low, high, max_groups)
+        bounding_sphere(vertices[_ranges(first, group)])
+        for group in _groups(_Parts.of(vertices, part, first[:-1]), max_groups)
     ]
     return tuple(sorted(spheres, key=lambda sphere: -sphere.radius))
 
@@ -78,56 +77,79 @@ def _components(n: int, faces: Ids) -> Ids:
     return components(n, faces[:, :2].ravel(), faces[:, 1:].ravel())
 
 
+class _Parts(NamedTuple):
+    """Bounding boxes (p, 3) of the parts, and the radii (p,) of spheres around their centres."""
+
+    low: Floats
+    high: Floats
+    radius: Floats
+
+    @classmethod
+    def of(cls, vertices: Floats, part: Ids, first: Ids) -> _Parts:
+        """Those of vertices (v, 3) sorted by their parts (v,), of which these are the first."""
+        low, high = np.minimum.reduceat(vertices, first), np.maximum.reduceat(vertices, first)
+        distance = np.linalg.norm(vertices - (0.5 * (low + high))[part], axis=1)
+        return cls(low, high, np.maximum.reduceat(distance, first))
+
+    def outline(self, ids: Ids) -> float:
+        """Squared radius of a sphere around parts."""
+        low, high, radius = (column[ids] for column in self)
+        centre = 0.5 * (low.min(axis=0) + high.max(axis=0))
+        distance = np.linalg.norm(0.5 * (low + high) - centre, axis=1)
+        return float((distance + radius).max() ** 2)
+
+
 @dataclass
 class _Node:
-    """A node of the tree of parts: `area` is the squared diagonal of its bounding box."""
+    """A node of the tree of parts, with the outline of a sphere around them."""
 
-    parts: Ids
-    area: float
+    ids: Ids
+    outline: float
     children: Sequence[_Node] = ()
 
     def groups(self) -> tuple[float, list[Ids]]:
-        """The least area in sum that this node or its descendants have, and their parts."""
+        """The least outlines in sum that this node or its descendants have, and their parts."""
         if not self.children:
-            return self.area, [self.parts]
+            return self.outline, [self.ids]
         below = [child.groups() for child in self.children]
-        area = sum(each[0] for each in below)
-        if area > SAVING * self.area:
-            return self.area, [self.parts]
-        return area, [parts for each in below for parts in each[1]]
+        outline = sum(each[0] for each in below)
+        if outline > SAVING * self.outline:
+            return self.outline, [self.ids]
+        return outline, [ids for each in below for ids in each[1]]
 
 
-def _groups(low: Floats, high: Floats, max_groups: int) -> list[Ids]:
-    """Parts of the groups, by the bounding boxes (p, 3) of all parts."""
-    root = _node(low, high, np.arange(len(low)))
+def _groups(parts: _Parts, max_groups: int) -> list[Ids]:
+    """The parts of each group."""
+    every = np.arange(len(parts.low))
+    root = _Node(every, parts.outline(every))
     # The widest is split next; the number tells equally wide ones apart.
-    open_nodes, n_groups = [(-root.area, 0, root)], 1
+    open_nodes, n_groups = [(-root.outline, 0, root)], 1
     while open_nodes and n_groups < max_groups:
         node = heapq.heappop(open_nodes)[2]
-        if len(node.parts) == 1:
+        if len(node.ids) == 1:
             continue
-        node.children = tuple(_split(low, high, node.parts))
+        node.children = [_Node(ids, parts.outline(ids)) for ids in _split(parts, node.ids)]
         n_groups += 1
         for number, child in enumerate(node.children):
-            heapq.heappush(open_nodes, (-child.area, 2 * n_groups + number, child))
+            heapq.heappush(open_nodes, (-child.outline, 2 * n_groups + number, child))
     return root.groups()[1]
 
 
-def _node(low: Floats, high: Floats, parts: Ids) -> _Node:
-    diagonal = high[parts].max(axis=0) - low[parts].min(axis=0)
-    return _Node(parts, float(diagonal @ diagonal))
-
-
-def _split(low: Floats, high: Floats, parts: Ids) -> Iterator[_Node]:
-    """The two halves, along an axis, whose areas are least in sum."""
+def _split(parts: _Parts, ids: Ids) -> tuple[Ids, Ids]:
+    """Two halves along an axis, whose boxes' squared diagonals are least in sum."""
     candidates = []
     for axis in range(3):
-        order = parts[np.argsort(low[parts, axis] + high[parts, axis], kind="stable")]
-        before = np.maximum.accumulate(high[order]) - np.minimum.accumulate(low[order])
-        order_back = order[::-1]
-        after = np.maximum.accumulate(high[order_back]) - np.minimum.accumulate(low[order_back])
-        area = (before[:-1] ** 2).sum(axis=1) + (after[::-1][1:] ** 2).sum(axis=1)
-        best = int(area.argmin())
-        candidates.append((area[best], axis, order[: best + 1], order[best + 1 :]))
-    _, _, *halves = min(candidates, key=lambda each: each[:2])
-    return (_node(low, high, half) for half in halves)
+        order = ids[np.argsort((parts.low + parts.high)[ids, axis], kind="stable")]
+        total = _diagonals(parts, order)[:-1] + _diagonals(parts, order[::-1])[::-1][1:]
+        best = int(total.argmin())
+        candidates.append((total[best], axis, order[: best + 1], order[best + 1 :]))
+    _, _, one, other = min(candidates, key=lambda each: each[:2])
+    return one, other
+
+
+def _diagonals(parts: _Parts, order: Ids) -> Floats:
+    """Squared diagonals (n,) of the boxes around the first 1, 2, … of some parts."""
+    low = np.minimum.accumulate(parts.low[order])
+    high = np.maximum.accumulate(parts.high[order])
+    squared: Floats = ((high - low) ** 2).sum(axis=1)
+    return squared

@@ -54,7 +54,7 @@ class Emitter(ABC):
     def emission_region(
         self, target: Sphere, scene: Sphere, emitter_offset: float
     ) -> EmissionRegion:
-        """Return the region to sample for photons that may hit a target.
+        """Return the region to sample for photons that may hit a target, one of several.
 
         Parameters
         ----------

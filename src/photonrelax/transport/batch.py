@@ -29,9 +29,7 @@ Job = tuple[int, range]
 class TraceSettings:
     """The settings of `trace_photons` that its photons depend on."""
 
-    seed: int
     paths: str
-    sampler: str
     max_bounces: int
     frequency_share: float
 

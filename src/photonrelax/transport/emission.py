@@ -49,7 +49,7 @@ class AimedRegion(NamedTuple):
     region : EmissionRegion
         The region.
     outlines : (m, 4) float64
-        Of the emitter's earlier regions that overlap it; see `photonrelax.transport.aim.overlapped`.
+        Of the emitter's earlier regions that overlap it, as of `transport.aim.overlapped`.
     """
 
     emitter_id: int
@@ -246,9 +246,7 @@ def emit(
     return rays
 
 
-def _emission(
-    aimed: AimedRegion, n_candidates: int, seed: int, sampler: str
-) -> _kernel.Emission:
+def _emission(aimed: AimedRegion, n_candidates: int, seed: int, sampler: str) -> _kernel.Emission:
     region, emitter_id = aimed.region, aimed.emitter_id
     # Regions of an emitter draw from sequences of their own.
     stream = emitter_id + (aimed.number << _EMITTER_BITS)

@@ -29,12 +29,12 @@ from .._ext.transport import trace as _kernel
 from .._ext.transport.deposits import Columns
 from .._util.parallel import ordered_map, thread_count, thread_executor
 from .._util.progress import Progress, Reporter
-from .._util.validation import Floats, check_choice, check_seed, count, float_array
+from .._util.validation import Floats, check_choice, count, float_array
 from ..photons.energy_ledger import PATH_OUTCOMES, EnergyLedger
 from ..photons.photon_map import NothingStoredError, PhotonMap
 from ..scene.scene import Scene
 from .batch import BatchLedger, Job, TraceContext, TracedBatch, TraceSettings, trace_batch
-from .emission import PATHS, SAMPLERS, EmissionPlan, plan_emission
+from .emission import PATHS, EmissionPlan, plan_emission
 from .frequency.spectra import ReplayBatch, SpectrumTracer, batches_by_region
 from .raycast import RayCaster
 
@@ -76,8 +76,8 @@ def trace_photons(
 ) -> PhotonMap:
     """Emit photons, trace their paths and store them on diffuse surfaces.
 
-    Photon i of an emitter depends on `seed` and i alone. `photonrelax.transport.trace` describes
-    the events at surfaces, and the memory photons take.
+    Photon i of an emission region depends on `seed` and i alone. `photonrelax.transport.trace`
+    describes the events at surfaces, and the memory photons take.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def trace_photons(
     TypeError, ValueError
         If an argument is invalid, or if nothing is stored: the message says why.
     """
-    settings = _checked_settings(seed, paths, sampler, max_bounces, frequency_share)
+    settings = _checked_settings(paths, max_bounces, frequency_share)
     plan = plan_emission(scene, n_emitted, paths, seed=seed, sampler=sampler)
     most = min(count(batch_size, "batch_size"), int(plan.counts.max()))
     size = -(-most // _kernel.LEDGER_BLOCK) * _kernel.LEDGER_BLOCK
@@ -143,11 +143,8 @@ def _trace_all(context: TraceContext, n_threads: int, progress: Progress | None)
     return photons.replace(spectrum=_spectra(context, selected, len(photons), n_threads, progress))
 
 
-def _checked_settings(
-    seed: int, paths: str, sampler: str, max_bounces: int, share: float
-) -> TraceSettings:
+def _checked_settings(paths: str, max_bounces: int, share: float) -> TraceSettings:
     check_choice(paths, "paths", PATHS)
-    check_choice(sampler, "sampler", SAMPLERS)
     max_bounces = count(max_bounces, "max_bounces", high=MAX_BOUNCES)
     share = float(float_array(share, "frequency_share", (), finite=False))
     if not 0.0 <= share <= 1.0:
@@ -157,7 +154,7 @@ def _checked_settings(
             'frequency_share should be 0 for paths="global": '
             "photons that a diffuse surface scattered have no spectra"
         )
-    return TraceSettings(check_seed(seed), paths, sampler, max_bounces, share)
+    return TraceSettings(paths, max_bounces, share)
 
 
 def _spectra(
@@ -248,10 +245,10 @@ def _photon_map(
     photons = PhotonMap(
         **columns.finished(),
         n_emitted=int(plan.counts.sum()),
-        well_spaced=settings.sampler == "halton" and settings.paths == "caustic",
+        well_spaced=plan.sampler == "halton" and settings.paths == "caustic",
         ledger=ledger,
-        seed=settings.seed,
-        sampler=settings.sampler,
+        seed=plan.seed,
+        sampler=plan.sampler,
         paths=settings.paths,
     )
     if not len(photons):
