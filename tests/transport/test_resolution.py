@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 import photonrelax as pr
 from photonrelax.scene.resolution import MAX_SPREAD, Resolution
+from photonrelax.transport.raycast import RayCaster
 from photonrelax.transport.split_triangles import split_triangles
 
 LEVEL = Rotation.identity()
@@ -69,6 +70,42 @@ def test_nor_does_that_of_lamps_over_or_on_tilted_floors(shift, height):
     emitter = pr.PointEmitter(TURNED.apply([0.1, 0.05, height]) + shift)
     small, wide = (stored(half, "glass", emitter, TURNED, shift) for half in (2.0, 1e6))
     np.testing.assert_allclose(wide, small, rtol=2e-3)
+
+
+@pytest.mark.parametrize("caster", CASTERS)
+@pytest.mark.parametrize("half", [1e3, 1e5, 1e6])
+@pytest.mark.parametrize("shift", [0.0, 1e4])
+def test_nor_does_parallel_light_on_tilted_floors(caster, half, shift):
+    emitter = pr.CollimatedEmitter(TURNED.apply([0.2, 0.0, -1.0]))
+    small, wide = (stored(each, caster, emitter, TURNED, shift) for each in (2.0, half))
+    np.testing.assert_allclose(wide, small, rtol=2e-3)
+
+
+def test_far_blockers_before_the_fine_part_are_hit():
+    """A shade far up the light on a wide, tilted floor keeps all light from the ball."""
+    up = TURNED.apply([0.0, 0.0, 1.0])
+    shade = pr.SceneObject(moved(sheet(1.0), TURNED, 3e5 * up), pr.Diffuse(0.0))
+    ball = pr.SceneObject(moved(hollow_ball(), TURNED, 0.0), pr.Dielectric(1.5))
+    floor = pr.SceneObject(moved(sheet(1e6), TURNED, 0.0), pr.Diffuse(0.5))
+    sun = pr.CollimatedEmitter(-up)
+    assert len(pr.trace_photons(pr.Scene([ball, floor], [sun]), 1000))
+    with pytest.raises(ValueError, match="stand between the emitters and the specular ones"):
+        pr.trace_photons(pr.Scene([ball, floor, shade], [sun]), 1000)
+
+
+def test_cameras_far_away_see_small_things_on_wide_tilted_floors():
+    """The share of the pixels that see a ball, from 1 m and from 100 km."""
+    objects = [
+        pr.SceneObject(moved(hollow_ball(), TURNED, 0.0), pr.Mirror()),
+        pr.SceneObject(moved(sheet(1e6), TURNED, 0.0), pr.Diffuse(0.5)),
+    ]
+    rays = np.random.default_rng(0).uniform(-0.1, 0.1, (20_000, 2))
+    seen = []
+    for distance in (1.0, 1e5):
+        origin = TURNED.apply(np.column_stack([rays, np.full(len(rays), distance)]))
+        down = np.broadcast_to(TURNED.apply([0.0, 0.0, -1.0]), origin.shape)
+        seen.append(RayCaster(objects).intersect(origin, down).object_id == 0)
+    assert np.count_nonzero(seen[0] != seen[1]) <= 5
 
 
 def moved_share(half):

@@ -156,7 +156,7 @@ def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
         ends=ends,
     )
     while paths.n_live:
-        paths.advance(context.caster.find(*paths.rays))
+        paths.advance(context.caster.find_paths(paths))
     deposits, coords, density = paths.take_deposits()
     ledger = BatchLedger(region_id, n, energy, ends, paths.n_met_specular)
     context.release_paths(paths)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._ext.transport.raycast import EmbreeFrame, EmbreeHits, Triangles
+from .._ext.transport.trace import Paths
 from .._util.parallel import for_each_slice, thread_count
 from .._util.validation import Floats, float_array
 from ..scene.meshes import nondegenerate_faces, vertices_of
@@ -26,6 +27,9 @@ from .split_triangles import Pieces, split_triangles
 _CHUNK = 65536
 # Length of embree's frame: far from the extremes of float32, whose squares it takes.
 _EMBREE_SIZE = 100.0
+# Coordinates of a scene over those where its triangles are fine, above which rays from outside of
+# the fine part are moved there.
+_MANY_TIMES = 8.0
 _NO_RAYS = np.empty((0, 3))
 _NO_LIMITS = np.empty(0)
 
@@ -148,6 +152,33 @@ class RayCaster:
             hits.to_faces(self._face, self._pieces.uv)
         return hits
 
+    def find_paths(self, paths: Paths) -> EmbreeHits:
+        """Embree's hits of the live rays of a batch of paths."""
+        if np.isfinite(self.frame.inner):
+            rays = paths.live_rays()
+            origins, directions = (np.ascontiguousarray(rays[:, i : i + 3]) for i in (1, 4))
+            self._start_near(origins, directions, *paths.rays)
+        return self.find(*paths.rays)
+
+    def _start_near(
+        self,
+        origins: Floats,
+        directions: Floats,
+        embree_origins: NDArray[np.float32],
+        embree_directions: NDArray[np.float32],
+    ) -> None:
+        """Move origins of rays from afar, in embree's frame, to where triangles are fine.
+
+        Distant origins are coarse in float32. Only rays with nothing before that are moved.
+        """
+        if not np.isfinite(self.frame.inner):
+            return
+        rows, near, limits = self.frame.far_rays(origins, directions)
+        if len(rows):
+            rays = embree_origins[rows], embree_directions[rows]
+            free = self._scene.run(*rays, limits, query="OCCLUDED") < 0
+            embree_origins[rows[free]] = near[free]
+
     def intersect(
         self,
         origins: ArrayLike,
@@ -179,6 +210,7 @@ class RayCaster:
         def intersect_rows(rows: slice) -> None:
             o, d = origins[rows], directions[rows]
             rays = self._to_embree(o, d, origin_offset[rows], _NO_LIMITS, first=rows.start)
+            self._start_near(o, d, rays[0], rays[1])
             self.triangles.refine_hits(o, d, self.find(*rays[:2]), out[rows])
 
         for_each_slice(intersect_rows, len(origins), _CHUNK, thread_count(n_threads))
@@ -324,10 +356,12 @@ def _frame(relative: Floats, resolution: Resolution) -> EmbreeFrame:
     low, high = relative.min(axis=0), relative.max(axis=0)
     # Rays that start on the box start in front of all triangles, although rounded.
     margin = 0.01 * (high - low) + resolution.radius
+    inner = MAX_SPREAD * resolution.radius
     return EmbreeFrame(
         resolution.origin,
         low - margin,
         high + margin,
+        inner=inner if np.abs(relative).max() > _MANY_TIMES * inner else np.inf,
         scale=_EMBREE_SIZE / np.abs(relative).max(),
         rounding=ROUNDING,
         local_rounding=ROUNDING * MAX_SPREAD,

@@ -7,6 +7,8 @@ here in float64, from the original ray. Every loop body writes row i only.
 cimport cython
 from libc.math cimport NAN, INFINITY, fabs, isfinite
 
+import numpy as np
+
 from ..common.prefetch cimport prefetch_row
 from ..common.vec3 cimport cross, dot, normalise
 
@@ -15,6 +17,24 @@ cdef double OUTSIDE = 1e-4
 # Number of rays between the prefetch of a triangle's corners and their use: some 100 ns each.
 cdef enum:
     PREFETCH_DISTANCE = 6
+
+
+cdef inline double entered(
+    const double* o, const double* d, const double* low, const double* high
+) noexcept nogil:
+    """Length of a ray before a box, zero from inside; negative if the ray misses the box."""
+    cdef double enter = 0.0, leave = INFINITY, near, far, inverse
+    cdef int axis
+    for axis in range(3):
+        if d[axis] != 0.0:
+            inverse = 1.0 / d[axis]
+            near = (low[axis] - o[axis]) * inverse
+            far = (high[axis] - o[axis]) * inverse
+            enter = max(enter, min(near, far))
+            leave = min(leave, max(near, far))
+        elif not low[axis] <= o[axis] <= high[axis]:
+            return -1.0
+    return enter if enter <= leave else -1.0
 
 
 @cython.final
@@ -27,6 +47,9 @@ cdef class EmbreeFrame:
         m.
     low, high : (3,)
         Corners of the box, relative to the origin. Rays from beyond start where they enter it.
+    inner : float
+        Half the side of a cube around the origin, where triangles are finest, in which float32
+        rounds as it has to; infinite where it does in the whole box.
     scale : float
         Per m.
     rounding, local_rounding, least_distance : float
@@ -35,13 +58,14 @@ cdef class EmbreeFrame:
     """
 
     def __init__(self, const double[::1] origin, const double[::1] low, const double[::1] high, *,
-                 double scale, double rounding, double local_rounding, double least_distance):
+                 double inner, double scale, double rounding, double local_rounding,
+                 double least_distance):
         cdef int axis
         for axis in range(3):
             self.origin[axis] = origin[axis]
             self.low[axis] = low[axis]
             self.high[axis] = high[axis]
-        self.scale = scale
+        self.inner, self.scale = inner, scale
         self.rounding, self.local_rounding = rounding, local_rounding
         self.least_distance = least_distance
 
@@ -59,10 +83,15 @@ cdef class EmbreeFrame:
         cdef bint from_surface = origin_offset.shape[0] > 0
         cdef bint limited = limits.shape[0] > 0
         cdef double skipped
+        cdef double[3] d
+        cdef int axis
         with nogil:
             for i in range(origins.shape[0]):
+                for axis in range(3):
+                    d[axis] = directions[i, axis]
+                normalise(d)
                 skipped = self.ray_to_embree(
-                    &origins[i, 0], &directions[i, 0],
+                    &origins[i, 0], d,
                     &origin_offset[i, 0] if from_surface else NULL,
                     &out_origins[i, 0], &out_directions[i, 0],
                 )
@@ -80,26 +109,22 @@ cdef class EmbreeFrame:
     ) noexcept nogil:
         """Write one ray and return the length skipped at its start; not finite if it is invalid.
 
-        The ray starts off the surface by `offset`, which is along the normal, to the side that
+        `direction` is a unit vector. The ray starts off the surface by `offset`, which is along the normal, to the side that
         the ray leaves to; NULL for rays that start in free space.
         """
-        cdef double d[3]
         cdef double o[3]
         cdef int axis
         cdef double skipped, side = 0.0
-        for axis in range(3):
-            d[axis] = direction[axis]
-        normalise(d)
         if offset != NULL and isfinite(offset[0] + offset[1] + offset[2]):
-            side = 1.0 if dot(offset, d) >= 0.0 else -1.0
+            side = 1.0 if dot(offset, direction) >= 0.0 else -1.0
         for axis in range(3):
             o[axis] = origin[axis] - self.origin[axis]
             if side != 0.0:
                 o[axis] += side * offset[axis]
-        skipped = self.skipped(o, d)
+        skipped = self.skipped(o, direction)
         for axis in range(3):
-            out_origin[axis] = <float>((o[axis] + skipped * d[axis]) * self.scale)
-            out_direction[axis] = <float>d[axis]
+            out_origin[axis] = <float>((o[axis] + skipped * direction[axis]) * self.scale)
+            out_direction[axis] = <float>direction[axis]
         return skipped
 
     cdef double skipped(self, const double* o, const double* d) noexcept nogil:
@@ -107,24 +132,61 @@ cdef class EmbreeFrame:
 
         Rays that miss the box start where they are nearest to its centre.
         """
-        cdef double enter = 0.0, leave = INFINITY, closest = 0.0, near, far, inverse
+        cdef double enter, closest = 0.0
         cdef bint inside = True
         cdef int axis
+        if not isfinite(dot(o, d)):
+            return NAN
         for axis in range(3):
             inside &= self.low[axis] <= o[axis] <= self.high[axis]
         if inside:
-            return 0.0 if isfinite(dot(o, d)) else NAN
+            return 0.0
+        enter = entered(o, d, self.low, self.high)
+        if enter >= 0.0:
+            return enter
         for axis in range(3):
             closest += d[axis] * (0.5 * (self.low[axis] + self.high[axis]) - o[axis])
-            if d[axis] != 0.0:
-                inverse = 1.0 / d[axis]
-                near = (self.low[axis] - o[axis]) * inverse
-                far = (self.high[axis] - o[axis]) * inverse
-                enter = max(enter, min(near, far))
-                leave = min(leave, max(near, far))
-        if not isfinite(closest):
-            return NAN
-        return enter if enter <= leave else max(closest, 0.0)
+        return max(closest, 0.0)
+
+    def far_rays(self, const double[:, ::1] origins, const double[:, ::1] directions):
+        """Rays that start outside of the inner cube and enter it.
+
+        Returns
+        -------
+        rows : (m,) intp
+            Indices of the rays.
+        near : (m, 3) float32
+            Where they enter, in embree's frame.
+        limits : (m,) float32
+            The lengths from their starts, in embree's frame.
+        """
+        cdef Py_ssize_t i, found = 0, n = origins.shape[0]
+        cdef Py_ssize_t[::1] rows = np.empty(n, np.intp)
+        cdef float[:, ::1] near = np.empty((n, 3), np.float32)
+        cdef float[::1] limits = np.empty(n, np.float32)
+        cdef double[3] o
+        cdef double[3] d
+        cdef double[3] low
+        cdef double[3] high
+        cdef double enter
+        cdef int axis
+        with nogil:
+            for axis in range(3):
+                low[axis], high[axis] = -self.inner, self.inner
+            for i in range(n):
+                for axis in range(3):
+                    o[axis] = origins[i, axis] - self.origin[axis]
+                    d[axis] = directions[i, axis]
+                normalise(d)
+                enter = entered(o, d, low, high)
+                # From inside the length is zero.
+                if enter > 0.0:
+                    rows[found] = i
+                    for axis in range(3):
+                        near[found, axis] = <float>((o[axis] + enter * d[axis]) * self.scale)
+                    limits[found] = <float>(max(enter - self.skipped(o, d), 0.0) * self.scale)
+                    found += 1
+        return rows.base[:found], near.base[:found], limits.base[:found]
 
     cdef double step(
         self, const double* a, const double* b, const double* c, const double* p

@@ -166,7 +166,7 @@ class SpectrumTracer:
         """Advance the live paths by one event."""
         path, origin, direction = self._live_rays()
         hits = empty_intersections(len(path))
-        found = self._caster.find(*self._paths.rays)
+        found = self._caster.find_paths(self._paths)
         self._caster.triangles.refine_hits(origin, direction, found, hits)
         self._paths.advance(found)
         live, _, outgoing = self._live_rays()
