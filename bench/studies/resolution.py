@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import trimesh
+from scipy.spatial.transform import Rotation
 
 import photonrelax as pr
 from bench.markdown import markdown_table
@@ -17,6 +18,8 @@ IOR = 1.5
 # Half the width of the plate, m; a metre is the size of the scene but for wide floors.
 HALF = 1.0
 DECADES = 10
+LEVEL = Rotation.identity()
+TILTED = Rotation.from_rotvec([0.3, 0.5, 0.2])
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,13 +40,15 @@ def markdown(n_emitted: int, decades: int) -> str:
             _error(lambda s=size: through_plate(n_emitted, gap=s)),
             _error(lambda s=size: through_plate(n_emitted, gap=0.5, thickness=s)),
             f"{1 / size:.0e}",
-            _error(lambda s=size: near_ball(n_emitted, 1.0 / s) / near_ball(n_emitted, 1.0)),
+            _error(lambda s=size: beside_wide_floor(n_emitted, 1.0 / s, LEVEL)),
+            _error(lambda s=size: beside_wide_floor(n_emitted, 1.0 / s, TILTED)),
         ]
         for size in sizes
     ]
     touching = _error(lambda: through_plate(n_emitted, gap=0.0))
     titles = ["m", "gap below a plate of 0.1 m", "thickness of a plate", "half width of a floor, m"]
-    table = markdown_table([*titles, "hollow ball of 0.1 m on it"], rows)
+    titles += ["hollow ball of 0.1 m on it", "and tilted"]
+    table = markdown_table(titles, rows)
     return f"{table}\n\nA plate that stands on the floor, without a gap: {touching}.\n"
 
 
@@ -64,21 +69,32 @@ def through_plate(n_emitted: int, *, gap: float, thickness: float = 0.1) -> floa
     return flux / (4.0 * HALF**2 * (1.0 - reflected) / (1.0 + reflected))
 
 
-def near_ball(n_emitted: int, half_width: float) -> float:
-    """Return the flux stored within 1 m of a hollow ball with walls of 2 mm, W."""
+def beside_wide_floor(n_emitted: int, half_width: float, rotation: Rotation) -> float:
+    """Flux stored near a hollow ball on a wide floor, over that on a floor 2 m wide."""
+    wide, narrow = (near_ball(n_emitted, half, rotation) for half in (half_width, 1.0))
+    return wide / narrow
+
+
+def near_ball(n_emitted: int, half_width: float, rotation: Rotation) -> float:
+    """Flux stored within 1 m of a hollow ball with walls of 2 mm, W."""
     outer, inner = (trimesh.creation.icosphere(4, radius) for radius in (0.05, 0.048))
     inner.invert()
     ball = trimesh.util.concatenate(outer, inner).apply_translation([0.0, 0.0, 0.08])
-    return _stored(ball, half_width, (0.2, 0.0, -1.0), n_emitted)
+    return _stored(ball, half_width, (0.2, 0.0, -1.0), n_emitted, rotation)
 
 
 def _stored(
-    glass: trimesh.Trimesh, half_width: float, direction: tuple[float, ...], n_emitted: int
+    glass: trimesh.Trimesh,
+    half_width: float,
+    direction: tuple[float, ...],
+    n_emitted: int,
+    rotation: Rotation = LEVEL,
 ) -> float:
     corners = half_width * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    floor = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+    floor = trimesh.Trimesh(rotation.apply(corners), [[0, 1, 2], [0, 2, 3]], process=False)
+    glass = trimesh.Trimesh(rotation.apply(glass.vertices), glass.faces, process=False)
     objects = [pr.SceneObject(glass, pr.Dielectric(IOR)), pr.SceneObject(floor, pr.Diffuse(0.5))]
-    scene = pr.Scene(objects, [pr.CollimatedEmitter(direction)])
+    scene = pr.Scene(objects, [pr.CollimatedEmitter(rotation.apply(direction))])
     photons = pr.trace_photons(scene, n_emitted, max_bounces=1000)
     near = np.linalg.norm(photons.position, axis=1) < np.sqrt(2.0) * HALF
     return float(photons.flux[near, 0].sum())

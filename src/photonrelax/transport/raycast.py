@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -124,6 +125,7 @@ class RayCaster:
         open_contacts(vertices, faces, of_glass, self.resolution)
         vertices -= self.resolution.origin
         self.frame = _frame(vertices, self.resolution)
+        self._cubes = _cubes(np.abs(vertices).max(), self.resolution.radius)
         self._pieces = split_triangles(vertices, faces, self.resolution.radius)
         whole_faces = _not_split(self._pieces, len(faces))
         self._face = np.concatenate([whole_faces, self._pieces.face]).astype(np.int32)
@@ -154,7 +156,7 @@ class RayCaster:
 
     def find_paths(self, paths: Paths) -> EmbreeHits:
         """Embree's hits of the live rays of a batch of paths."""
-        if np.isfinite(self.frame.inner):
+        if len(self._cubes) > 1:
             rays = paths.live_rays()
             origins, directions = (np.ascontiguousarray(rays[:, i : i + 3]) for i in (1, 4))
             self._start_near(origins, directions, *paths.rays)
@@ -169,14 +171,19 @@ class RayCaster:
     ) -> None:
         """Move origins of rays from afar, in embree's frame, to where triangles are fine.
 
-        Distant origins are coarse in float32. Only rays with nothing before that are moved.
+        Distant origins are coarse in float32. Only rays with nothing before that are moved, in
+        steps: to cubes around the origin each of which is a fraction of the one before.
         """
-        if not np.isfinite(self.frame.inner):
-            return
-        rows, near, limits = self.frame.far_rays(origins, directions)
-        if len(rows):
+        blocked = np.zeros(len(origins), dtype=bool)
+        for outer, half_side in pairwise(self._cubes):
+            rows, near, limits = self.frame.far_rays(origins, directions, half_side, outer)
+            ahead = ~blocked[rows]
+            if not ahead.any():
+                continue
+            rows, near = rows[ahead], near[ahead]
             rays = embree_origins[rows], embree_directions[rows]
-            free = self._scene.run(*rays, limits, query="OCCLUDED") < 0
+            blocked[rows] = self._scene.run(*rays, limits[ahead], query="OCCLUDED") >= 0
+            free = ~blocked[rows]
             embree_origins[rows[free]] = near[free]
 
     def intersect(
@@ -356,17 +363,29 @@ def _frame(relative: Floats, resolution: Resolution) -> EmbreeFrame:
     low, high = relative.min(axis=0), relative.max(axis=0)
     # Rays that start on the box start in front of all triangles, although rounded.
     margin = 0.01 * (high - low) + resolution.radius
-    inner = MAX_SPREAD * resolution.radius
     return EmbreeFrame(
         resolution.origin,
         low - margin,
         high + margin,
-        inner=inner if np.abs(relative).max() > _MANY_TIMES * inner else np.inf,
         scale=_EMBREE_SIZE / np.abs(relative).max(),
         rounding=ROUNDING,
         local_rounding=ROUNDING * MAX_SPREAD,
         least_distance=resolution.radius,
     )
+
+
+def _cubes(extent: float, radius: float) -> list[float]:
+    """Half sides of cubes around the origin: infinite, then down to where triangles are fine.
+
+    The infinite one alone in scenes whose coordinates, up to an extent, are all as float32 rounds
+    there anyway.
+    """
+    half_sides = [MAX_SPREAD * radius]
+    if extent < _MANY_TIMES * half_sides[0]:
+        return [np.inf]
+    while MAX_SPREAD * half_sides[-1] < extent:
+        half_sides.append(MAX_SPREAD * half_sides[-1])
+    return [np.inf, *reversed(half_sides)]
 
 
 def _check_rays(

@@ -31,7 +31,7 @@ cdef class EmbreeFrame:
     cdef double[3] origin
     cdef double[3] low
     cdef double[3] high
-    cdef readonly double inner, scale
+    cdef readonly double scale
     cdef double rounding, local_rounding, least_distance
 
     cdef double ray_to_embree(

@@ -14,6 +14,8 @@ from ..common.vec3 cimport cross, dot, normalise
 
 # Barycentric coordinates may leave [0, 1] by this much through embree's rounding.
 cdef double OUTSIDE = 1e-4
+# A length in embree's frame that does not reach its end, however float32 rounds.
+cdef double SHORTENED = 1.0 - 1e-6
 # Number of rays between the prefetch of a triangle's corners and their use: some 100 ns each.
 cdef enum:
     PREFETCH_DISTANCE = 6
@@ -37,6 +39,17 @@ cdef inline double entered(
     return enter if enter <= leave else -1.0
 
 
+cdef inline double entered_cube(const double* o, const double* d, double half_side) noexcept nogil:
+    """Length of a ray before a cube around the origin, as of `entered`."""
+    cdef double[3] low
+    cdef double[3] high
+    cdef int axis
+    for axis in range(3):
+        low[axis] = -half_side
+        high[axis] = half_side
+    return entered(o, d, low, high)
+
+
 @cython.final
 cdef class EmbreeFrame:
     """Embree's coordinates, (x - origin) * scale, and a box that holds the scene.
@@ -47,9 +60,6 @@ cdef class EmbreeFrame:
         m.
     low, high : (3,)
         Corners of the box, relative to the origin. Rays from beyond start where they enter it.
-    inner : float
-        Half the side of a cube around the origin, where triangles are finest, in which float32
-        rounds as it has to; infinite where it does in the whole box.
     scale : float
         Per m.
     rounding, local_rounding, least_distance : float
@@ -58,14 +68,13 @@ cdef class EmbreeFrame:
     """
 
     def __init__(self, const double[::1] origin, const double[::1] low, const double[::1] high, *,
-                 double inner, double scale, double rounding, double local_rounding,
-                 double least_distance):
+                 double scale, double rounding, double local_rounding, double least_distance):
         cdef int axis
         for axis in range(3):
             self.origin[axis] = origin[axis]
             self.low[axis] = low[axis]
             self.high[axis] = high[axis]
-        self.inner, self.scale = inner, scale
+        self.scale = scale
         self.rounding, self.local_rounding = rounding, local_rounding
         self.least_distance = least_distance
 
@@ -148,8 +157,20 @@ cdef class EmbreeFrame:
             closest += d[axis] * (0.5 * (self.low[axis] + self.high[axis]) - o[axis])
         return max(closest, 0.0)
 
-    def far_rays(self, const double[:, ::1] origins, const double[:, ::1] directions):
-        """Rays that start outside of the inner cube and enter it.
+    def far_rays(
+        self, const double[:, ::1] origins, const double[:, ::1] directions, double half_side,
+        double outer,
+    ):
+        """Rays that start outside of a cube around the origin and enter it.
+
+        Parameters
+        ----------
+        origins, directions : (n, 3)
+            Rays.
+        half_side : float
+            Half the side of the cube, m.
+        outer : float
+            Half the side of a larger cube, where rays that start outside of that are already.
 
         Returns
         -------
@@ -158,7 +179,7 @@ cdef class EmbreeFrame:
         near : (m, 3) float32
             Where they enter, in embree's frame.
         limits : (m,) float32
-            The lengths from their starts, in embree's frame.
+            The lengths on the way, in embree's frame, less their rounding.
         """
         cdef Py_ssize_t i, found = 0, n = origins.shape[0]
         cdef Py_ssize_t[::1] rows = np.empty(n, np.intp)
@@ -166,25 +187,22 @@ cdef class EmbreeFrame:
         cdef float[::1] limits = np.empty(n, np.float32)
         cdef double[3] o
         cdef double[3] d
-        cdef double[3] low
-        cdef double[3] high
-        cdef double enter
+        cdef double enter, start
         cdef int axis
         with nogil:
-            for axis in range(3):
-                low[axis], high[axis] = -self.inner, self.inner
             for i in range(n):
                 for axis in range(3):
                     o[axis] = origins[i, axis] - self.origin[axis]
                     d[axis] = directions[i, axis]
                 normalise(d)
-                enter = entered(o, d, low, high)
+                enter = entered_cube(o, d, half_side)
                 # From inside the length is zero.
                 if enter > 0.0:
+                    start = max(self.skipped(o, d), entered_cube(o, d, outer))
                     rows[found] = i
                     for axis in range(3):
                         near[found, axis] = <float>((o[axis] + enter * d[axis]) * self.scale)
-                    limits[found] = <float>(max(enter - self.skipped(o, d), 0.0) * self.scale)
+                    limits[found] = <float>(SHORTENED * max(enter - start, 0.0) * self.scale)
                     found += 1
         return rows.base[:found], near.base[:found], limits.base[:found]
 
