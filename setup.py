@@ -6,6 +6,8 @@ PHOTONRELAX_BOUNDSCHECK=1
     Kernels check every array access (slow; for tests).
 PHOTONRELAX_OPENMP=0
     Build without OpenMP even where the compiler has it: kernels run on one thread.
+
+CYTHON_CACHE_DIR names a folder for the C of kernels, to be used again.
 """
 
 import os
@@ -123,6 +125,7 @@ if __name__ == "__main__":
             kernels(),
             build_dir=BUILD_DIR,
             nthreads=os.cpu_count(),
+            cache="CYTHON_CACHE_DIR" in os.environ,
             compiler_directives={
                 "language_level": 3,
                 "boundscheck": BOUNDS_CHECK,

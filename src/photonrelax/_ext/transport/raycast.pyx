@@ -118,8 +118,8 @@ cdef class EmbreeFrame:
     ) noexcept nogil:
         """Write one ray and return the length skipped at its start; not finite if it is invalid.
 
-        `direction` is a unit vector. The ray starts off the surface by `offset`, which is along the normal, to the side that
-        the ray leaves to; NULL for rays that start in free space.
+        `direction` is a unit vector. The ray starts off the surface by `offset`, which is along
+        the normal, to the side that the ray leaves to; NULL for rays that start in free space.
         """
         cdef double o[3]
         cdef int axis
