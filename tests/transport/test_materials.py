@@ -36,34 +36,31 @@ def test_an_unknown_kind_is_refused():
         Materials(table)
 
 
+def interfaces(materials, direction, hits, media=0):
+    return materials.interfaces(direction, hits, np.full(len(direction), media, np.uint64))
+
+
 def test_indices_depend_on_the_side_of_the_ray_and_mirrors_have_none(materials):
     direction = np.array([DOWN, UP, DOWN, UP])
-    normal, is_shading, n1, n2 = materials.interfaces(direction, hits_on(GLASS, GLASS, MIRROR, 1))
-    np.testing.assert_array_equal(normal, -direction)
-    assert is_shading.all()
-    np.testing.assert_array_equal(n1, [1.2, 1.5, 1, 1])
-    np.testing.assert_array_equal(n2, [1.5, 1.2, 1, 1])
+    at = interfaces(materials, direction, hits_on(GLASS, GLASS, MIRROR, 1))
+    np.testing.assert_array_equal(at.normal, -direction)
+    assert at.is_shading.all()
+    np.testing.assert_array_equal(at.n1, [1.2, 1.5, 1, 1])
+    np.testing.assert_array_equal(at.n2, [1.5, 1.2, 1, 1])
 
 
 def test_shading_normals_serve_unless_they_lead_through_the_face(materials):
     lean = np.array([np.sin(0.5), 0.0, np.cos(0.5)])
     direction = np.array([DOWN, [np.cos(0.3), 0.0, -np.sin(0.3)]])
     # The second ray comes from behind the leaning normal.
-    normal, is_shading, _, _ = materials.interfaces(direction, hits_on(MIRROR, 1, shading=lean))
-    np.testing.assert_array_equal(is_shading, [True, False])
-    np.testing.assert_array_equal(normal, [lean, UP])
+    at = interfaces(materials, direction, hits_on(MIRROR, 1, shading=lean))
+    np.testing.assert_array_equal(at.is_shading, [True, False])
+    np.testing.assert_array_equal(at.normal, [lean, UP])
 
 
 def test_dielectrics_reflect_by_fresnel_and_mirrors_reflect_all(materials):
-    cosine, n1, n2 = np.array([0.3, 1.0 + 1e-12, 0.3]), np.array([1.2, 1.5, 1.0]), np.ones(3)
-    share = materials.reflected_shares(hits_on(GLASS, GLASS, MIRROR).object_id, cosine, n1, n2)
-    np.testing.assert_array_equal(share[:2], fresnel(np.minimum(cosine, 1.0), n1, n2)[:2])
-    assert share[2] == 1.0
-
-
-def test_rays_that_hit_a_dielectric_from_behind_were_inside_it(materials):
-    direction = np.array([DOWN, UP, UP, UP, DOWN])
-    entered = np.array([7, 7, 7, 7, -1], dtype=np.int32)
-    at_hit, beyond = materials.media(direction, hits_on(GLASS, GLASS, MIRROR, 0, GLASS), entered)
-    np.testing.assert_array_equal(at_hit, [7, GLASS, 7, 7, -1])
-    np.testing.assert_array_equal(beyond[[0, 1, 4]], [GLASS, -1, GLASS])
+    direction = np.array([[np.sin(0.3), 0.0, -np.cos(0.3)], UP, DOWN])
+    at = interfaces(materials, direction, hits_on(GLASS, GLASS, MIRROR))
+    cosine = np.array([np.cos(0.3), 1.0])
+    np.testing.assert_array_equal(at.reflected[:2], fresnel(cosine, [1.2, 1.5], [1.5, 1.2]))
+    assert at.reflected[2] == 1.0

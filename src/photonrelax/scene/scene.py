@@ -168,6 +168,12 @@ class Scene:
         radii = [np.linalg.norm(self._vertices[i] - centre, axis=1).max() for i in ids]
         return Sphere(centre, float(max(radii)))
 
+    def object_bounds(self, object_ids: Iterable[int]) -> tuple[Floats, Floats]:
+        """Return the lowest and highest coordinates of some objects, (m, 3) each."""
+        vertices = [self._vertices[i] for i in object_ids]
+        low, high = ([f(v, axis=0) for v in vertices] for f in (np.min, np.max))
+        return np.reshape(low, (-1, 3)), np.reshape(high, (-1, 3))
+
     def material_table(self) -> MaterialTable:
         """The materials of all objects as arrays."""
         return MaterialTable.of(item.material for item in self.objects)
@@ -178,9 +184,8 @@ class Scene:
         return tuple(nondegenerate_vertices(item.mesh) for item in self.objects)
 
     def _bounds(self, object_ids: Iterable[int]) -> tuple[Floats, Floats]:
-        vertices = [self._vertices[i] for i in object_ids]
-        corners = [(v.min(axis=0), v.max(axis=0)) for v in vertices]
-        return np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
+        low, high = self.object_bounds(object_ids)
+        return low.min(axis=0), high.max(axis=0)
 
 
 def object_label(object_id: int, item: SceneObject) -> str:

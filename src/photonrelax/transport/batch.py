@@ -18,6 +18,7 @@ from .._util.validation import Floats
 from ..photons.energy_ledger import PATH_OUTCOMES
 from ..scene.scene import Scene
 from .emission import LUMINANCE, PATHS, EmissionPlan, emission
+from .media import MediaFinder
 from .raycast import RayCaster
 
 Job = tuple[int, range]
@@ -40,7 +41,7 @@ class BatchLedger:
     """Outcomes of some paths of one emitter.
 
     `energy` (blocks, outcomes, 3) is relative to the flux of a photon; `ends` (outcomes,) and
-    `n_met_specular` count paths.
+    `n_met_specular` count paths, `n_overflows` events that lose a medium (`warn_of_overflows`).
     """
 
     emitter_id: int
@@ -48,6 +49,7 @@ class BatchLedger:
     energy: Floats
     ends: NDArray[np.int64]
     n_met_specular: int
+    n_overflows: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,14 +94,15 @@ class TraceContext:
         *,
         caster: RayCaster | None = None,
     ) -> None:
-        self._materials = Materials(scene.material_table())
-        if not self._materials.diffuse.any():
+        self.materials = Materials(scene.material_table())
+        if not self.materials.diffuse.any():
             raise ValueError(
                 "scene should have a Diffuse object to store photons on, "
                 f"but none of its {len(scene.objects)} objects is"
             )
         self.scene, self.plan, self.settings, self.size = scene, plan, settings, size
         self.caster = caster or RayCaster(scene.objects)
+        self.media = MediaFinder(scene, self.caster, self.materials).at_emitters()
         self.flux = plan.flux_per_photon
         self.emissions = [
             emission(plan, e, seed=settings.seed, sampler=settings.sampler)
@@ -114,7 +117,7 @@ class TraceContext:
             return self._free_list.pop()
         except IndexError:
             return _kernel.Paths(
-                self._materials,
+                self.materials,
                 self.caster.frame,
                 self.caster.triangles,
                 self.size,
@@ -155,6 +158,7 @@ def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
     paths.start(
         context.emissions[emitter_id],
         np.arange(photons.start, photons.stop, dtype=np.int64),
+        media=context.media[emitter_id],
         luminance=LUMINANCE * context.flux[emitter_id],
         ledger=energy,
         ends=ends,
@@ -162,7 +166,7 @@ def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
     while paths.n_live:
         paths.advance(context.caster.find(*paths.rays))
     deposits, coords, density = paths.take_deposits()
-    ledger = BatchLedger(emitter_id, n, energy, ends, paths.n_met_specular)
+    ledger = BatchLedger(emitter_id, n, energy, ends, paths.n_met_specular, paths.n_overflows)
     context.release_paths(paths)
     path, rows = _spectrum_rows(context, job, deposits)
     return TracedBatch(deposits, coords, density, ledger, photons.start + path, rows)
