@@ -24,8 +24,9 @@ def direct_irradiance(
     """Return the irradiance at points from the emitters they see.
 
     Every object occludes, transparent ones too: light that passes through them is carried by
-    photons. Light in an absorbing dielectric that emitter and point both lie in is absorbed. Points nearer to an emitter than `Scene.emitter_offset` get no light from it, because
-    the inverse square of their distance is no measure of the mean over a pixel.
+    photons. An absorbing dielectric that emitter and point both lie in absorbs. Points nearer to
+    an emitter than `Scene.emitter_offset` get no light from it, because the inverse square of their
+    distance is no measure of the mean over a pixel.
 
     Parameters
     ----------

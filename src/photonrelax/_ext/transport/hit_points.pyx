@@ -6,9 +6,8 @@ Every loop body writes only rows 2i and 2i + 1.
 from cython.parallel cimport prange
 from libc.stdint cimport int32_t, uint64_t
 
-from ..common.vec3 cimport dot
+from ..common.vec3 cimport copy, dot
 from .materials cimport Arrival, Interface, Materials, interface_at
-from .optics cimport reflect_into, refract_into
 
 
 def split(
@@ -54,19 +53,15 @@ cdef bint split_ray(
 
     True if a refracted ray loses its outermost medium.
     """
-    cdef const double* d = arrival.direction
     cdef Interface at
     cdef int c
     interface_at(&at, materials, &arrival)
-    reflect_into(out_direction, d, at.normal)
-    for c in range(3):
-        out_direction[3 + c] = d[c]
+    copy(out_direction, at.to.reflection)
+    copy(out_direction + 3, arrival.direction)
     if at.reflected < 1.0:
-        refract_into(out_direction + 3, d, at.normal, at.n1, at.n2)
+        copy(out_direction + 3, at.to.refraction)
     for c in range(3):
-        out_weight[c] = (
-            weight[c] * at.reflected * materials.reflectance[arrival.object_id, c]
-        )
+        out_weight[c] = weight[c] * at.reflected * materials.reflectance[arrival.object_id, c]
         # Radiance over the square of the index is constant across an interface.
         out_weight[3 + c] = weight[c] * (1.0 - at.reflected) * (at.n1 / at.n2) ** 2
     out_beyond[0] = at.beyond

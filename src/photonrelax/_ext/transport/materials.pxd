@@ -9,7 +9,7 @@ from libc.stdint cimport int32_t, uint8_t, uint64_t
 
 from ..common.vec3 cimport dot
 from .media cimport current, entered, is_full, left
-from .optics cimport facing_normal, fresnel_reflectance
+from .optics cimport Directions, deflect, fresnel_reflectance
 
 
 cdef enum:
@@ -30,14 +30,13 @@ cdef struct Arrival:
 
 
 cdef struct Interface:
-    # A specular surface at a hit. The normal faces the ray; `is_shading` is true for the
-    # interpolated one. n1 and n2 are the indices of refraction on the ray's side and beyond.
-    # `reflected` is the share of the light that is reflected; the rest is refracted into the media
-    # `beyond`, of which the outermost is lost where `overflows`.
-    double[3] normal
+    # A specular surface at a hit. n1 and n2 are the indices of refraction on the ray's side and
+    # beyond. `reflected` is the share of the light that is reflected; the rest is refracted into
+    # the media `beyond`, of which the outermost is lost where `overflows`.
+    Directions to
     double n1, n2, reflected
     uint64_t beyond
-    bint is_shading, overflows
+    bint overflows
 
 
 cdef class Materials:
@@ -98,12 +97,10 @@ cdef inline void interface_at(
     out.overflows = False
     if medium:
         set_media(out, materials, medium, at)
-    out.is_shading = facing_normal(
-        out.normal, at.direction, at.geometric, at.shading, out.n1, out.n2
-    )
+    deflect(&out.to, at.direction, at.geometric, at.shading, out.n1, out.n2)
     if medium:
         out.reflected = fresnel_reflectance(
-            min(-dot(at.direction, out.normal), 1.0), out.n1, out.n2
+            min(-dot(at.direction, out.to.normal), 1.0), out.n1, out.n2
         )
 
 

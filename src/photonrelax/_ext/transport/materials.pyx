@@ -113,8 +113,8 @@ cdef class Materials:
                     dot(&direction[i, 0], &geometric[i, 0]) > 0.0, media[i],
                 )
                 interface_at(&out, self, &at)
-                normal[i, 0], normal[i, 1], normal[i, 2] = out.normal
-                is_shading[i], beyond[i] = out.is_shading, out.beyond
+                normal[i, 0], normal[i, 1], normal[i, 2] = out.to.normal
+                is_shading[i], beyond[i] = out.to.is_shading, out.beyond
                 numbers[0, i], numbers[1, i], numbers[2, i] = out.n1, out.n2, out.reflected
         return Interfaces(
             normal.base, is_shading.base.view(np.bool_), *numbers.base, beyond.base

@@ -12,14 +12,13 @@ from libc.stdint cimport int16_t, int32_t, int64_t, uint64_t
 import numpy as np
 
 from ..common.rng cimport mix, uniform
-from ..common.vec3 cimport dot, orthonormal_frame
+from ..common.vec3 cimport copy, dot, orthonormal_frame
 from .deposits cimport Deposit, Deposits
 from .emission cimport Emission
 from .materials cimport (
     Arrival, Interface, Materials, interface_at, is_absorbing, is_absorbing_surface, is_diffuse,
     media_at, transmittance,
 )
-from .optics cimport reflect_into, refract_into
 from .raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
 from .sampling cimport disk_point, hemisphere_direction
 
@@ -307,9 +306,9 @@ cdef class Paths:
         )
         interface_at(&at, self.materials, &arrival)
         if at.reflected == 1.0 or random(event, OF_SURFACE) < at.reflected:
-            reflect_into(out, ray.direction, at.normal)
+            copy(out, at.to.reflection)
         else:
-            refract_into(out, ray.direction, at.normal, at.n1, at.n2)
+            copy(out, at.to.refraction)
             ray.media = at.beyond
             self.n_overflows += at.overflows
             kind = LEFT if event.inside else ENTERED
