@@ -168,11 +168,11 @@ class Scene:
         radii = [np.linalg.norm(self._vertices[i] - centre, axis=1).max() for i in ids]
         return Sphere(centre, float(max(radii)))
 
-    def object_bounds(self, object_ids: Iterable[int]) -> tuple[Floats, Floats]:
-        """Return the lowest and highest coordinates of some objects, (m, 3) each."""
-        vertices = [self._vertices[i] for i in object_ids]
-        low, high = ([f(v, axis=0) for v in vertices] for f in (np.min, np.max))
-        return np.reshape(low, (-1, 3)), np.reshape(high, (-1, 3))
+    @cached_property
+    def object_bounds(self) -> tuple[Floats, Floats]:
+        """The lowest and the highest coordinates of each object, (n, 3) both."""
+        low = np.array([vertices.min(axis=0) for vertices in self._vertices])
+        return low, np.array([vertices.max(axis=0) for vertices in self._vertices])
 
     def material_table(self) -> MaterialTable:
         """The materials of all objects as arrays."""
@@ -184,8 +184,9 @@ class Scene:
         return tuple(nondegenerate_vertices(item.mesh) for item in self.objects)
 
     def _bounds(self, object_ids: Iterable[int]) -> tuple[Floats, Floats]:
-        low, high = self.object_bounds(object_ids)
-        return low.min(axis=0), high.max(axis=0)
+        rows = list(object_ids)
+        low, high = self.object_bounds
+        return low[rows].min(axis=0), high[rows].max(axis=0)
 
 
 def object_label(object_id: int, item: SceneObject) -> str:

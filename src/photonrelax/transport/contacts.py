@@ -116,7 +116,7 @@ def _meeting_boxes(low: Floats, high: Floats) -> Iterator[tuple[int, int]]:
 
 def _meet(low: Floats, high: Floats, low_corner: Floats, high_corner: Floats) -> NDArray[np.bool_]:
     """True for boxes (n, 3) that meet a box."""
-    meets: NDArray[np.bool_] = ((low <= high_corner) & (high >= low_corner)).all(axis=1)
+    meets: NDArray[np.bool_] = np.all((low <= high_corner) & (high >= low_corner), axis=1)
     return meets
 
 

@@ -32,7 +32,7 @@ class MediaFinder:
     def __init__(self, scene: Scene, caster: RayCaster, materials: Materials) -> None:
         self._scene, self._caster, self._materials = scene, caster, materials
         self._ids = materials.dielectrics
-        low, high = scene.object_bounds(self._ids)
+        low, high = (corner[self._ids] for corner in scene.object_bounds)
         # Points may lie on surfaces.
         margin = caster.resolution.at(np.concatenate([low, high])).max(initial=0.0)
         self._low, self._high = low - margin, high + margin
@@ -127,5 +127,5 @@ def warn_of_overflows(n: int, materials: Materials) -> None:
 
 def _in_box(points: Floats, low: Floats, high: Floats) -> NDArray[np.bool_]:
     """True for points (n, 3) in boxes; false for NaN."""
-    inside: NDArray[np.bool_] = ((points >= low) & (points <= high)).all(axis=1)
+    inside: NDArray[np.bool_] = np.all((points >= low) & (points <= high), axis=1)
     return inside
