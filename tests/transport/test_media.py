@@ -4,6 +4,8 @@ Light falls straight through layers, so that each way has a closed form: Fresnel
 Beer–Lambert between them.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -457,6 +459,31 @@ def test_lamps_in_hollows_and_outside_of_open_meshes_are_in_no_medium():
             [pr.PointEmitter([0, 0, 1.0])],
         )
     assert media_of(pond) == [[]]
+
+
+class Submerged(pr.CollimatedEmitter):
+    """Parallel light that starts in the scene, from the height 1 on."""
+
+    def emission_region(self, target, scene, emitter_offset):
+        region = super().emission_region(target, scene, emitter_offset)
+        return replace(region, origin=np.array([0.0, 0.0, 1.0]))
+
+
+def test_beams_are_in_the_media_at_their_middle():
+    lamp = Submerged([0, 0, -1])
+    sea = [floor(), block(-1.0, 2.0, 1.33, [1.0, 0.0, 0.5])]
+    assert media_of(pr.Scene(sea, [lamp])) == [[1]]
+    photons = pr.trace_photons(pr.Scene(sea, [lamp]), 50_000, paths="all")
+    below = photons.subset(from_above(photons) & (photons.n_bounces == 0))
+    expected = np.exp([-1.0, 0.0, -0.5])
+    np.testing.assert_allclose(below.flux.sum(axis=0) / 4.8**2, expected, rtol=0.03)
+    # Its direct light comes from infinitely far away.
+    scene = pr.Scene(sea, [lamp])
+    arriving = direct_irradiance(scene, RayCaster(sea), [[0.1, 0.2, 1.5]], [[0, 0, 1.0]])
+    np.testing.assert_array_equal(arriving, 0.0)
+    unlit = pr.Scene([floor()], [lamp])
+    arriving = direct_irradiance(unlit, RayCaster(unlit.objects), [[0.1, 0.2, 0.0]], [[0, 0, 1.0]])
+    np.testing.assert_array_equal(arriving, 1.0)
 
 
 def nested_boxes(n):

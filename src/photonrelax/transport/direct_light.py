@@ -10,7 +10,11 @@ from .._util.parallel import thread_count
 from .._util.validation import Floats, float_array, unit_vectors
 from ..scene.scene import Scene
 from .media import MediaFinder
+from .optics import beer_lambert
 from .raycast import RayCaster
+
+# Clear channels of a medium absorb nothing over infinite distances either.
+_FARTHEST = np.finfo(np.float64).max
 
 
 def direct_irradiance(
@@ -67,7 +71,9 @@ def direct_irradiance(
             origin_offset=origin_offset[lit],
             n_threads=threads,
         )
-        # No surface lies between: all of the way is in the media of the emitter.
-        arriving = materials.transmittances(stack, distance[lit]) * irradiance[lit]
-        total[lit] += np.where(occluded[:, None], 0.0, arriving)
+        # No surface lies between: all of the way is in the medium at the emitter.
+        absorption = materials.absorption_in(stack)
+        if absorption.any():
+            irradiance[lit] *= beer_lambert(absorption, np.minimum(distance[lit], _FARTHEST))
+        total[lit] += np.where(occluded[:, None], 0.0, irradiance[lit])
     return total

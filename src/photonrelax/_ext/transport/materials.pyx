@@ -6,12 +6,12 @@ Every loop body writes only row i.
 from collections import namedtuple
 
 cimport cython
-from libc.float cimport DBL_MAX
 from libc.stdint cimport int32_t, uint8_t, uint64_t
 
 import numpy as np
 
 from ..common.vec3 cimport dot
+from .media cimport current
 
 # The kinds of `scene.materials.MaterialTable`.
 KINDS = {"diffuse": DIFFUSE, "mirror": MIRROR, "dielectric": DIELECTRIC}
@@ -82,16 +82,9 @@ cdef class Materials:
                     transmittance(&transmitted[i, 0], self, at_hit[i], distance[i])
         return at_hit.base, transmitted.base
 
-    def transmittances(self, uint64_t media, const double[::1] distance):
-        """Transmitted shares (m, 3) of the light along distances (m,) within the same media."""
-        cdef Py_ssize_t i, m = distance.shape[0]
-        cdef double[:, ::1] transmitted = np.ones((m, 3))
-        if is_absorbing(self, media):
-            with nogil:
-                for i in range(m):
-                    # Clear channels transmit all light of infinite distances too.
-                    transmittance(&transmitted[i, 0], self, media, min(distance[i], DBL_MAX))
-        return transmitted.base
+    def absorption_in(self, uint64_t media):
+        """Absorption (3,) of the medium that rules in a stack, 1/m."""
+        return np.array(self.absorption[current(media, self.bits)])
 
     def interfaces(self, const double[:, ::1] direction, hits, const uint64_t[::1] media):
         """`Interfaces` of rays of unit direction (m, 3) in media (m,) with specular surfaces."""
