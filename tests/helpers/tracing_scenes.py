@@ -80,4 +80,13 @@ SCENES = {
         ],
         [pr.PointEmitter([0, 0, 0], (1.0, 2.0, 3.0))],
     ),
+    "bubble and lamp in tinted water": pr.Scene(
+        [
+            floor(albedo=TINT),
+            pr.SceneObject(box([3, 3, 2], [0, 0, 0.9]), pr.Dielectric(1.33, absorption=TINT)),
+            glass_ball(ior=1.0),
+            mirror_ball(TINT),
+        ],
+        [DOWN, pr.PointEmitter([-0.7, 0, 1], (1.0, 2.0, 3.0)), pr.PointEmitter([0, 0.1, 1])],
+    ),
 }

@@ -97,6 +97,6 @@ def test_split_rays_have_two_rows_for_each(context, odd):
     shapes = dict.fromkeys(("direction", "weight"), (16, 3))
     shapes |= dict.fromkeys(("out_direction", "out_weight"), (32, 3)) | odd
     given = {name: np.ones(shape) for name, shape in shapes.items()}
-    given |= {"medium": np.zeros(16, np.int32), "out_medium": np.zeros(32, np.int32)}
+    given |= {"media": np.zeros(16, np.uint64), "out_media": np.zeros(32, np.uint64)}
     with pytest.raises(ValueError, match="do not fit one another"):
-        hit_points.split(context._materials, hits, **given, n_threads=1)
+        hit_points.split(context.materials, hits, **given, n_threads=1)

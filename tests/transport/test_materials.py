@@ -36,34 +36,108 @@ def test_an_unknown_kind_is_refused():
         Materials(table)
 
 
+def interfaces(materials, direction, hits, media=0):
+    return materials.interfaces(direction, hits, np.full(len(direction), media, np.uint64))
+
+
 def test_indices_depend_on_the_side_of_the_ray_and_mirrors_have_none(materials):
     direction = np.array([DOWN, UP, DOWN, UP])
-    normal, is_shading, n1, n2 = materials.interfaces(direction, hits_on(GLASS, GLASS, MIRROR, 1))
-    np.testing.assert_array_equal(normal, -direction)
-    assert is_shading.all()
-    np.testing.assert_array_equal(n1, [1.2, 1.5, 1, 1])
-    np.testing.assert_array_equal(n2, [1.5, 1.2, 1, 1])
+    at = interfaces(materials, direction, hits_on(GLASS, GLASS, MIRROR, 1))
+    np.testing.assert_array_equal(at.normal, -direction)
+    assert at.is_shading.all()
+    np.testing.assert_array_equal(at.n1, [1.2, 1.5, 1, 1])
+    np.testing.assert_array_equal(at.n2, [1.5, 1.2, 1, 1])
 
 
 def test_shading_normals_serve_unless_they_lead_through_the_face(materials):
     lean = np.array([np.sin(0.5), 0.0, np.cos(0.5)])
     direction = np.array([DOWN, [np.cos(0.3), 0.0, -np.sin(0.3)]])
     # The second ray comes from behind the leaning normal.
-    normal, is_shading, _, _ = materials.interfaces(direction, hits_on(MIRROR, 1, shading=lean))
-    np.testing.assert_array_equal(is_shading, [True, False])
-    np.testing.assert_array_equal(normal, [lean, UP])
+    at = interfaces(materials, direction, hits_on(MIRROR, 1, shading=lean))
+    np.testing.assert_array_equal(at.is_shading, [True, False])
+    np.testing.assert_array_equal(at.normal, [lean, UP])
 
 
 def test_dielectrics_reflect_by_fresnel_and_mirrors_reflect_all(materials):
-    cosine, n1, n2 = np.array([0.3, 1.0 + 1e-12, 0.3]), np.array([1.2, 1.5, 1.0]), np.ones(3)
-    share = materials.reflected_shares(hits_on(GLASS, GLASS, MIRROR).object_id, cosine, n1, n2)
-    np.testing.assert_array_equal(share[:2], fresnel(np.minimum(cosine, 1.0), n1, n2)[:2])
-    assert share[2] == 1.0
+    direction = np.array([[np.sin(0.3), 0.0, -np.cos(0.3)], UP, DOWN])
+    at = interfaces(materials, direction, hits_on(GLASS, GLASS, MIRROR))
+    cosine = np.array([np.cos(0.3), 1.0])
+    np.testing.assert_array_equal(at.reflected[:2], fresnel(cosine, [1.2, 1.5], [1.5, 1.2]))
+    assert at.reflected[2] == 1.0
 
 
-def test_rays_that_hit_a_dielectric_from_behind_were_inside_it(materials):
-    direction = np.array([DOWN, UP, UP, UP, DOWN])
-    entered = np.array([7, 7, 7, 7, -1], dtype=np.int32)
-    at_hit, beyond = materials.media(direction, hits_on(GLASS, GLASS, MIRROR, 0, GLASS), entered)
-    np.testing.assert_array_equal(at_hit, [7, GLASS, 7, 7, -1])
-    np.testing.assert_array_equal(beyond[[0, 1, 4]], [GLASS, -1, GLASS])
+# Bodies of indices 1.1, 1.2, 1.3 and 1.4, and one with an index outside of its own.
+BODIES = [Dielectric(1.0 + 0.1 * i, absorption=i) for i in (1, 2, 3, 4)]
+BODIES.append(Dielectric(1.5, exterior_ior=1.05, absorption=5))
+IORS = np.array([1.0, 1.1, 1.2, 1.3, 1.4, 1.5])
+
+
+def stack(*bodies):
+    """Media of a ray that entered bodies 1, 2, ... in this order."""
+    return sum(body << 8 * i for i, body in enumerate(reversed(bodies)))
+
+
+# Media before, body met, whether from inside: media beyond, and which rule on both sides.
+CROSSINGS = {
+    "enter from nowhere": ([], 1, DOWN, [1], 0, 1),
+    "enter another": ([1], 2, DOWN, [1, 2], 1, 2),
+    "leave the last": ([1, 2], 2, UP, [1], 2, 1),
+    "leave the only one": ([1], 1, UP, [], 1, 0),
+    "leave one further down: nothing changes": ([1, 2, 3], 1, UP, [2, 3], 3, 3),
+    "leave one in the middle": ([1, 2, 3], 2, UP, [1, 3], 3, 3),
+    "enter again what was not seen to end": ([1, 2], 1, DOWN, [2, 1], 2, 1),
+    "enter one beyond eight": ([1, 2, 3, 4] * 2, 5, DOWN, [2, 3, 4, 1, 2, 3, 4, 5], None, None),
+}
+
+
+@pytest.mark.parametrize("name", CROSSINGS)
+def test_a_surface_separates_the_media_that_rule_on_its_sides(name):
+    before, body, direction, beyond, here, there = CROSSINGS[name]
+    materials = Materials(MaterialTable.of(BODIES))
+    at = interfaces(materials, np.array([direction]), hits_on(body - 1), stack(*before))
+    assert int(at.beyond[0]) == stack(*beyond)
+    if here is not None:
+        assert (at.n1[0], at.n2[0]) == (IORS[here], IORS[there])
+        assert (at.reflected[0] == 0.0) == (here == there)
+
+
+def test_an_index_outside_of_its_own_holds_whatever_is_around():
+    materials = Materials(MaterialTable.of(BODIES))
+    at = interfaces(
+        materials, np.array([DOWN, UP, UP]), hits_on(4, 4, 4), np.array(stack(1), np.uint64)
+    )
+    np.testing.assert_array_equal(at.n1, [1.05, 1.5, 1.5])
+    np.testing.assert_array_equal(at.n2, [1.5, 1.05, 1.05])
+
+
+def arrive(materials, direction, hits, *media):
+    hits.distance[:] = 2.0
+    return materials.arrive(np.array(direction), hits, np.array(media, dtype=np.uint64))
+
+
+def test_rays_that_meet_a_body_from_behind_were_inside_it():
+    materials = Materials(MaterialTable.of([*BODIES[:4], Mirror()]))
+    hits = hits_on(0, 0, 0, 4, 1)
+    media, transmitted = arrive(
+        materials,
+        [UP, UP, DOWN, UP, DOWN],
+        hits,
+        *(stack(), stack(2), stack(2), stack(2), stack(1)),
+    )
+    np.testing.assert_array_equal(media, [stack(1), stack(2, 1), stack(2), stack(2), stack(1)])
+    np.testing.assert_allclose(transmitted[:, 0], np.exp([-2.0, -2.0, -4.0, -4.0, -2.0]))
+
+
+def test_the_body_that_was_entered_last_absorbs():
+    materials = Materials(MaterialTable.of(BODIES))
+    _, transmitted = arrive(
+        materials, [DOWN] * 3, hits_on(0, 0, 0), stack(2, 3), stack(3, 2), stack()
+    )
+    np.testing.assert_allclose(transmitted[:, 1], np.exp([-6.0, -4.0, 0.0]))
+
+
+def test_arrays_have_a_row_for_each_ray():
+    materials = Materials(MaterialTable.of(BODIES))
+    for call in (materials.arrive, materials.interfaces):
+        with pytest.raises(ValueError, match="do not fit one another"):
+            call(np.array([DOWN]), hits_on(0, 0), np.zeros(2, np.uint64))

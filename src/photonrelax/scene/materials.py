@@ -24,8 +24,10 @@ class MaterialRow:
         Name of the kernel's kind.
     reflectance : (3,)
         Albedo or reflectance.
-    ior, exterior_ior : float
-        Indices of refraction.
+    ior : float
+        Index of refraction inside.
+    exterior_ior : float, optional
+        Index of refraction outside; None for that of the medium around.
     absorption : (3,)
         1/m.
     """
@@ -33,7 +35,7 @@ class MaterialRow:
     kind: str
     reflectance: ArrayLike = (1.0, 1.0, 1.0)
     ior: float = 1.0
-    exterior_ior: float = 1.0
+    exterior_ior: float | None = 1.0
     absorption: ArrayLike = (0.0, 0.0, 0.0)
 
 
@@ -100,23 +102,31 @@ class Mirror(Material):
 class Dielectric(Material):
     """Perfectly smooth transparent body; the faces of its mesh wind outwards.
 
+    Bodies may lie in one another: a bubble in water is a body of index 1 in a body of index 1.33.
+    Where several overlap, that which a ray entered last rules.
+
     Parameters
     ----------
-    ior, exterior_ior : float
-        Index of refraction inside the mesh and outside it.
+    ior : float
+        Index of refraction inside the mesh.
+    exterior_ior : float, optional
+        Index of refraction outside of it. None, the default, is that of the dielectric around, or
+        1 in none. A number holds for this surface alone, whatever is around it.
     absorption : (3,) or float
-        Absorption inside the mesh per channel, 1/m (Beer–Lambert).
+        Absorption inside the mesh per channel, 1/m (Beer–Lambert). It does not add to that of
+        dielectrics around.
     """
 
     has_inside: ClassVar[bool] = True
 
     ior: float = 1.5
-    exterior_ior: float = 1.0
+    exterior_ior: float | None = None
     absorption: ArrayLike = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         set_field(self, "ior", positive(self.ior, "ior"))
-        set_field(self, "exterior_ior", positive(self.exterior_ior, "exterior_ior"))
+        if self.exterior_ior is not None:
+            set_field(self, "exterior_ior", positive(self.exterior_ior, "exterior_ior"))
         set_field(self, "absorption", frozen(rgb(self.absorption, "absorption")))
 
     def row(self) -> MaterialRow:
@@ -138,8 +148,11 @@ class MaterialTable:
         "diffuse", "mirror" or "dielectric".
     reflectance : (n, 3)
         Albedo or reflectance; 1 for dielectrics.
-    ior, exterior_ior : (n,)
-        Indices of refraction; 1 for other materials.
+    ior : (n,)
+        Index of refraction inside dielectrics; 1 for other materials.
+    exterior_ior : (n,)
+        Index of refraction outside; NaN where it is that of the medium around, 1 for other
+        materials.
     absorption : (n, 3)
         1/m; 0 for other materials.
     """
@@ -158,6 +171,7 @@ class MaterialTable:
             kind=tuple(row.kind for row in rows),
             reflectance=np.array([row.reflectance for row in rows], dtype=np.float64),
             ior=np.array([row.ior for row in rows], dtype=np.float64),
+            # None becomes NaN.
             exterior_ior=np.array([row.exterior_ior for row in rows], dtype=np.float64),
             absorption=np.array([row.absorption for row in rows], dtype=np.float64),
         )

@@ -184,6 +184,12 @@ class Scene:
         spheres = group_spheres(meshes, max_groups)
         return spheres if len(spheres) > 1 else (self.bounding_sphere(self.specular_objects),)
 
+    @cached_property
+    def object_bounds(self) -> tuple[Floats, Floats]:
+        """The lowest and the highest coordinates of each object, (n, 3) both."""
+        low = np.array([vertices.min(axis=0) for vertices in self._vertices])
+        return low, np.array([vertices.max(axis=0) for vertices in self._vertices])
+
     def material_table(self) -> MaterialTable:
         """The materials of all objects as arrays."""
         return MaterialTable.of(item.material for item in self.objects)
@@ -194,9 +200,9 @@ class Scene:
         return tuple(nondegenerate_vertices(item.mesh) for item in self.objects)
 
     def _bounds(self, object_ids: Iterable[int]) -> tuple[Floats, Floats]:
-        vertices = [self._vertices[i] for i in object_ids]
-        corners = [(v.min(axis=0), v.max(axis=0)) for v in vertices]
-        return np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
+        rows = list(object_ids)
+        low, high = self.object_bounds
+        return low[rows].min(axis=0), high[rows].max(axis=0)
 
 
 def object_label(object_id: int, item: SceneObject) -> str:

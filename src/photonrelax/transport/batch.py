@@ -19,6 +19,7 @@ from ..photons.energy_ledger import PATH_OUTCOMES
 from ..scene.scene import Scene
 from .aim import LUMINANCE
 from .emission import PATHS, EmissionPlan
+from .media import MediaFinder
 from .raycast import RayCaster
 
 Job = tuple[int, range]
@@ -39,7 +40,7 @@ class BatchLedger:
     """Outcomes of some paths of one region.
 
     `energy` (blocks, outcomes, 3) is relative to the flux of a photon; `ends` (outcomes,) and
-    `n_met_specular` count paths.
+    `n_met_specular` count paths, `n_overflows` events that lose a medium (`warn_of_overflows`).
     """
 
     region_id: int
@@ -47,6 +48,7 @@ class BatchLedger:
     energy: Floats
     ends: NDArray[np.int64]
     n_met_specular: int
+    n_overflows: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,14 +93,15 @@ class TraceContext:
         *,
         caster: RayCaster | None = None,
     ) -> None:
-        self._materials = Materials(scene.material_table())
-        if not self._materials.diffuse.any():
+        self.materials = Materials(scene.material_table())
+        if not self.materials.diffuse.any():
             raise ValueError(
                 "scene should have a Diffuse object to store photons on, "
                 f"but none of its {len(scene.objects)} objects is"
             )
         self.scene, self.plan, self.settings, self.size = scene, plan, settings, size
         self.caster = caster or RayCaster(scene.objects)
+        self.media = MediaFinder(scene, self.caster, self.materials).at_emitters()
         self.flux = plan.flux_per_photon
         self.emissions = [plan.emission(region) for region in range(len(plan.aimed))]
         self._free_list: list[_kernel.Paths] = []
@@ -110,7 +113,7 @@ class TraceContext:
             return self._free_list.pop()
         except IndexError:
             return _kernel.Paths(
-                self._materials,
+                self.materials,
                 self.caster.frame,
                 self.caster.triangles,
                 self.size,
@@ -151,6 +154,7 @@ def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
     paths.start(
         context.emissions[region_id],
         candidates,
+        media=context.media[context.plan.aimed[region_id].emitter_id],
         luminance=LUMINANCE * context.flux[region_id],
         ledger=energy,
         ends=ends,
@@ -158,7 +162,7 @@ def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
     while paths.n_live:
         paths.advance(context.caster.find_paths(paths))
     deposits, coords, density = paths.take_deposits()
-    ledger = BatchLedger(region_id, n, energy, ends, paths.n_met_specular)
+    ledger = BatchLedger(region_id, n, energy, ends, paths.n_met_specular, paths.n_overflows)
     context.release_paths(paths)
     path, rows = _spectrum_rows(context, region_id, candidates, deposits)
     return TracedBatch(deposits, coords, density, ledger, candidates[path], rows)

@@ -1,13 +1,13 @@
 """Transparent objects nearer to themselves or to opaque surfaces than rays resolve.
 
 Of two faces in one place a ray hits either, so light would be stored below glass that it has not
-left, or fall through what the glass stands on.
+left, fall through what the glass stands on, or count as being in glass that it has left for other.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,15 +45,95 @@ def open_contacts(
     inner, outer = faces[candidates & transparent], faces[candidates & ~transparent]
     if not (len(inner) and len(outer)):
         return
-    gap = _GAP * resolution.at(vertices[inner]).max(axis=1)
-    size = float(np.ptp(vertices[inner], axis=(0, 1)).max())
-    origin, normals = vertices[inner[0, 0]], face_normals(vertices[inner])
-    planes = _planes(face_normals(vertices[outer]), vertices[outer] - origin, size)
-    own = _planes(normals, vertices[inner] - origin, size)
-    touching = KDTree(np.concatenate([planes, -planes])).query(own, 1).distance[:, 0] < gap
+    gap, normals = _gap(vertices, inner, resolution), face_normals(vertices[inner])
+    touching = _in_planes(vertices, inner, outer, gap) | _in_planes(
+        vertices, inner, outer[:, ::-1], gap
+    )
     if touching.any():
         movable = np.unique(faces[transparent])
-        _move(vertices, movable, inner[touching], -gap[touching, np.newaxis] * normals[touching])
+        _move(vertices, movable, inner[touching], -gap[touching] * normals[touching])
+
+
+def overlap_contacts(
+    vertices: Floats, faces: NDArray, object_id: NDArray[np.int32], resolution: Resolution
+) -> None:
+    """Move faces of transparent objects off those of others in the same plane.
+
+    Of two such objects the smaller one is moved: into the other where they touch from outside, so
+    that rays enter it before they leave the other; off the surface of the other where it lies
+    inside, so that rays enter it after the other.
+
+    Parameters
+    ----------
+    vertices : (v, 3)
+        m; changed in place.
+    faces, object_id : (f, 3), (f,)
+        Of transparent objects, which wind outwards, without common vertices; ids ascend.
+    resolution : Resolution
+        Faces nearer than the gap count as in the same plane.
+    """
+    ids, first = np.unique(object_id, return_index=True)
+    if len(ids) < 2:
+        return
+    low, high = face_bounds(vertices, faces)
+    low_corner, high_corner = np.minimum.reduceat(low, first), np.maximum.reduceat(high, first)
+    margin = _GAP * resolution.at(np.concatenate([low_corner, high_corner])).max()
+    last = np.append(first[1:], len(faces))
+    volume = np.prod(high_corner - low_corner, axis=1)
+    for pair in _meeting_boxes(low_corner - margin, high_corner):
+        inner, outer = sorted(pair, key=lambda i: volume[i])
+        mine, others = (
+            rows[_meet(low[rows] - margin, high[rows], low_corner[box], high_corner[box])]
+            for rows, box in (
+                (np.arange(first[inner], last[inner]), outer),
+                (np.arange(first[outer], last[outer]), inner),
+            )
+        )
+        if len(mine) and len(others):
+            movable = np.unique(faces[first[inner] : last[inner]])
+            _shift_contacts(vertices, movable, faces[mine], faces[others], resolution)
+
+
+def _shift_contacts(
+    vertices: Floats, movable: NDArray, inner: NDArray, outer: NDArray, resolution: Resolution
+) -> None:
+    """Move inner faces in the plane of an outer one: outwards if they face each other."""
+    gap, normals = _gap(vertices, inner, resolution), face_normals(vertices[inner])
+    facing = _in_planes(vertices, inner, outer[:, ::-1], gap)
+    flush = _in_planes(vertices, inner, outer, gap) & ~facing
+    moved = facing | flush
+    if moved.any():
+        sign = np.where(facing, 1.0, -1.0)[:, np.newaxis]
+        _move(vertices, movable, inner[moved], (sign * gap * normals)[moved])
+
+
+def _meeting_boxes(low: Floats, high: Floats) -> Iterator[tuple[int, int]]:
+    """Yield the pairs of boxes (n, 3) that meet."""
+    for i in range(len(low) - 1):
+        for j in i + 1 + np.flatnonzero(_meet(low[i + 1 :], high[i + 1 :], low[i], high[i])):
+            yield i, int(j)
+
+
+def _meet(low: Floats, high: Floats, low_corner: Floats, high_corner: Floats) -> NDArray[np.bool_]:
+    """True for boxes (n, 3) that meet a box."""
+    meets: NDArray[np.bool_] = np.all((low <= high_corner) & (high >= low_corner), axis=1)
+    return meets
+
+
+def _gap(vertices: Floats, faces: NDArray, resolution: Resolution) -> Floats:
+    """Gaps (f, 1) that faces are to have, m."""
+    return _GAP * resolution.at(vertices[faces]).max(axis=1, keepdims=True)
+
+
+def _in_planes(vertices: Floats, inner: NDArray, outer: NDArray, gap: Floats) -> NDArray[np.bool_]:
+    """True for inner faces nearer than their gaps to the planes of outer ones that face alike."""
+    size = float(np.ptp(vertices[inner], axis=(0, 1)).max())
+    origin = vertices[inner[0, 0]]
+    own, planes = (
+        _planes(face_normals(corners), corners - origin, size)
+        for corners in (vertices[inner], vertices[outer])
+    )
+    return KDTree(planes, planes.shape[1]).query(own, 1).distance[:, 0] < gap[:, 0]
 
 
 def _overlapping(

@@ -5,10 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._ext.transport.materials import Materials
 from .._util.parallel import thread_count
 from .._util.validation import Floats, float_array, unit_vectors
 from ..scene.scene import Scene
+from .media import MediaFinder
+from .optics import beer_lambert
 from .raycast import RayCaster
+
+# Clear channels of a medium absorb nothing over infinite distances either.
+_FARTHEST = np.finfo(np.float64).max
 
 
 def direct_irradiance(
@@ -22,8 +28,9 @@ def direct_irradiance(
     """Return the irradiance at points from the emitters they see.
 
     Every object occludes, transparent ones too: light that passes through them is carried by
-    photons. Points nearer to an emitter than `Scene.emitter_offset` get no light from it, because
-    the inverse square of their distance is no measure of the mean over a pixel.
+    photons. An absorbing dielectric that emitter and point both lie in absorbs. Points nearer to
+    an emitter than `Scene.emitter_offset` get no light from it, because the inverse square of their
+    distance is no measure of the mean over a pixel.
 
     Parameters
     ----------
@@ -49,7 +56,9 @@ def direct_irradiance(
     normal = unit_vectors(normal, "normal", (len(position), 3))
     origin_offset = caster.resolution.at(position)[:, np.newaxis] * normal
     total = np.zeros_like(position)
-    for emitter in scene.emitters:
+    materials = Materials(scene.material_table())
+    media = MediaFinder(scene, caster, materials).at_emitters()
+    for emitter, stack in zip(scene.emitters, media, strict=True):
         offset = scene.emitter_offset(emitter)
         direction, distance, facing = emitter.direct(position, offset)
         cosine = np.maximum(np.einsum("ij,ij->i", direction, normal), 0.0)
@@ -62,5 +71,9 @@ def direct_irradiance(
             origin_offset=origin_offset[lit],
             n_threads=threads,
         )
+        # No surface lies between: all of the way is in the medium at the emitter.
+        absorption = materials.absorption_in(stack)
+        if absorption.any():
+            irradiance[lit] *= beer_lambert(absorption, np.minimum(distance[lit], _FARTHEST))
         total[lit] += np.where(occluded[:, None], 0.0, irradiance[lit])
     return total

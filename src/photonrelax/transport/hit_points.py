@@ -18,6 +18,7 @@ from .._util.parallel import thread_count
 from .._util.validation import Floats, count
 from ..scene.camera import Camera, pixel_rays
 from ..scene.scene import Scene
+from .media import Media, MediaFinder, warn_of_overflows
 from .optics import from_behind
 from .raycast import Intersections, RayCaster
 
@@ -84,7 +85,7 @@ class _Rays:
     direction: Floats
     origin_offset: Floats  # `Intersections.offset` of where the ray starts, NaN at the camera
     weight: Floats  # without the division by the number of samples
-    medium: NDArray[np.int32]  # object that the ray last entered, or -1
+    media: Media
     pixel: NDArray[np.int64]
 
     def __getitem__(self, rows: NDArray) -> _Rays:
@@ -105,9 +106,8 @@ def trace_hit_points(
     """Trace the rays of some rows of the image to diffuse surfaces.
 
     At a dielectric a ray splits in two, weighted by the Fresnel reflectance and its complement; the
-    refracted one also by (n_camera/n_other)², as radiance is. Beer–Lambert applies inside, though
-    not between a camera in glass and another object in the same glass: the camera is taken to be
-    outside unless the first hit is a dielectric from behind.
+    refracted one also by (n_camera/n_other)², as radiance is. Beer–Lambert applies inside. The
+    media that the camera is in are those that its ray leaves.
 
     Parameters
     ----------
@@ -139,6 +139,8 @@ def trace_hit_points(
     rays = _camera_rays(*pixel_rays(camera, rows, supersampling, offset=offset))
     found = _camera_hits(caster, rays, threads)
     materials = Materials(scene.material_table())
+    finder = MediaFinder(scene, caster, materials)
+    rays = replace(rays, media=finder.along(rays.origin, rays.direction, found))
     points = []
     for segments, hits in _levels(caster, rays, found, materials, n_threads=threads):
         diffuse = materials.diffuse[hits.object_id]
@@ -176,7 +178,7 @@ def _camera_rays(origins: Floats, directions: Floats, pixel: NDArray[np.int64]) 
         directions,
         origin_offset=np.full_like(origins, np.nan),
         weight=np.ones_like(origins),
-        medium=np.full(len(origins), -1, dtype=np.int32),
+        media=np.zeros(len(origins), dtype=np.uint64),
         pixel=pixel,
     )
 
@@ -208,30 +210,27 @@ def _seen_normal(rays: _Rays, found: Intersections) -> Floats:
 
 def _absorb(rays: _Rays, found: Intersections, materials: Materials) -> _Rays:
     """Apply Beer–Lambert on the way to the hits."""
-    medium, _ = materials.media(rays.direction, found, rays.medium)
-    inside = np.flatnonzero(medium >= 0)
-    weight = rays.weight.copy()
-    depth = materials.table.absorption[medium[inside]] * found.distance[inside, None]
-    weight[inside] *= np.exp(-depth)
-    return replace(rays, weight=weight)
+    media, transmitted = materials.arrive(rays.direction, found, rays.media)
+    return replace(rays, media=media, weight=rays.weight * transmitted)
 
 
 def _split(rays: _Rays, found: Intersections, materials: Materials, n_threads: int) -> _Rays:
     """Reflections and refractions of rays at specular surfaces, without the faint ones."""
     n = len(found)
     direction, weight = np.empty((2 * n, 3)), np.empty((2 * n, 3))
-    medium = np.empty(2 * n, dtype=np.int32)
-    split(
+    media = np.empty(2 * n, dtype=np.uint64)
+    overflows = split(
         materials,
         found,
         direction=rays.direction,
         weight=rays.weight,
-        medium=rays.medium,
+        media=rays.media,
         out_direction=direction,
         out_weight=weight,
-        out_medium=medium,
+        out_media=media,
         n_threads=n_threads,
     )
+    warn_of_overflows(overflows, materials)
     kept = np.flatnonzero(weight.max(axis=1) >= _MIN_WEIGHT)
     parent = kept // 2
     return _Rays(
@@ -239,7 +238,7 @@ def _split(rays: _Rays, found: Intersections, materials: Materials, n_threads: i
         direction=direction[kept],
         origin_offset=found.offset[parent],
         weight=weight[kept],
-        medium=medium[kept],
+        media=media[kept],
         pixel=rays.pixel[parent],
     )
 

@@ -21,7 +21,7 @@ from .._util.validation import Floats, float_array
 from ..scene.meshes import nondegenerate_faces, vertices_of
 from ..scene.resolution import MAX_SPREAD, ROUNDING, Resolution
 from ..scene.scene import SceneObject, object_label
-from .contacts import open_contacts, warn_of_thin_objects
+from .contacts import open_contacts, overlap_contacts, warn_of_thin_objects
 from .split_triangles import Pieces, split_triangles
 
 # Rays per call of embree: limits the float32 copies and is the grain size of parallel work.
@@ -122,6 +122,7 @@ class RayCaster:
             [object_label(i, item) for i, item in enumerate(objects)],
             self.resolution,
         )
+        overlap_contacts(vertices, faces[of_glass], whole.faces[of_glass, 3], self.resolution)
         open_contacts(vertices, faces, of_glass, self.resolution)
         vertices -= self.resolution.origin
         self.frame = _frame(vertices, self.resolution)

@@ -7,8 +7,7 @@ their order and the ledger are the same, to the bit, for any number of threads a
 A dielectric reflects at random with the Fresnel reflectance and refracts otherwise. Mirrors,
 absorbing media and, for paths that continue, diffuse surfaces end paths by Russian roulette on the
 luminance. So all photons of an emitter carry the same luminance, and the same flux unless the path
-was coloured. Emitters count as outside of dielectrics unless the first hit is one from behind:
-light is not absorbed between an emitter in glass and another object in the same glass.
+was coloured.
 
 A stored photon takes 148 bytes where all emitters are collimated, else 156, and 24 more where some
 carry spectra, each of which takes a fifth of a millisecond, as its neighbours are traced as well
@@ -36,6 +35,7 @@ from ..scene.scene import Scene
 from .batch import BatchLedger, Job, TraceContext, TracedBatch, TraceSettings, trace_batch
 from .emission import PATHS, EmissionPlan, plan_emission
 from .frequency.spectra import ReplayBatch, SpectrumTracer, batches_by_region
+from .media import warn_of_overflows
 from .raycast import RayCaster
 
 # Far beyond any path that matters; in a mirrored room paths would never end.
@@ -137,6 +137,7 @@ def _trace_all(context: TraceContext, n_threads: int, progress: Progress | None)
             report.advance(batch.ledger.n_paths)
             # The deposits are freed before the next batch is traced.
             del batch
+    warn_of_overflows(sum(ledger.n_overflows for ledger in ledgers), context.materials)
     photons = _photon_map(plan, settings, columns, ledgers)
     if not settings.frequency_share:
         return photons

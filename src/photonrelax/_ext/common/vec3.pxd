@@ -10,6 +10,12 @@ cdef inline double dot(const double* a, const double* b) noexcept nogil:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
+cdef inline void copy(double* out, const double* a) noexcept nogil:
+    out[0] = a[0]
+    out[1] = a[1]
+    out[2] = a[2]
+
+
 cdef inline void cross(double* out, const double* a, const double* b) noexcept nogil:
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]

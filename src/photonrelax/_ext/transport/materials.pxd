@@ -4,11 +4,12 @@ Photons, camera rays and replayed paths share these functions. A new material ne
 case in the functions below that tell kinds apart, and a class in `scene/materials.py`.
 """
 
-from libc.math cimport exp
-from libc.stdint cimport int32_t
+from libc.math cimport exp, isnan
+from libc.stdint cimport int32_t, uint8_t, uint64_t
 
 from ..common.vec3 cimport dot
-from .optics cimport facing_normal, fresnel_reflectance
+from .media cimport current, entered, is_full, left
+from .optics cimport Directions, deflect, fresnel_reflectance
 
 
 cdef enum:
@@ -17,19 +18,37 @@ cdef enum:
     DIELECTRIC = 2
 
 
+cdef struct Arrival:
+    # A ray at a surface: unit vectors, the object, and the media that the ray is in. `inside` is
+    # true if it meets the back of the face.
+    const double* direction
+    const double* geometric
+    const double* shading
+    int32_t object_id
+    bint inside
+    uint64_t media
+
+
 cdef struct Interface:
-    # A specular surface at a hit. The normal faces the ray; `is_shading` is true for the
-    # interpolated one. n1 and n2 are the indices of refraction on the ray's side and beyond.
-    double[3] normal
-    double n1, n2
-    bint is_shading
+    # A specular surface at a hit. n1 and n2 are the indices of refraction on the ray's side and
+    # beyond. `reflected` is the share of the light that is reflected; the rest is refracted into
+    # the media `beyond`, of which the outermost is lost where `overflows`.
+    Directions to
+    double n1, n2, reflected
+    uint64_t beyond
+    bint overflows
 
 
 cdef class Materials:
+    # `medium` (objects,) is 0 but for dielectrics. The tables of media start with the surroundings.
     cdef readonly object table
+    cdef readonly int bits
     cdef const int32_t[::1] kind
-    cdef const double[:, ::1] reflectance, absorption
-    cdef const double[::1] ior, exterior_ior
+    cdef const double[:, ::1] reflectance
+    cdef const uint64_t[::1] medium
+    cdef const double[::1] exterior_ior, medium_ior
+    cdef const double[:, ::1] absorption
+    cdef const uint8_t[::1] is_absorbing
 
 
 cdef inline bint is_diffuse(Materials materials, int32_t object_id) noexcept nogil:
@@ -41,49 +60,68 @@ cdef inline bint is_absorbing_surface(Materials materials, int32_t object_id) no
     return materials.kind[object_id] == MIRROR
 
 
-cdef inline void interface_at(
-    Interface* out, Materials materials, int32_t object_id, const double* direction,
-    const double* geometric, const double* shading,
+cdef inline uint64_t media_at(
+    Materials materials, int32_t object_id, bint inside, uint64_t media
 ) noexcept nogil:
-    """Write the interface that a ray meets; mirrors have equal indices."""
-    cdef double inner = materials.ior[object_id], outer = materials.exterior_ior[object_id]
-    cdef bint inside = dot(direction, geometric) > 0.0
-    out.n1 = inner if inside else outer
-    out.n2 = outer if inside else inner
-    out.is_shading = facing_normal(out.normal, direction, geometric, shading, out.n1, out.n2)
+    """Media that a ray was in up to its hit.
 
-
-cdef inline double reflected_share(
-    Materials materials, int32_t object_id, double cosine, double n1, double n2
-) noexcept nogil:
-    """Share of the light at a specular surface that is reflected; the rest is refracted."""
-    if materials.kind[object_id] == DIELECTRIC:
-        return fresnel_reflectance(cosine, n1, n2)
-    return 1.0
-
-
-cdef inline int32_t medium_at_hit(
-    Materials materials, int32_t object_id, bint inside, int32_t medium
-) noexcept nogil:
-    """Object that a ray travelled in up to its hit, -1 in none.
-
-    A ray that hits a dielectric from inside was in it; any other was in `medium`, which it entered
-    last.
+    A ray that meets a dielectric from inside was in it, even where it was not seen to enter.
     """
-    if inside and materials.kind[object_id] == DIELECTRIC:
-        return object_id
-    return medium
+    cdef uint64_t medium = materials.medium[object_id]
+    if inside and medium and left(media, medium, materials.bits) == media:
+        return entered(media, medium, materials.bits)
+    return media
 
 
-cdef inline int32_t medium_beyond(int32_t object_id, bint inside) noexcept nogil:
-    """Object that a refracted ray travels in, -1 in none."""
-    return -1 if inside else object_id
+cdef inline bint is_absorbing(Materials materials, uint64_t media) noexcept nogil:
+    return materials.is_absorbing[current(media, materials.bits)]
 
 
 cdef inline void transmittance(
-    double* out, Materials materials, int32_t medium, double distance
+    double* out, Materials materials, uint64_t media, double distance
 ) noexcept nogil:
-    """Beer–Lambert law along a distance in an object."""
+    """Beer–Lambert law along a distance."""
+    cdef uint64_t medium = current(media, materials.bits)
     cdef int c
     for c in range(3):
         out[c] = exp(-materials.absorption[medium, c] * distance)
+
+
+cdef inline void interface_at(
+    Interface* out, Materials materials, const Arrival* at
+) noexcept nogil:
+    """Write the interface that a ray meets; mirrors have equal indices and reflect all."""
+    cdef uint64_t medium = materials.medium[at.object_id]
+    out.n1 = out.n2 = out.reflected = 1.0
+    out.beyond = at.media
+    out.overflows = False
+    if medium:
+        set_media(out, materials, medium, at)
+    deflect(&out.to, at.direction, at.geometric, at.shading, out.n1, out.n2)
+    if medium:
+        out.reflected = fresnel_reflectance(
+            min(-dot(at.direction, out.to.normal), 1.0), out.n1, out.n2
+        )
+
+
+cdef inline void set_media(
+    Interface* out, Materials materials, uint64_t medium, const Arrival* at
+) noexcept nogil:
+    """Write the indices on both sides of a dielectric's surface, and the media beyond it.
+
+    Each side has the index of the medium that rules there, unless the dielectric has indices of
+    its own.
+    """
+    cdef int bits = materials.bits
+    cdef uint64_t outside = left(at.media, medium, bits)
+    cdef uint64_t inside = at.media if at.inside else entered(outside, medium, bits)
+    cdef double inner = materials.medium_ior[current(inside, bits)]
+    cdef double outer = materials.exterior_ior[at.object_id]
+    if isnan(outer):
+        outer = materials.medium_ior[current(outside, bits)]
+    else:
+        inner = materials.medium_ior[medium]
+    out.n1 = inner if at.inside else outer
+    out.n2 = outer if at.inside else inner
+    out.beyond = outside if at.inside else inside
+    out.overflows = not at.inside and is_full(outside, bits)

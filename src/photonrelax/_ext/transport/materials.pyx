@@ -3,84 +3,117 @@
 Every loop body writes only row i.
 """
 
+from collections import namedtuple
+
 cimport cython
-from libc.stdint cimport int32_t, uint8_t
+from libc.stdint cimport int32_t, uint8_t, uint64_t
 
 import numpy as np
 
 from ..common.vec3 cimport dot
+from .media cimport current
 
 # The kinds of `scene.materials.MaterialTable`.
 KINDS = {"diffuse": DIFFUSE, "mirror": MIRROR, "dielectric": DIELECTRIC}
 
+Interfaces = namedtuple("Interfaces", "normal is_shading n1 n2 reflected beyond")
+Interfaces.__doc__ = """Specular surfaces that m rays meet.
+
+normal (m, 3) faces the rays; is_shading (m,) flags where it is the interpolated one. n1, n2 (m,)
+are the indices of refraction on the side of the ray and beyond, `reflected` (m,) the shares of the
+light that are reflected, and `beyond` (m,) the media that refracted rays are in.
+"""
+
 
 @cython.final
 cdef class Materials:
-    """Materials of n objects; `table` is their `MaterialTable`."""
+    """Materials of n objects; `table` is their `MaterialTable`.
+
+    `bits` is the number of bits of a medium in a stack, by the number of dielectrics.
+    """
 
     def __init__(self, table):
         self.table = table
         self.kind = np.array([KINDS[kind] for kind in table.kind], dtype=np.int32)
-        self.reflectance, self.absorption = table.reflectance, table.absorption
-        self.ior, self.exterior_ior = table.ior, table.exterior_ior
+        self.reflectance, self.exterior_ior = table.reflectance, table.exterior_ior
+        dielectrics = self.dielectrics
+        numbers = np.zeros(len(table.kind), np.uint64)
+        numbers[dielectrics] = 1 + np.arange(len(dielectrics))
+        self.medium = numbers
+        self.bits = next(bits for bits in (8, 16, 32) if len(dielectrics) < 1 << bits)
+        absorption = np.concatenate([np.zeros((1, 3)), table.absorption[dielectrics]])
+        self.medium_ior = np.concatenate([[1.0], table.ior[dielectrics]])
+        self.absorption = absorption
+        self.is_absorbing = absorption.any(axis=1).astype(np.uint8)
 
     @property
     def diffuse(self):
         """Flags (n,) of the diffuse objects, on which photons and camera rays end."""
         return np.asarray(self.kind) == DIFFUSE
 
-    def media(self, const double[:, ::1] direction, hits, const int32_t[::1] medium):
-        """Objects that rays travel in, -1 in none: up to their hits (m,), and if refracted (m,).
+    @property
+    def dielectrics(self):
+        """Ids (m,) of the objects that are media; those of a stack count from 1 in this order."""
+        return np.flatnonzero(np.asarray(self.kind) == DIELECTRIC)
 
-        `medium` (m,) are the objects that they last entered.
+    @property
+    def max_depth(self):
+        """Number of media that a ray can be in at once."""
+        return 64 // self.bits
+
+    def arrive(self, const double[:, ::1] direction, hits, const uint64_t[::1] media):
+        """Media (m,) that rays were in up to their hits, and what these transmitted (m, 3).
+
+        `media` (m,) are those where the rays started.
         """
         cdef const int32_t[::1] object_id = hits.object_id
         cdef const double[:, ::1] geometric = hits.geometric_normal
+        cdef const double[::1] distance = hits.distance
         cdef Py_ssize_t i, m = direction.shape[0]
-        cdef int32_t[::1] at_hit = np.empty(m, np.int32)
-        cdef int32_t[::1] beyond = np.empty(m, np.int32)
+        cdef uint64_t[::1] at_hit = np.empty(m, np.uint64)
+        cdef double[:, ::1] transmitted = np.ones((m, 3))
         cdef bint inside
+        check_rows(m, direction.shape[1], hits, media)
         with nogil:
             for i in range(m):
                 inside = dot(&direction[i, 0], &geometric[i, 0]) > 0.0
-                at_hit[i] = medium_at_hit(self, object_id[i], inside, medium[i])
-                beyond[i] = medium_beyond(object_id[i], inside)
-        return at_hit.base, beyond.base
+                at_hit[i] = media_at(self, object_id[i], inside, media[i])
+                if is_absorbing(self, at_hit[i]):
+                    transmittance(&transmitted[i, 0], self, at_hit[i], distance[i])
+        return at_hit.base, transmitted.base
 
-    def interfaces(self, const double[:, ::1] direction, hits):
-        """Specular surfaces that rays of unit direction (m, 3) meet.
+    def absorption_in(self, uint64_t media):
+        """Absorption (3,) of the medium that rules in a stack, 1/m."""
+        return np.array(self.absorption[current(media, self.bits)])
 
-        Returns normals (m, 3) that face the rays; flags (m,) where these are the interpolated
-        ones; and indices of refraction on the side of the ray (m,) and beyond (m,).
-        """
+    def interfaces(self, const double[:, ::1] direction, hits, const uint64_t[::1] media):
+        """`Interfaces` of rays of unit direction (m, 3) in media (m,) with specular surfaces."""
         cdef const int32_t[::1] object_id = hits.object_id
         cdef const double[:, ::1] geometric = hits.geometric_normal
         cdef const double[:, ::1] shading = hits.shading_normal
         cdef Py_ssize_t i, m = direction.shape[0]
         cdef double[:, ::1] normal = np.empty((m, 3))
         cdef uint8_t[::1] is_shading = np.empty(m, np.uint8)
-        cdef double[::1] n1 = np.empty(m)
-        cdef double[::1] n2 = np.empty(m)
-        cdef Interface at
+        cdef double[:, ::1] numbers = np.empty((3, m))
+        cdef uint64_t[::1] beyond = np.empty(m, np.uint64)
+        cdef Arrival at
+        cdef Interface out
+        check_rows(m, direction.shape[1], hits, media)
         with nogil:
             for i in range(m):
-                interface_at(
-                    &at, self, object_id[i], &direction[i, 0], &geometric[i, 0], &shading[i, 0]
+                at = Arrival(
+                    &direction[i, 0], &geometric[i, 0], &shading[i, 0], object_id[i],
+                    dot(&direction[i, 0], &geometric[i, 0]) > 0.0, media[i],
                 )
-                normal[i, 0], normal[i, 1], normal[i, 2] = at.normal[0], at.normal[1], at.normal[2]
-                is_shading[i], n1[i], n2[i] = at.is_shading, at.n1, at.n2
-        return normal.base, is_shading.base.view(np.bool_), n1.base, n2.base
+                interface_at(&out, self, &at)
+                normal[i, 0], normal[i, 1], normal[i, 2] = out.to.normal
+                is_shading[i], beyond[i] = out.to.is_shading, out.beyond
+                numbers[0, i], numbers[1, i], numbers[2, i] = out.n1, out.n2, out.reflected
+        return Interfaces(
+            normal.base, is_shading.base.view(np.bool_), *numbers.base, beyond.base
+        )
 
-    def reflected_shares(
-        self, const int32_t[::1] object_id, const double[::1] cosine, const double[::1] n1,
-        const double[::1] n2,
-    ):
-        """Shares (m,) of the light at specular surfaces that are reflected."""
-        cdef Py_ssize_t i, m = object_id.shape[0]
-        cdef double[::1] share = np.empty(m)
-        with nogil:
-            for i in range(m):
-                share[i] = reflected_share(
-                    self, object_id[i], min(max(cosine[i], 0.0), 1.0), n1[i], n2[i]
-                )
-        return share.base
+
+cdef check_rows(Py_ssize_t m, Py_ssize_t width, hits, const uint64_t[::1] media):
+    if not (len(hits) == media.shape[0] == m and width == 3):
+        raise ValueError("directions, hits and media do not fit one another")

@@ -10,6 +10,16 @@ from libc.math cimport sqrt
 from ..common.vec3 cimport dot, normalise
 
 
+cdef struct Directions:
+    # Unit vectors: the normal that faces a ray at a specular surface, and where the ray is
+    # reflected and refracted about it; that is not written for total reflection. `is_shading` is
+    # true if the normal is the interpolated one.
+    double[3] normal
+    double[3] reflection
+    double[3] refraction
+    bint is_shading
+
+
 cdef inline double cos_refracted_squared(double cos_i, double n1, double n2) noexcept nogil:
     """Squared cosine of refraction, by Snell's law; negative for total internal reflection."""
     cdef double sin2_i = (1.0 - cos_i) * (1.0 + cos_i)
@@ -70,27 +80,27 @@ cdef inline bint refract_into(
     return True
 
 
-cdef inline bint facing_normal(
-    double* n, const double* d, const double* geometric, const double* shading, double n1, double n2
+cdef inline void deflect(
+    Directions* out, const double* d, const double* geometric, const double* shading, double n1,
+    double n2
 ) noexcept nogil:
-    """Write the normal that faces a ray at a specular surface; true for the shading normal.
+    """Write the directions in which a ray leaves a specular surface; mirrors have n1 = n2.
 
-    That is used where the reflection about it stays on the ray's side of the face and the
-    refraction, if there is one, goes to the other; else the geometric normal. Mirrors have n1 = n2.
+    They are about the shading normal where the reflection about it stays on the ray's side of the
+    face and the refraction, if there is one, goes to the other; else the geometric normal.
     """
     cdef double side = -1.0 if dot(d, geometric) > 0.0 else 1.0
-    cdef double[3] out
-    cdef bint consistent
     cdef int c
     for c in range(3):
-        n[c] = side * shading[c]
-    consistent = dot(d, n) < 0.0
-    if consistent:
-        reflect_into(out, d, n)
-        consistent = side * dot(out, geometric) > 0.0
-    if consistent and refract_into(out, d, n, n1, n2):
-        consistent = side * dot(out, geometric) < 0.0
-    if not consistent:
+        out.normal[c] = side * shading[c]
+    out.is_shading = dot(d, out.normal) < 0.0
+    if out.is_shading:
+        reflect_into(out.reflection, d, out.normal)
+        out.is_shading = side * dot(out.reflection, geometric) > 0.0
+    if out.is_shading and refract_into(out.refraction, d, out.normal, n1, n2):
+        out.is_shading = side * dot(out.refraction, geometric) < 0.0
+    if not out.is_shading:
         for c in range(3):
-            n[c] = side * geometric[c]
-    return consistent
+            out.normal[c] = side * geometric[c]
+        reflect_into(out.reflection, d, out.normal)
+        refract_into(out.refraction, d, out.normal, n1, n2)

@@ -7,19 +7,18 @@ sum is taken in the order of the photons however they are split into batches.
 
 cimport cython
 from libc.math cimport isfinite
-from libc.stdint cimport int32_t, int64_t, uint64_t
+from libc.stdint cimport int16_t, int32_t, int64_t, uint64_t
 
 import numpy as np
 
 from ..common.rng cimport mix, uniform
-from ..common.vec3 cimport dot, orthonormal_frame
+from ..common.vec3 cimport copy, dot, orthonormal_frame
 from .deposits cimport Deposit, Deposits
 from .emission cimport Emission
 from .materials cimport (
-    Interface, Materials, interface_at, is_absorbing_surface, is_diffuse, medium_at_hit,
-    medium_beyond, reflected_share, transmittance,
+    Arrival, Interface, Materials, interface_at, is_absorbing, is_absorbing_surface, is_diffuse,
+    media_at, transmittance,
 )
-from .optics cimport reflect_into, refract_into
 from .raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
 from .sampling cimport disk_point, hemisphere_direction
 
@@ -59,14 +58,14 @@ LEDGER_BLOCK = PER_BLOCK
 
 
 cdef struct Ray:
-    # Next segment of a live path. `path` is its index in the batch; `medium` is the object that it
-    # last entered, or -1.
+    # Next segment of a live path. `path` is its index in the batch; `media` is a stack.
     double[3] origin
     double[3] direction
     double[3] throughput
     double path_length
-    uint64_t key, signature
-    int32_t path, n_specular, n_diffuse, medium
+    uint64_t key, signature, media
+    int32_t path
+    int16_t n_specular, n_diffuse
 
 
 cdef struct Event:
@@ -131,7 +130,7 @@ cdef class Paths:
     cdef int path_filter, max_bounces
     cdef bint finite
     cdef readonly Py_ssize_t size, n_live
-    cdef readonly int64_t n_met_specular
+    cdef readonly int64_t n_met_specular, n_overflows
 
     def __init__(
         self, Materials materials, EmbreeFrame frame, Triangles triangles, Py_ssize_t size, *,
@@ -153,9 +152,9 @@ cdef class Paths:
 
     def start(
         self, Emission emission, const int64_t[::1] photons, *, const double[::1] luminance,
-        double[:, :, ::1] ledger, int64_t[::1] ends,
+        double[:, :, ::1] ledger, int64_t[::1] ends, uint64_t media=0,
     ):
-        """Start paths with the primal rays of photons, given by their indices."""
+        """Start paths with the primal rays of photons, given by their indices, within media."""
         cdef Py_ssize_t i, c, n = photons.shape[0]
         if n > self.size:
             raise ValueError(f"photons should be at most {self.size}, but are {n}")
@@ -166,7 +165,7 @@ cdef class Paths:
         ):
             raise ValueError("luminance, ledger and ends do not fit the photons")
         self.ledger, self.ends = ledger, ends
-        self.n_met_specular = 0
+        self.n_met_specular = self.n_overflows = 0
         self.deposits = Deposits(n)
         for c in range(3):
             self.luminance[c] = luminance[c]
@@ -174,6 +173,7 @@ cdef class Paths:
         with nogil:
             for i in range(n):
                 self.emit(emission, i, photons[i])
+                self.ray[i].media = media
         self.n_live = n
         self.check_finite()
 
@@ -202,7 +202,6 @@ cdef class Paths:
         ray.path_length = emission.region.start_distance
         ray.n_specular = ray.n_diffuse = 0
         ray.signature = 0
-        ray.medium = -1
         for c in range(3):
             # Channels in which the emitter is black stay out of every product.
             ray.throughput[c] = 1.0 if self.luminance[c] > 0.0 else 0.0
@@ -281,12 +280,12 @@ cdef class Paths:
     cdef bint survives_medium(self, const Event* event) noexcept nogil:
         """Apply the absorption on the way to the hit; false if the path ends."""
         cdef double[3] factor
-        event.ray.medium = medium_at_hit(
-            self.materials, event.hit.object_id, event.inside, event.ray.medium
+        event.ray.media = media_at(
+            self.materials, event.hit.object_id, event.inside, event.ray.media
         )
-        if event.ray.medium < 0:
+        if not is_absorbing(self.materials, event.ray.media):
             return True
-        transmittance(factor, self.materials, event.ray.medium, event.hit.distance)
+        transmittance(factor, self.materials, event.ray.media, event.hit.distance)
         return self.roulette(factor, event, OF_MEDIUM, ABSORBED)
 
     cdef bint scatter_specular(self, double* out, const Event* event) noexcept nogil:
@@ -294,22 +293,24 @@ cdef class Paths:
         cdef int32_t i = event.hit.object_id
         cdef Ray* ray = event.ray
         cdef int kind = REFLECTED
-        cdef double share
+        cdef Arrival arrival
         cdef Interface at
         self.n_met_specular += ray.n_specular == 0 and ray.n_diffuse == 0
         if is_absorbing_surface(self.materials, i) and not self.roulette(
             &self.materials.reflectance[i, 0], event, OF_SURFACE, ABSORBED
         ):
             return False
-        interface_at(&at, self.materials, i, ray.direction, event.hit.geometric, event.hit.shading)
-        share = reflected_share(
-            self.materials, i, min(-dot(ray.direction, at.normal), 1.0), at.n1, at.n2
+        arrival = Arrival(
+            &ray.direction[0], &event.hit.geometric[0], &event.hit.shading[0], i, event.inside,
+            ray.media,
         )
-        if share == 1.0 or random(event, OF_SURFACE) < share:
-            reflect_into(out, ray.direction, at.normal)
+        interface_at(&at, self.materials, &arrival)
+        if at.reflected == 1.0 or random(event, OF_SURFACE) < at.reflected:
+            copy(out, at.to.reflection)
         else:
-            refract_into(out, ray.direction, at.normal, at.n1, at.n2)
-            ray.medium = medium_beyond(i, event.inside)
+            copy(out, at.to.refraction)
+            ray.media = at.beyond
+            self.n_overflows += at.overflows
             kind = LEFT if event.inside else ENTERED
         ray.n_specular += 1
         append_signature(ray, i, kind)

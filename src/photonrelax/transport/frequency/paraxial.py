@@ -17,7 +17,8 @@ from ..._ext.transport.materials import Materials
 from ..._util.validation import Floats
 from ...scene.scene import Scene
 from ..frequency import operators
-from ..optics import beer_lambert, from_behind, reflect, refract
+from ..media import Media
+from ..optics import from_behind, reflect, refract
 from ..raycast import Intersections
 from .curvature import NormalDerivatives
 
@@ -41,8 +42,8 @@ class ParaxialRays:
         `Intersections.offset` of where the ray starts, NaN in free space.
     throughput : (n, 3)
         Transmitted share of the light, without the reflectances of mirrors.
-    medium : (n,) int32
-        Object that the ray travels in, -1 in none.
+    media : (n,) uint64
+        Stack of the media that the ray is in.
     """
 
     origin: Floats
@@ -51,20 +52,20 @@ class ParaxialRays:
     operator: Floats
     origin_offset: Floats
     throughput: Floats
-    medium: NDArray[np.int32]
+    media: Media
 
     def __getitem__(self, rows: NDArray) -> ParaxialRays:
         return ParaxialRays(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
 
 def emitted_rays(
-    origin: Floats, direction: Floats, across: Floats, travelled: float
+    origin: Floats, direction: Floats, across: Floats, *, travelled: float, media: int
 ) -> ParaxialRays:
-    """Rays whose origins lie at a distance `travelled`, m, from their source."""
+    """Rays in media, whose origins lie at a distance `travelled`, m, from their source."""
     n = len(origin)
     operator = operators.propagate(np.full(n, travelled), 2)
-    free, medium = np.full((n, 3), np.nan), np.full(n, -1, dtype=np.int32)
-    return ParaxialRays(origin, direction, across, operator, free, np.ones((n, 3)), medium)
+    free, stack = np.full((n, 3), np.nan), np.full(n, media, dtype=np.uint64)
+    return ParaxialRays(origin, direction, across, operator, free, np.ones((n, 3)), stack)
 
 
 class ParaxialOptics:
@@ -77,11 +78,11 @@ class ParaxialOptics:
     def propagate(self, rays: ParaxialRays, hits: Intersections) -> ParaxialRays:
         """Rays at their hits: the operator of free flight, and the absorption on the way."""
         operator = operators.propagate(hits.distance, 2) @ rays.operator
-        inside = (rays.medium >= 0)[:, np.newaxis]
-        absorption = np.where(inside, self._materials.table.absorption[rays.medium], 0.0)
-        transmitted = beer_lambert(absorption, hits.distance, n_threads=1)
+        media, transmitted = self._materials.arrive(rays.direction, hits, rays.media)
         throughput = transmitted * rays.throughput
-        return replace(rays, origin=hits.position, operator=operator, throughput=throughput)
+        return replace(
+            rays, origin=hits.position, operator=operator, throughput=throughput, media=media
+        )
 
     def scatter(
         self, rays: ParaxialRays, hits: Intersections, reflected: NDArray[np.bool_]
@@ -90,19 +91,18 @@ class ParaxialOptics:
 
         Rays that cannot be refracted go straight on.
         """
-        normal, is_shading, n1, n2 = self._materials.interfaces(rays.direction, hits)
-        incidence = _Incidence.of(rays, normal)
-        side = np.where(is_shading, _side(rays.direction, hits), 0.0)
+        at = self._materials.interfaces(rays.direction, hits, rays.media)
+        incidence = _Incidence.of(rays, at.normal)
+        side = np.where(at.is_shading, _side(rays.direction, hits), 0.0)
         shape = side[:, np.newaxis, np.newaxis] * incidence.along(self._derivatives.at(hits))
-        direction = _scattered(rays.direction, normal, n1, n2, reflected)
-        cosine_out = np.abs(_dot(direction, normal))
+        direction = _scattered(rays.direction, at.normal, at.n1, at.n2, reflected)
+        cosine_out = np.abs(_dot(direction, at.normal))
         operator = np.where(
             reflected[:, np.newaxis, np.newaxis],
             operators.reflect(incidence.cosine, shape),
-            operators.refract(incidence.cosine, cosine_out, n1 / n2, shape),
+            operators.refract(incidence.cosine, cosine_out, at.n1 / at.n2, shape),
         )
-        share = self._materials.reflected_shares(hits.object_id, incidence.cosine, n1, n2)
-        share = np.where(reflected, share, 1.0 - share)
+        share = np.where(reflected, at.reflected, 1.0 - at.reflected)
         return ParaxialRays(
             rays.origin,
             direction,
@@ -110,19 +110,8 @@ class ParaxialOptics:
             operator @ incidence.operator,
             hits.offset,
             share[:, np.newaxis] * rays.throughput,
-            self._media(rays.direction, hits, reflected),
+            np.where(reflected, rays.media, at.beyond),
         )
-
-    def _media(
-        self, direction: Floats, hits: Intersections, reflected: NDArray[np.bool_]
-    ) -> NDArray[np.int32]:
-        """Objects (n,) that rays travel in beyond a surface, -1 in none.
-
-        Reflected rays are taken to be in none unless the surface is that of their own medium.
-        """
-        none = np.full(len(hits), -1, dtype=np.int32)
-        at_hit, beyond = self._materials.media(direction, hits, none)
-        return np.where(reflected, at_hit, beyond)
 
 
 def at_receivers(rays: ParaxialRays, hits: Intersections) -> tuple[Floats, Floats, Floats]:

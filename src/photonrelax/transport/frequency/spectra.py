@@ -31,6 +31,7 @@ from ...scene.scene import Scene
 from ..aim import LUMINANCE
 from ..emission import PATHS, EmissionPlan
 from ..frequency import operators
+from ..media import MediaFinder
 from ..raycast import Intersections, RayCaster, empty_intersections
 from .paraxial import ParaxialRays, emitted_rays
 from .path_replay import PathEvents, PathReplayer, ReplayHits
@@ -101,6 +102,7 @@ class SpectrumTracer:
         self._plan = plan
         self._materials = Materials(scene.material_table())
         self._caster = caster
+        self._media = MediaFinder(scene, caster, self._materials).at_emitters()
         self._paths = _kernel.Paths(
             self._materials,
             caster.frame,
@@ -117,9 +119,9 @@ class SpectrumTracer:
 
         NaN for photons whose replay leaves the path.
         """
-        region = self._plan.aimed[batch.region_id].region
+        emitter_id, _, region, _ = self._plan.aimed[batch.region_id]
         events, origin, direction = self._trace_events(batch.region_id, batch.photons)
-        bundle = _Bundle(region, origin, direction)
+        bundle = _Bundle(region, origin, direction, self._media[emitter_id])
         hits = self._replayer.replay(bundle.rays(), events)
         distance = occlusion_distance(self._replayer, bundle, events, hits)
         light = self._emitted(region, distance)
@@ -148,6 +150,7 @@ class SpectrumTracer:
         self._paths.start(
             self._plan.emission(region_id),
             photons,
+            media=self._media[self._plan.aimed[region_id].emitter_id],
             luminance=LUMINANCE * self._plan.flux_per_photon[region_id],
             ledger=np.zeros((-(-n // _kernel.LEDGER_BLOCK), len(PATH_OUTCOMES), 3)),
             ends=np.zeros(len(PATH_OUTCOMES), dtype=np.int64),
@@ -204,13 +207,16 @@ def _path_events(steps: list[_Step], n: int, is_diffuse: NDArray[np.bool_]) -> P
 
 
 class _Bundle:
-    """Primal rays of one emitter, and probes beside them.
+    """Primal rays of one emitter, and probes beside them; `media` are those at the emitter.
 
     `radius` is that of a disk of the area of the emission region, at most one radian: m or rad.
     """
 
-    def __init__(self, region: EmissionRegion, origin: Floats, direction: Floats) -> None:
+    def __init__(
+        self, region: EmissionRegion, origin: Floats, direction: Floats, media: int = 0
+    ) -> None:
         self._region, self._origin, self._direction = region, origin, direction
+        self._media = media
         self._across = _across(region, direction)
         self.radius = float(np.sqrt(region.area / np.pi))
         if not region.is_plane:
@@ -220,19 +226,18 @@ class _Bundle:
         return len(self._origin)
 
     def __getitem__(self, rows: NDArray) -> _Bundle:
-        return _Bundle(self._region, self._origin[rows], self._direction[rows])
+        return _Bundle(self._region, self._origin[rows], self._direction[rows], self._media)
 
     def rays(self) -> ParaxialRays:
         """The primal rays."""
-        distance = self._region.start_distance
-        return emitted_rays(self._origin, self._direction, self._across, distance)
+        return self._emitted(self._origin, self._direction, self._region.start_distance)
 
     def probes(self, offset: Floats) -> ParaxialRays:
         """Rays at offsets (n, 2) of the emitter coordinates, m or, as tangents, rad."""
         step = np.einsum("ni,nij->nj", offset, self._across)
         region = self._region
         if region.is_plane:
-            return emitted_rays(self._origin + step, self._direction, self._across, 0.0)
+            return self._emitted(self._origin + step, self._direction, 0.0)
         direction = self._direction + step
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         if region.is_cosine_lobe:
@@ -240,7 +245,10 @@ class _Bundle:
             behind = direction @ region.frame[2] <= 0.0
             direction[behind] = -region.frame[2]
         origin = region.origin + region.start_distance * direction
-        return emitted_rays(origin, direction, self._across, region.start_distance)
+        return self._emitted(origin, direction, region.start_distance)
+
+    def _emitted(self, origin: Floats, direction: Floats, travelled: float) -> ParaxialRays:
+        return emitted_rays(origin, direction, self._across, travelled=travelled, media=self._media)
 
     def jacobian(self, hits: ReplayHits) -> Floats:
         """Derivatives (n, 2, 2) of positions on the receiver by the emitter coordinates."""
