@@ -8,19 +8,11 @@ import json
 import os
 import stat
 import uuid
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any
-
-# Raised by numpy and zipfile for archives that are broken or encrypted.
-NOT_READABLE = (
-    *(ValueError, TypeError, EOFError, RuntimeError),
-    *(NotImplementedError, zipfile.BadZipFile, zlib.error),
-)
+from typing import Any, BinaryIO
 
 
 class WriteError(OSError):
@@ -62,6 +54,24 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise WriteError(path, error.strerror or str(error)) from None
     finally:
         partial.unlink(missing_ok=True)
+
+
+def open_file(path: str | os.PathLike[str]) -> BinaryIO:
+    """Open a regular file for reading.
+
+    Raises
+    ------
+    OSError
+        If there is none or it cannot be read; the message names it.
+    """
+    path = Path(path)
+    try:
+        if path.exists() and not path.is_file():
+            kind = "a folder" if path.is_dir() else "a device or pipe"
+            raise OSError(None, f"it is {kind}, not a regular file")
+        return path.open("rb")
+    except OSError as error:
+        raise type(error)(f"cannot read {path}: {error.strerror}") from None
 
 
 @contextmanager

@@ -29,6 +29,7 @@ from .progress_bar import ProgressBars
 if TYPE_CHECKING:
     from ..estimation.methods import Settings
     from ..evaluation import ComparisonRequest
+    from ..evaluation.reference import ReferenceSettings
 
 INTERRUPTED = 130
 _MAGIC_EXR, _MAGIC_NPZ = b"v/1\x01", b"PK\x03\x04"
@@ -238,12 +239,14 @@ def _compare(options: argparse.Namespace, interrupts: Interrupts) -> None:
     if options.reference is not None:
         image = reference.read_reference(options.reference, request)
     folder.prepare_folder(options.output, request.methods)
+    settings = _reference_settings(options)
     if _computes_reference(options):
-        reference.check_cached(options.output / folder.REFERENCE)
+        reference.check_computable(options.output / folder.REFERENCE, request, settings)
     with ProgressBars(options.quiet, interrupts) as bars:
         runs = run_methods(request, progress=bars)
         # A reference may take long: it is computed when little else can fail.
-        image = image or _cached_reference(options, request, bars)
+        path = options.output / folder.REFERENCE
+        image = image or reference.cached_reference(path, request, settings, bars)
         comparison = runs.measure(image)
     table = folder.write(comparison, options.output)
     _report(options, table.text(), f"wrote {options.output / folder.PAGE}")
@@ -285,17 +288,13 @@ def _comparison_request(options: argparse.Namespace) -> ComparisonRequest:
     )
 
 
-def _cached_reference(
-    options: argparse.Namespace, request: ComparisonRequest, bars: ProgressBars
-) -> pr.Image:
-    from ..evaluation import reference
-    from ..evaluation.report import folder
+def _reference_settings(options: argparse.Namespace) -> ReferenceSettings:
+    from ..evaluation.reference import ReferenceSettings
 
-    settings = reference.ReferenceSettings(
+    return ReferenceSettings(
         options.reference_passes or REFERENCE_PASSES,
         options.reference_photons or REFERENCE_PHOTONS,
     )
-    return reference.cached_reference(options.output / folder.REFERENCE, request, settings, bars)
 
 
 def _list(options: argparse.Namespace, interrupts: Interrupts) -> None:

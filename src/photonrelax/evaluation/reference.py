@@ -32,6 +32,8 @@ from ..rendering.layers import total_radiance, with_radiance
 from ..rendering.progressive_render import Checkpoints, pass_seed, render_progressive
 from ..scene.digest import scene_digest
 from ..scene.scene import Scene
+from ..transport.emission import MAX_PHOTONS
+from ..transport.trace import check_photons_fit
 from .analytic_pixels import AnalyticPixels
 from .request import ComparisonRequest
 
@@ -65,8 +67,9 @@ class ReferenceSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, low in (("passes", 1), ("photons", 1), ("k", 2)):
-            validation.count(getattr(self, name), name, low=low)
+        validation.count(self.passes, "passes", high=validation.MAX_REPEATS)
+        validation.count(self.photons, "photons", high=MAX_PHOTONS)
+        validation.count(self.k, "k", low=2, high=validation.MAX_REPEATS // _WIDE)
         check_seed(self.seed)
 
     @property
@@ -221,6 +224,20 @@ def check_cached(path: Path) -> None:
             f"{path} should be a reference that was computed here, which would be replaced, but is "
             "not: move it away, or give it with --reference"
         )
+
+
+def check_computable(path: Path, request: ComparisonRequest, settings: ReferenceSettings) -> None:
+    """Raise an error, before the work, if no reference can be computed and cached at a path.
+
+    Raises
+    ------
+    ValueError
+        As `check_cached`.
+    MemoryError
+        If the photons of a pass surely do not fit in memory.
+    """
+    check_cached(path)
+    check_photons_fit(_scene(request), settings.photons)
 
 
 # --- references from files ------------------------------------------------------------------------

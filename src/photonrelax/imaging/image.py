@@ -18,7 +18,7 @@ from .._util.validation import Floats, float_array
 # Channels of layers with three values per pixel that are not NAME.R, NAME.G and NAME.B.
 _CHANNELS = {"radiance": ("R", "G", "B"), "N": ("N.X", "N.Y", "N.Z")}
 # Layers that may hold inf: the depth where nothing is seen.
-_MAY_BE_INFINITE = ("Z",)
+MAY_BE_INFINITE = ("Z",)
 _MAX_FLOAT32 = float(np.finfo(np.float32).max)
 # Stops, in either direction; larger ones would overflow.
 MAX_EXPOSURE = 100.0
@@ -218,7 +218,7 @@ def _check_to_write(name: str, values: Floats) -> None:
     if name in _CHANNELS and values.ndim == 2:
         raise ValueError(f"layer {name} should have three values per pixel, but has one")
     bad = ~(np.abs(values) <= _MAX_FLOAT32)
-    if name in _MAY_BE_INFINITE:
+    if name in MAY_BE_INFINITE:
         bad &= values != np.inf
     if bad.any():
         row, column = np.argwhere(bad)[0][:2]

@@ -63,7 +63,8 @@ class StructureSettings:
     reach_scale: float = 3.0
 
     def __post_init__(self) -> None:
-        set_field(self, "k", validation.count(self.k, "StructureSettings.k", low=4))
+        k = validation.count(self.k, "StructureSettings.k", low=4, high=validation.MAX_REPEATS)
+        set_field(self, "k", k)
         scale = validation.positive(self.range_scale, "StructureSettings.range_scale")
         set_field(self, "range_scale", scale)
         reach = validation.positive(

@@ -21,6 +21,8 @@ from .sampling import seed_shift
 
 PATHS = ("caustic", "global", "all")
 SAMPLERS = ("halton", "random")
+# Halton numbers of larger indices are not exact.
+MAX_PHOTONS = 10**15
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in the luminance (Rec. 709)."""
 
@@ -97,7 +99,7 @@ def plan_emission(scene: Scene, n_emitted: int, paths: str = "caustic") -> Emiss
         If `paths` is unknown, there is no specular object to aim at, no emitter shines on the
         target, or there are fewer photons than emitters.
     """
-    n_emitted = count(n_emitted, "n_emitted")
+    n_emitted = count(n_emitted, "n_emitted", high=MAX_PHOTONS)
     target = _target(scene, paths)
     whole = scene.bounding_sphere()
     regions = tuple(
