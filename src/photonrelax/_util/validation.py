@@ -60,7 +60,9 @@ def float_array(
         array = np.asarray(value)
         if array.dtype.kind not in "fiub":
             raise TypeError(f"dtype is {array.dtype}")
-        array = np.ascontiguousarray(array, dtype=np.float64).reshape(array.shape)
+        # Of NaN that signal, which a file may hold, casts warn.
+        with np.errstate(invalid="ignore"):
+            array = np.ascontiguousarray(array, dtype=np.float64).reshape(array.shape)
     except (TypeError, ValueError) as error:
         raise TypeError(f"{name} should be an array of real numbers: {error}") from None
     if shape is not None:
