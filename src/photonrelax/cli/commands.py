@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -13,17 +12,26 @@ from typing import TYPE_CHECKING, TypeVar
 import photonrelax as pr
 
 from .. import gallery
-from .._util.files import check_distinct, output_path, whole_file, write_json
+from .._util.files import (
+    check_distinct,
+    json_text,
+    open_file,
+    output_path,
+    whole_file,
+    write_json,
+)
 from .arguments import (
     PHOTONS,
     PHOTONS_PER_PASS,
     REFERENCE_PASSES,
     REFERENCE_PHOTONS,
     SAMPLER,
+    STDOUT,
     parser,
 )
 from .interrupts import Interrupts
 from .progress_bar import ProgressBars
+from .streams import complain, escaping_streams, write_lines
 
 # Import lazily, so that Ctrl-C during an import reaches `main`.
 if TYPE_CHECKING:
@@ -31,7 +39,6 @@ if TYPE_CHECKING:
     from ..evaluation import ComparisonRequest
     from ..evaluation.reference import ReferenceSettings
 
-INTERRUPTED = 130
 _MAGIC_EXR, _MAGIC_NPZ = b"v/1\x01", b"PK\x03\x04"
 _EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
 Result = TypeVar("Result")
@@ -40,29 +47,29 @@ Result = TypeVar("Result")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
-    0 for success, 1 for an error, 2 for wrong usage (raised as SystemExit), 130 for Ctrl-C.
+    0 for success, 1 for an error, 2 for wrong usage (raised as SystemExit); 130 for Ctrl-C, 143
+    for SIGTERM and 129 for SIGHUP.
     """
-    with Interrupts() as interrupts:
+    with escaping_streams(), Interrupts() as interrupts:
         try:
             options = parser(_COMMANDS).parse_args(arguments)
             options.command(options, interrupts)
         except KeyboardInterrupt:
-            return _interrupted()
+            return _interrupted(interrupts)
         except Exception as error:
             # An interrupted import can raise any exception.
-            if interrupts.pending:
-                return _interrupted()
+            if interrupts.received:
+                return _interrupted(interrupts)
             if not isinstance(error, _EXPECTED):
                 raise
-            message = " ".join(str(error).splitlines()) or "out of memory"
-            print(f"photonrelax: error: {message}", file=sys.stderr)
+            complain(f"error: {str(error) or 'out of memory'}")
             return 1
     return 0
 
 
-def _interrupted() -> int:
-    print("photonrelax: interrupted", file=sys.stderr)
-    return INTERRUPTED
+def _interrupted(interrupts: Interrupts) -> int:
+    complain(interrupts.reason)
+    return interrupts.exit_code
 
 
 # --- commands ---------------------------------------------------------------------------------
@@ -72,7 +79,7 @@ def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
     _check_render_options(options)
     output = output_path(options.output, ".exr")
     preview = output_path(output.with_suffix(".png"))
-    stats = None if options.stats is None else output_path(options.stats)
+    stats = output_path(options.stats) if isinstance(options.stats, Path) else None
     check_distinct(
         {
             "the image": output,
@@ -93,6 +100,8 @@ def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
         interrupts.check()
     from .reports import stage_table
 
+    if options.stats == STDOUT:
+        write_lines(json_text(image.stats))
     _report(options, stage_table(image.stats["stages"]), f"wrote {output} and {preview}")
 
 
@@ -300,20 +309,19 @@ def _reference_settings(options: argparse.Namespace) -> ReferenceSettings:
 def _list(options: argparse.Namespace, interrupts: Interrupts) -> None:
     names = (*gallery.names(), *gallery.pattern_names())
     width = max(map(len, names))
-    for name in names:
-        print(f"{name:{width}}  {gallery.about(name)}")
+    write_lines(*(f"{name:{width}}  {gallery.about(name)}" for name in names))
 
 
 def _info(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ..imaging.image import read_exr
     from .reports import describe_image, describe_photons
 
-    with options.file.open("rb") as file:
+    with open_file(options.file) as file:
         magic = file.read(4)
     if magic == _MAGIC_EXR:
-        print(describe_image(read_exr(options.file)))
+        write_lines(describe_image(read_exr(options.file)))
     elif magic == _MAGIC_NPZ:
-        print(describe_photons(pr.PhotonMap.load(options.file)))
+        write_lines(describe_photons(pr.PhotonMap.load(options.file)))
     else:
         raise ValueError(f"{options.file} should be an EXR file or a photon map, but is neither")
 
@@ -323,7 +331,8 @@ def _info(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
 def _report(options: argparse.Namespace, *texts: str) -> None:
     if not options.quiet:
-        print("\n".join(texts))
+        # Standard output may be taken by the statistics.
+        write_lines(*texts, to_stderr=getattr(options, "stats", None) == STDOUT)
 
 
 # --- scenes and files --------------------------------------------------------------------------
