@@ -113,7 +113,7 @@ def _acquire(lock: Path) -> int | None:
         except BlockingIOError:
             os.close(held)
             return None
-        except FileNotFoundError as error:
+        except FileNotFoundError:
             pass
         os.close(held)
 

@@ -22,9 +22,11 @@ _CHUNK = 32768
 _SEED_BITS = 64
 # Ceiling of counts that kernels keep in integers of 64 bits, as all do by default.
 MAX_COUNT = 2**63 - 1
-# Ceiling of neighbours, passes, iterations and samples: far beyond any use, and products of two
+# Ceiling of passes, iterations, pixels a side and samples: far beyond any use, and products of two
 # fit in 64 bits.
 MAX_REPEATS = 2**31 - 1
+# Ceiling of neighbours, of which there may be fewer: twice as many fit in 64 bits.
+MAX_NEIGHBOURS = 2**62
 # Longer numbers are told by their order of magnitude.
 _MAX_DIGITS = 25
 
@@ -87,6 +89,20 @@ def not_negative(value: ArrayLike, name: str, shape: Shape) -> Floats:
     array = float_array(value, name, shape)
     if array.min(initial=0.0) < 0.0:
         raise ValueError(f"{name} should not be negative, but its least value is {array.min()}")
+    return array
+
+
+def check_magnitude(array: Floats, name: str) -> Floats:
+    """Return an array of numbers whose squares are within the range of floats.
+
+    Raises
+    ------
+    ValueError
+        If a number, or its negative, is more than 1e150.
+    """
+    largest = max(array.max(initial=0.0), -array.min(initial=0.0))
+    if largest > RADII[1]:
+        raise ValueError(f"{name} should be at most {RADII[1]:g} in size, but one is {largest:g}")
     return array
 
 

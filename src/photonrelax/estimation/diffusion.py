@@ -99,7 +99,9 @@ class DiffusionSettings:
 
     def __post_init__(self) -> None:
         if self.k is not None:
-            k = validation.count(self.k, "DiffusionSettings.k", low=2, high=validation.MAX_REPEATS)
+            k = validation.count(
+                self.k, "DiffusionSettings.k", low=2, high=validation.MAX_NEIGHBOURS
+            )
             set_field(self, "k", k)
         elif self.bandwidth is None:
             raise ValueError("DiffusionSettings should have k or bandwidth, but both are None")

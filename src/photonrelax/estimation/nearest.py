@@ -61,7 +61,7 @@ class GatherSettings:
         for name in ("k", "k_min"):
             number = getattr(self, name)
             number = validation.count(
-                number, f"GatherSettings.{name}", low=2, high=validation.MAX_REPEATS
+                number, f"GatherSettings.{name}", low=2, high=validation.MAX_NEIGHBOURS
             )
             set_field(self, name, number)
         if self.refinement != "none" and self.k <= self.k_min:

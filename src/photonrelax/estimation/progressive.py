@@ -68,11 +68,12 @@ class ProgressiveSettings:
         if alpha > 1.0:
             raise ValueError(f"ProgressiveSettings.alpha should be at most 1, but is {alpha}")
         set_field(self, "alpha", alpha)
-        for name, low in (("n_passes", 1), ("k", 2)):
+        for name, low, high in (
+            ("n_passes", 1, validation.MAX_REPEATS),
+            ("k", 2, validation.MAX_NEIGHBOURS),
+        ):
             number = getattr(self, name)
-            number = validation.count(
-                number, f"ProgressiveSettings.{name}", low=low, high=validation.MAX_REPEATS
-            )
+            number = validation.count(number, f"ProgressiveSettings.{name}", low=low, high=high)
             set_field(self, name, number)
         if self.radius is not None:
             radius = validation.radius(self.radius, "ProgressiveSettings.radius")

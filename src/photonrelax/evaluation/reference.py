@@ -70,7 +70,7 @@ class ReferenceSettings:
     def __post_init__(self) -> None:
         validation.count(self.passes, "passes", high=validation.MAX_REPEATS)
         validation.count(self.photons, "photons", high=MAX_PHOTONS)
-        validation.count(self.k, "k", low=2, high=validation.MAX_REPEATS // _WIDE)
+        validation.count(self.k, "k", low=2, high=validation.MAX_NEIGHBOURS // _WIDE)
         check_seed(self.seed)
 
     @property

@@ -18,6 +18,7 @@ from .._util.npz import check_names, read_npz, scalar, write_npz
 from .._util.validation import (
     Floats,
     are_unit,
+    check_magnitude,
     check_seed,
     count,
     float_array,
@@ -71,8 +72,8 @@ class PhotonMap:
     Raises
     ------
     TypeError, ValueError
-        If an array has the wrong type or shape, is not finite, a direction is zero, or flux,
-        density, length or number of bounces is negative.
+        If an array has the wrong type or shape, is not finite, a direction is zero, flux, density,
+        length or number of bounces is negative, or position, flux or coordinates exceed 1e150.
     """
 
     position: Floats
@@ -121,6 +122,7 @@ class PhotonMap:
 
     def __post_init__(self) -> None:
         position = float_array(self.position, "position", (None, 3))
+        check_magnitude(position, "position")
         n = len(position)
         set_field(self, "position", frozen(position))
         set_field(self, "normal", _directions(self.normal, "normal", n))
@@ -260,14 +262,14 @@ def _flux(value: ArrayLike, n: int) -> Floats:
     array = np.asarray(value)
     if array.ndim == 1:
         array = np.repeat(array[:, np.newaxis], 3, axis=1)
-    return frozen(not_negative(array, "flux", (n, 3)))
+    return frozen(check_magnitude(not_negative(array, "flux", (n, 3)), "flux"))
 
 
 def _emitter_coords(value: ArrayLike, n: int) -> Floats:
     array = float_array(value, "emitter_coords", (n, None))
     if array.shape[1] not in (2, 3):
         raise ValueError(f"emitter_coords should have 2 or 3 columns, but has {array.shape[1]}")
-    return frozen(array)
+    return frozen(check_magnitude(array, "emitter_coords"))
 
 
 def _spectrum(value: ArrayLike, n: int) -> Floats:

@@ -59,7 +59,7 @@ class RelaxSettings:
             for n in iterations
         )
         set_field(self, "n_iterations", numbers)
-        k = validation.count(self.k, "RelaxSettings.k", low=4, high=validation.MAX_REPEATS)
+        k = validation.count(self.k, "RelaxSettings.k", low=4, high=validation.MAX_NEIGHBOURS)
         set_field(self, "k", k)
         set_field(self, "step", validation.positive(self.step, "RelaxSettings.step"))
         largest = validation.positive(

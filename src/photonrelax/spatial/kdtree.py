@@ -195,7 +195,7 @@ class KDTree:
             self._check_range_axes()
         distance: Floats = _kth_distance.of_points(
             self.kernel,
-            k=validation.count(k, "k", high=validation.MAX_REPEATS),
+            k=validation.count(k, "k", high=validation.MAX_NEIGHBOURS),
             range_radii=_ranges(range_radius, "range_radius", (self.n_points,)),
             n_threads=thread_count(n_threads),
         )
@@ -245,7 +245,7 @@ class KDTree:
 
 def _neighbour_count(k: int, n_queries: int) -> int:
     """Neighbours of each query, whose ids and distances have to fit in memory."""
-    k = validation.count(k, "k", high=validation.MAX_REPEATS)
+    k = validation.count(k, "k", high=validation.MAX_NEIGHBOURS)
     neighbours = f"the {k} neighbours of each of {n_queries} queries"
     check_memory(_FOUND_BYTES * k * n_queries, neighbours, "ask for fewer (k)")
     return k
