@@ -80,16 +80,17 @@ def test_photon_maps_cut_off_anywhere_are_refused(photon_map, refused):
 
 
 def test_photon_maps_with_flipped_bytes_are_refused_or_the_same(photon_map):
-    whole = pr.PhotonMap.load(photon_map)
+    whole, messages = pr.PhotonMap.load(photon_map), []
     for content in flipped(photon_map.read_bytes(), 200):
         photon_map.write_bytes(content)
         try:
             loaded = pr.PhotonMap.load(photon_map)
         except ValueError as error:
-            assert str(photon_map) in str(error)
+            messages.append(str(error))
             continue
         np.testing.assert_array_equal(loaded.position, whole.position)
         np.testing.assert_array_equal(loaded.flux, whole.flux)
+    assert all(str(photon_map) in message for message in messages)
 
 
 @pytest.mark.parametrize("wrong", WRONG_COLUMNS)
@@ -280,13 +281,15 @@ def test_images_cut_off_anywhere_are_refused(image, refused):
 
 
 def test_images_with_flipped_bytes_print_nothing_of_their_own(image, capfd):
+    messages = []
     for content in flipped(image.read_bytes(), 300):
         image.write_bytes(content)
         try:
             read_exr(image)
         except (ValueError, MemoryError) as error:
-            assert str(image) in str(error)
+            messages.append(str(error))
         assert capfd.readouterr() == ("", "")
+    assert all(str(image) in message for message in messages)
 
 
 @pytest.mark.parametrize("size", [(2**31 - 1, 1), (10**6, 10**6), (100_000, 8), (12, 2**30)])

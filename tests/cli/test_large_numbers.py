@@ -11,7 +11,7 @@ from photonrelax._util import memory, validation
 from photonrelax.cli import commands
 from photonrelax.evaluation import ComparisonRequest, gallery_subject
 from photonrelax.evaluation.reference import ReferenceSettings, check_computable
-from photonrelax.rendering.view import View
+from photonrelax.rendering import view
 from photonrelax.spatial.kdtree import KDTree
 from photonrelax.transport import trace
 from photonrelax.transport.sampling import halton
@@ -103,11 +103,8 @@ def available(monkeypatch):
 
     def available(n_bytes):
         monkeypatch.setattr(memory, "_SMALL", 0)
-        for module in (memory, trace, View.__init__.__globals__):
-            if isinstance(module, dict):
-                monkeypatch.setitem(module, "available_memory", lambda: n_bytes)
-            else:
-                monkeypatch.setattr(module, "available_memory", lambda: n_bytes)
+        for module in (memory, trace, view):
+            monkeypatch.setattr(module, "available_memory", lambda: n_bytes)
 
     return available
 
@@ -156,14 +153,14 @@ def test_images_beyond_memory_are_refused(camera, ring):
 
 
 def test_hit_points_that_surely_do_not_fit_are_refused(ring, available):
-    view = View(ring)
-    bands = view.stored(None).bands
+    seen = view.View(ring)
+    bands = seen.stored(None).bands
     size = 128.0 * sum(len(band.hits) for band in bands)
     available(size)
-    assert len(view.stored(None).bands) == len(bands)
+    assert len(seen.stored(None).bands) == len(bands)
     available(0.4 * size)
     with pytest.raises(MemoryError, match="take fewer samples"):
-        view.stored(None)
+        seen.stored(None)
 
 
 def test_samples_beyond_memory_are_refused(ring):

@@ -52,7 +52,9 @@ def test_a_file_may_have_the_name_of_standard_output(tmp_path, monkeypatch, caps
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
-@pytest.mark.parametrize("command", [("list",), (*RENDER, "-o", "a.exr", "--stats", "-")])
+@pytest.mark.parametrize(
+    "command", [("list",), (*RENDER, "-o", "a.exr", "--stats", "-", "--quiet")]
+)
 def test_an_output_that_takes_nothing_is_one_line(command, tmp_path):
     with open("/dev/full", "wb") as full:
         done = subprocess.run(
@@ -61,7 +63,6 @@ def test_an_output_that_takes_nothing_is_one_line(command, tmp_path):
                 "-m",
                 "photonrelax",
                 *command,
-                *(("--quiet",) * (command[0] != "list")),
             ],
             stdout=full,
             stderr=subprocess.PIPE,
