@@ -74,3 +74,12 @@ def test_errors_of_other_files_are_left_as_they_are(tmp_path):
     missing = tmp_path / "missing"
     with pytest.raises(FileNotFoundError, match="missing"), whole_file(tmp_path / "a.txt"):
         missing.read_text()
+
+
+def test_devices_and_pipes_are_not_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match=r"cannot write .*pipe: it is a device"):
+        write(tmp_path / "pipe", "text")
+    with pytest.raises(IsADirectoryError, match="it is a folder"):
+        write(tmp_path, "text")
+    assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)

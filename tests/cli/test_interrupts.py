@@ -1,4 +1,4 @@
-"""Ctrl-C on the command line, and its progress bars."""
+"""Signals that end the command line, and its progress bars."""
 
 import json
 import signal
@@ -23,14 +23,15 @@ def run(*arguments):
     return commands.main([str(argument) for argument in arguments])
 
 
-def run_interrupted_at(stage, *arguments):
-    """Run in a process of its own that gets SIGINT when `stage` first reports progress."""
+def run_interrupted_at(stage, *arguments, signals=("SIGINT",)):
+    """Run in a process of its own that gets signals whenever `stage` reports progress."""
     code = (
         "import os, signal, sys\n"
         "from photonrelax.cli import commands, progress_bar\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "def report(bars, stage, done, total):\n"
-        f"    if stage == {stage!r}: os.kill(os.getpid(), signal.SIGINT)\n"
+        f"    for name in {signals!r} if stage == {stage!r} else ():\n"
+        "        os.kill(os.getpid(), getattr(signal, name))\n"
         "progress_bar.ProgressBars.__call__ = report\n"
         f"sys.exit(commands.main({[str(argument) for argument in arguments]!r}))"
     )
@@ -54,6 +55,67 @@ def test_ctrl_c_leaves_the_passes_done_and_their_image(tmp_path):
     assert run(*command, *state, "-o", output, "--quiet") == 0
     assert run(*command, "-o", tmp_path / "straight.exr", "--quiet") == 0
     assert output.read_bytes() == (tmp_path / "straight.exr").read_bytes()
+
+
+ENDS = [("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up"), ("SIGINT", 130, "interrupted")]
+
+
+@pytest.mark.parametrize(("name", "code", "message"), ENDS)
+@pytest.mark.parametrize("options", [(), ("--stochastic",), ("--interval", "1e-9")])
+def test_every_end_of_a_session_saves_the_passes_done(name, code, message, options, tmp_path):
+    command = ("render", "ring", "--method", "progressive", "--passes", 3, *SMALL, *options)
+    state, output = ("--state", tmp_path / "run.npz"), tmp_path / "ring.exr"
+    done = run_interrupted_at("passes", *command, *state, "-o", output, signals=(name,))
+    assert (done.returncode, done.stderr) == (code, f"photonrelax: {message}\n")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ring.exr", "ring.png", "run.npz"]
+    assert np.load(tmp_path / "run.npz")["n_passes"] == 1
+    assert run(*command, *state, "-o", output, "--quiet") == 0
+    assert run(*command, "-o", tmp_path / "straight.exr", "--quiet") == 0
+    assert output.read_bytes() == (tmp_path / "straight.exr").read_bytes()
+
+
+@pytest.mark.parametrize(("name", "code", "message"), ENDS)
+def test_every_end_of_a_session_leaves_no_half_file(name, code, message, tmp_path):
+    command = ("trace", "ring", "-o", tmp_path / "map.npz", "--photons", 3000)
+    done = run_interrupted_at("trace", *command, signals=(name,))
+    assert (done.returncode, done.stderr) == (code, f"photonrelax: {message}\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_signals_that_come_while_the_run_is_saved_do_not_break_that_off(tmp_path):
+    """Sent by the save itself, several times."""
+    code = (
+        "import os, signal, sys\n"
+        "from photonrelax.cli import commands\n"
+        "from photonrelax.rendering import checkpoint, progressive_render\n"
+        "write, advance = checkpoint.write_npz, progressive_render._Run.advance\n"
+        "def send(): [os.kill(os.getpid(), n) for n in (signal.SIGTERM, signal.SIGHUP) * 3]\n"
+        "def saved(*args, **kwargs):\n    send()\n    write(*args, **kwargs)\n    send()\n"
+        "def advanced(run):\n    advance(run)\n    send()\n"
+        "checkpoint.write_npz, progressive_render._Run.advance = saved, advanced\n"
+        "sys.exit(commands.main(sys.argv[1:]))"
+    )
+    command = ("render", "ring", "--method", "progressive", "--passes", 3, *SMALL, "--quiet")
+    files = ("--state", tmp_path / "run.npz", "-o", tmp_path / "ring.exr")
+    arguments = [str(argument) for argument in (*command, *files)]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (143, "photonrelax: terminated\n")
+    assert np.load(tmp_path / "run.npz")["n_passes"] == 1
+    assert (tmp_path / "ring.exr").exists()
+
+
+def test_handlers_of_the_caller_stay():
+    caller = lambda *_: None  # noqa: E731
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN), signal.signal(signal.SIGTERM, caller)
+    try:
+        with Interrupts():
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            assert signal.getsignal(signal.SIGTERM) is caller
+    finally:
+        signal.signal(signal.SIGHUP, before[0])
+        signal.signal(signal.SIGTERM, before[1])
 
 
 def test_ctrl_c_leaves_an_older_image_as_it_was(tmp_path):
@@ -103,9 +165,10 @@ def test_ctrl_c_while_the_last_file_is_written_leaves_none(tmp_path, monkeypatch
 
 
 def test_the_handler_of_the_caller_comes_back():
-    before = signal.getsignal(signal.SIGINT)
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = [signal.getsignal(number) for number in numbers]
     run("list")
-    assert signal.getsignal(signal.SIGINT) is before
+    assert [signal.getsignal(number) for number in numbers] == before
 
 
 class ProgressBars:

@@ -184,7 +184,7 @@ def test_load_says_what_is_wrong_with_a_file(tmp_path, write, message):
         ({"well_spaced": [True, False]}, "well_spaced should be one truth value"),
         ({"ledger_cut": None}, "it has no ledger_cut"),
         ({"ledger_ends_cut": None}, "it has no ledger_ends_cut"),
-        ({"ledger_emitted": 1.0}, "unsized"),
+        ({"ledger_emitted": 1.0}, r"emitted should have shape \(n, 3\)"),
     ],
 )
 def test_a_map_with_a_malformed_column_is_no_photon_map(tmp_path, change, message):

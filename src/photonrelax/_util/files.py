@@ -8,25 +8,17 @@ import json
 import os
 import stat
 import uuid
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any
-
-# Raised by numpy and zipfile for archives that are broken or encrypted.
-NOT_READABLE = (
-    *(ValueError, TypeError, EOFError, RuntimeError),
-    *(NotImplementedError, zipfile.BadZipFile, zlib.error),
-)
+from typing import Any, BinaryIO
 
 
 class WriteError(OSError):
     """A file that cannot be written, and the reason."""
 
-    def __init__(self, path: Path, reason: str) -> None:
+    def __init__(self, path: Path | str, reason: str) -> None:
         super().__init__(f"cannot write {path}: {reason}")
         self.path, self.reason = path, reason
 
@@ -42,11 +34,13 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     ------
     FileNotFoundError
         If the folder of `path` does not exist.
+    OSError
+        If `path` is a folder or a device.
     WriteError
         If writing fails.
     """
     path = Path(path)
-    _check_folder(path)
+    _check_target(path)
     target = Path(os.path.realpath(path))
     partial = _partial(target)
     try:
@@ -62,6 +56,26 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise WriteError(path, error.strerror or str(error)) from None
     finally:
         partial.unlink(missing_ok=True)
+
+
+def open_file(path: str | os.PathLike[str]) -> BinaryIO:
+    """Open a regular file for reading.
+
+    Raises
+    ------
+    OSError
+        If there is none or it cannot be read; the message names it.
+    """
+    path = Path(path)
+    try:
+        if path.exists() and not path.is_file():
+            kind = "a folder" if path.is_dir() else "a device or pipe"
+            raise OSError(None, f"it is {kind}, not a regular file")
+        return path.open("rb")
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"there is no file {path}: {error.strerror}") from None
+    except OSError as error:
+        raise type(error)(f"cannot read {path}: {error.strerror}") from None
 
 
 @contextmanager
@@ -121,11 +135,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         If the folder does not exist or cannot be written to, or `path` is not a regular file.
     """
     path = Path(path)
-    _check_folder(path)
-    if path.is_dir():
-        raise IsADirectoryError(f"cannot write {path}: it is a folder")
-    if path.exists() and not path.is_file():
-        raise OSError(f"cannot write {path}: it is a device, not a regular file")
+    _check_target(path)
     probe = _partial(Path(os.path.realpath(path)))
     try:
         probe.touch()
@@ -168,12 +178,22 @@ def check_distinct(paths: Mapping[str, Path | None]) -> None:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write indented JSON."""
-    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    path.write_text(json_text(content) + "\n", encoding="utf-8")
 
 
-def _check_folder(path: Path) -> None:
+def json_text(content: Mapping[str, Any]) -> str:
+    """Indented JSON."""
+    return json.dumps(content, indent=2)
+
+
+def _check_target(path: Path) -> None:
+    """Raise OSError unless a regular file may be, or is already, at a path."""
     if not path.parent.is_dir():
         raise FileNotFoundError(f"cannot write {path}: there is no folder {path.parent}")
+    if path.is_dir():
+        raise IsADirectoryError(f"cannot write {path}: it is a folder")
+    if path.exists() and not path.is_file():
+        raise OSError(f"cannot write {path}: it is a device, not a regular file")
 
 
 def _partial(path: Path) -> Path:

@@ -20,6 +20,15 @@ RADII = (1e-150, 1e150)
 # Numbers checked together: few enough for the cache.
 _CHUNK = 32768
 _SEED_BITS = 64
+# Ceiling of counts that kernels keep in integers of 64 bits, as all do by default.
+MAX_COUNT = 2**63 - 1
+# Ceiling of passes, iterations, pixels a side and samples: far beyond any use, and products of two
+# fit in 64 bits.
+MAX_REPEATS = 2**31 - 1
+# Ceiling of neighbours, of which there may be fewer: twice as many fit in 64 bits.
+MAX_NEIGHBOURS = 2**62
+# Longer numbers are told by their order of magnitude.
+_MAX_DIGITS = 25
 
 Floats = NDArray[np.float64]
 Rows = slice | NDArray[np.intp]
@@ -53,7 +62,9 @@ def float_array(
         array = np.asarray(value)
         if array.dtype.kind not in "fiub":
             raise TypeError(f"dtype is {array.dtype}")
-        array = np.ascontiguousarray(array, dtype=np.float64).reshape(array.shape)
+        # Of NaN that signal, which a file may hold, casts warn.
+        with np.errstate(invalid="ignore"):
+            array = np.ascontiguousarray(array, dtype=np.float64).reshape(array.shape)
     except (TypeError, ValueError) as error:
         raise TypeError(f"{name} should be an array of real numbers: {error}") from None
     if shape is not None:
@@ -64,6 +75,34 @@ def float_array(
             f"{name} should be finite, but flat element {bad} of shape {array.shape} "
             f"is {array.ravel()[bad]}"
         )
+    return array
+
+
+def not_negative(value: ArrayLike, name: str, shape: Shape) -> Floats:
+    """Return `value` as by `float_array`, without negative numbers.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `float_array`, and if a value is negative.
+    """
+    array = float_array(value, name, shape)
+    if array.min(initial=0.0) < 0.0:
+        raise ValueError(f"{name} should not be negative, but its least value is {array.min()}")
+    return array
+
+
+def check_magnitude(array: Floats, name: str) -> Floats:
+    """Return an array of numbers whose squares are within the range of floats.
+
+    Raises
+    ------
+    ValueError
+        If a number, or its negative, is more than 1e150.
+    """
+    largest = max(array.max(initial=0.0), -array.min(initial=0.0))
+    if largest > RADII[1]:
+        raise ValueError(f"{name} should be at most {RADII[1]:g} in size, but one is {largest:g}")
     return array
 
 
@@ -177,8 +216,8 @@ def radius(value: float, name: str, *, allow_inf: bool = False) -> float:
     return number
 
 
-def count(value: int, name: str, *, low: int = 1, high: float = np.inf) -> int:
-    """Return `value` as an int in [low, high].
+def count(value: int, name: str, *, low: int = 1, high: float = MAX_COUNT) -> int:
+    """Return `value` as an int in [low, high]; by default high is that of 64 bits.
 
     Raises
     ------
@@ -192,10 +231,17 @@ def count(value: int, name: str, *, low: int = 1, high: float = np.inf) -> int:
     except TypeError:
         raise TypeError(f"{name} should be an integer, but is {value!r}") from None
     if number < low:
-        raise ValueError(f"{name} should be at least {low}, but is {number}")
+        raise ValueError(f"{name} should be at least {low}, but is {_shown(number)}")
     if number > high:
-        raise ValueError(f"{name} should be at most {high}, but is {number}")
+        raise ValueError(f"{name} should be at most {high}, but is {_shown(number)}")
     return number
+
+
+def _shown(number: int) -> str:
+    digits = int(abs(number).bit_length() * math.log10(2.0))
+    if digits < _MAX_DIGITS:
+        return str(number)
+    return f"about {'-' if number < 0 else ''}1e{digits}"
 
 
 def check_seed(seed: int) -> int:
@@ -206,9 +252,9 @@ def check_seed(seed: int) -> int:
     TypeError, ValueError
         If it is not an integer in that range.
     """
-    number = count(seed, "seed", low=0)
+    number = count(seed, "seed", low=0, high=np.inf)
     if number >= 2**_SEED_BITS:
-        raise ValueError(f"seed should be below 2^{_SEED_BITS}, but is {number}")
+        raise ValueError(f"seed should be below 2^{_SEED_BITS}, but is {_shown(number)}")
     return number
 
 

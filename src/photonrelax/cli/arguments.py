@@ -13,6 +13,8 @@ PHOTONS = 1_000_000
 PHOTONS_PER_PASS = 100_000
 REFERENCE_PASSES, REFERENCE_PHOTONS = 50, 1_000_000
 SAMPLER = "halton"
+# In place of the name of a file; a file of this name is ./-
+STDOUT = "-"
 
 
 def parser(commands: Mapping[str, Callable[..., None]]) -> argparse.ArgumentParser:
@@ -50,7 +52,11 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
     _add_image(parser)
     _add_passes(parser)
     parser.add_argument(
-        "--stats", type=Path, metavar="FILE.json", help="write times and counts of the stages"
+        "--stats",
+        type=_path_or_stdout,
+        metavar="FILE.json",
+        help="write times and counts of the stages; - writes them to standard output, and the "
+        "report to standard error",
     )
     _add_common(parser)
 
@@ -292,6 +298,10 @@ def positive(text: str) -> int:
     if number < 1:
         raise argparse.ArgumentTypeError(f"should be at least 1, but is {text!r}")
     return number
+
+
+def _path_or_stdout(text: str) -> Path | str:
+    return STDOUT if text == STDOUT else Path(text)
 
 
 def _positive_number(text: str) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -13,24 +12,33 @@ from typing import TYPE_CHECKING, TypeVar
 import photonrelax as pr
 
 from .. import gallery
-from .._util.files import check_distinct, output_path, whole_file, write_json
+from .._util.files import (
+    check_distinct,
+    json_text,
+    open_file,
+    output_path,
+    whole_file,
+    write_json,
+)
 from .arguments import (
     PHOTONS,
     PHOTONS_PER_PASS,
     REFERENCE_PASSES,
     REFERENCE_PHOTONS,
     SAMPLER,
+    STDOUT,
     parser,
 )
 from .interrupts import Interrupts
 from .progress_bar import ProgressBars
+from .streams import complain, escaping_streams, write_lines
 
 # Import lazily, so that Ctrl-C during an import reaches `main`.
 if TYPE_CHECKING:
     from ..estimation.methods import Settings
     from ..evaluation import ComparisonRequest
+    from ..evaluation.reference import ReferenceSettings
 
-INTERRUPTED = 130
 _MAGIC_EXR, _MAGIC_NPZ = b"v/1\x01", b"PK\x03\x04"
 _EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
 Result = TypeVar("Result")
@@ -39,29 +47,29 @@ Result = TypeVar("Result")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
-    0 for success, 1 for an error, 2 for wrong usage (raised as SystemExit), 130 for Ctrl-C.
+    0 for success, 1 for an error, 2 for wrong usage (raised as SystemExit); 130 for Ctrl-C, 143
+    for SIGTERM and 129 for SIGHUP.
     """
-    with Interrupts() as interrupts:
+    with escaping_streams(), Interrupts() as interrupts:
         try:
             options = parser(_COMMANDS).parse_args(arguments)
             options.command(options, interrupts)
         except KeyboardInterrupt:
-            return _interrupted()
+            return _interrupted(interrupts)
         except Exception as error:
             # An interrupted import can raise any exception.
-            if interrupts.pending:
-                return _interrupted()
+            if interrupts.received:
+                return _interrupted(interrupts)
             if not isinstance(error, _EXPECTED):
                 raise
-            message = " ".join(str(error).splitlines()) or "out of memory"
-            print(f"photonrelax: error: {message}", file=sys.stderr)
+            complain(f"error: {str(error) or 'out of memory'}")
             return 1
     return 0
 
 
-def _interrupted() -> int:
-    print("photonrelax: interrupted", file=sys.stderr)
-    return INTERRUPTED
+def _interrupted(interrupts: Interrupts) -> int:
+    complain(interrupts.reason)
+    return interrupts.exit_code
 
 
 # --- commands ---------------------------------------------------------------------------------
@@ -71,7 +79,7 @@ def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
     _check_render_options(options)
     output = output_path(options.output, ".exr")
     preview = output_path(output.with_suffix(".png"))
-    stats = None if options.stats is None else output_path(options.stats)
+    stats = output_path(options.stats) if isinstance(options.stats, Path) else None
     check_distinct(
         {
             "the image": output,
@@ -92,6 +100,8 @@ def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
         interrupts.check()
     from .reports import stage_table
 
+    if options.stats == STDOUT:
+        write_lines(json_text(image.stats))
     _report(options, stage_table(image.stats["stages"]), f"wrote {output} and {preview}")
 
 
@@ -238,12 +248,14 @@ def _compare(options: argparse.Namespace, interrupts: Interrupts) -> None:
     if options.reference is not None:
         image = reference.read_reference(options.reference, request)
     folder.prepare_folder(options.output, request.methods)
+    settings = _reference_settings(options)
     if _computes_reference(options):
-        reference.check_cached(options.output / folder.REFERENCE)
+        reference.check_computable(options.output / folder.REFERENCE, request, settings)
     with ProgressBars(options.quiet, interrupts) as bars:
         runs = run_methods(request, progress=bars)
         # A reference may take long: it is computed when little else can fail.
-        image = image or _cached_reference(options, request, bars)
+        path = options.output / folder.REFERENCE
+        image = image or reference.cached_reference(path, request, settings, bars)
         comparison = runs.measure(image)
     table = folder.write(comparison, options.output)
     _report(options, table.text(), f"wrote {options.output / folder.PAGE}")
@@ -285,36 +297,31 @@ def _comparison_request(options: argparse.Namespace) -> ComparisonRequest:
     )
 
 
-def _cached_reference(
-    options: argparse.Namespace, request: ComparisonRequest, bars: ProgressBars
-) -> pr.Image:
-    from ..evaluation import reference
-    from ..evaluation.report import folder
+def _reference_settings(options: argparse.Namespace) -> ReferenceSettings:
+    from ..evaluation.reference import ReferenceSettings
 
-    settings = reference.ReferenceSettings(
+    return ReferenceSettings(
         options.reference_passes or REFERENCE_PASSES,
         options.reference_photons or REFERENCE_PHOTONS,
     )
-    return reference.cached_reference(options.output / folder.REFERENCE, request, settings, bars)
 
 
 def _list(options: argparse.Namespace, interrupts: Interrupts) -> None:
     names = (*gallery.names(), *gallery.pattern_names())
     width = max(map(len, names))
-    for name in names:
-        print(f"{name:{width}}  {gallery.about(name)}")
+    write_lines(*(f"{name:{width}}  {gallery.about(name)}" for name in names))
 
 
 def _info(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ..imaging.image import read_exr
     from .reports import describe_image, describe_photons
 
-    with options.file.open("rb") as file:
+    with open_file(options.file) as file:
         magic = file.read(4)
     if magic == _MAGIC_EXR:
-        print(describe_image(read_exr(options.file)))
+        write_lines(describe_image(read_exr(options.file)))
     elif magic == _MAGIC_NPZ:
-        print(describe_photons(pr.PhotonMap.load(options.file)))
+        write_lines(describe_photons(pr.PhotonMap.load(options.file)))
     else:
         raise ValueError(f"{options.file} should be an EXR file or a photon map, but is neither")
 
@@ -324,7 +331,8 @@ def _info(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
 def _report(options: argparse.Namespace, *texts: str) -> None:
     if not options.quiet:
-        print("\n".join(texts))
+        # Standard output may be taken by the statistics.
+        write_lines(*texts, to_stderr=getattr(options, "stats", None) == STDOUT)
 
 
 # --- scenes and files --------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from typing import Any
 
@@ -13,7 +14,7 @@ class ProgressBars:
 
     def __init__(self, quiet: bool, interrupts: Interrupts) -> None:
         # None: tqdm disables bars in files and pipes.
-        self._disable = True if quiet else None
+        self._disable = True if quiet or sys.stderr is None else None
         self._interrupts = interrupts
         self._stage = ""
         self._bar: Any = None

@@ -60,12 +60,24 @@ def _value(text: str, kind: Any) -> Any:
 
 def _number(text: str, fractions: bool) -> int | float:
     try:
-        number = float(text)
+        number = float(text) if fractions else _whole(text)
+        if number != number:
+            raise ValueError
+        return number
     except ValueError:
-        number = float("nan")
-    if number != number or not (fractions or number.is_integer()):
-        raise ValueError(f"a {'number' if fractions else 'whole number'}, but is {text!r}")
-    return number if fractions else int(number)
+        kind = "number" if fractions else "whole number"
+        raise ValueError(f"a {kind}, but is {text!r}") from None
+
+
+def _whole(text: str) -> int:
+    """Whole number, also one written like 2e6; exact however many digits it has."""
+    try:
+        return int(text)
+    except ValueError:
+        number = float(text)
+    if not number.is_integer():
+        raise ValueError
+    return int(number)
 
 
 def settings_from_options(

@@ -99,7 +99,10 @@ class DiffusionSettings:
 
     def __post_init__(self) -> None:
         if self.k is not None:
-            set_field(self, "k", validation.count(self.k, "DiffusionSettings.k", low=2))
+            k = validation.count(
+                self.k, "DiffusionSettings.k", low=2, high=validation.MAX_NEIGHBOURS
+            )
+            set_field(self, "k", k)
         elif self.bandwidth is None:
             raise ValueError("DiffusionSettings should have k or bandwidth, but both are None")
         for name in ("bandwidth", "noise_scale"):

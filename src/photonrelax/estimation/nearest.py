@@ -59,7 +59,10 @@ class GatherSettings:
         validation.check_choice(self.kernel, "GatherSettings.kernel", KERNELS)
         validation.check_choice(self.refinement, "GatherSettings.refinement", REFINEMENTS)
         for name in ("k", "k_min"):
-            number = validation.count(getattr(self, name), f"GatherSettings.{name}", low=2)
+            number = getattr(self, name)
+            number = validation.count(
+                number, f"GatherSettings.{name}", low=2, high=validation.MAX_NEIGHBOURS
+            )
             set_field(self, name, number)
         if self.refinement != "none" and self.k <= self.k_min:
             raise ValueError(

@@ -68,8 +68,12 @@ class ProgressiveSettings:
         if alpha > 1.0:
             raise ValueError(f"ProgressiveSettings.alpha should be at most 1, but is {alpha}")
         set_field(self, "alpha", alpha)
-        for name, low in (("n_passes", 1), ("k", 2)):
-            number = validation.count(getattr(self, name), f"ProgressiveSettings.{name}", low=low)
+        for name, low, high in (
+            ("n_passes", 1, validation.MAX_REPEATS),
+            ("k", 2, validation.MAX_NEIGHBOURS),
+        ):
+            number = getattr(self, name)
+            number = validation.count(number, f"ProgressiveSettings.{name}", low=low, high=high)
             set_field(self, name, number)
         if self.radius is not None:
             radius = validation.radius(self.radius, "ProgressiveSettings.radius")
@@ -101,6 +105,31 @@ class HitPointStatistics:
         self.n_passes = 0
         self._alpha = alpha
         self._n_threads = n_threads
+
+    @classmethod
+    def from_columns(
+        cls,
+        radius: ArrayLike,
+        n: ArrayLike,
+        tau: ArrayLike,
+        *,
+        shape: tuple[int, int],
+        alpha: float,
+        n_threads: int,
+    ) -> HitPointStatistics:
+        """Statistics whose columns are given, before any pass; `shape` is that of `tau`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If a column is not of numbers, of another length, negative or not finite.
+        """
+        points = shape[:1]
+        start = _radii(validation.float_array(radius, "radius", points), "radius", *points)
+        statistics = cls(start, shape[1], alpha=alpha, n_threads=n_threads)
+        statistics.n = validation.not_negative(n, "n", points)
+        statistics.tau = validation.not_negative(tau, "tau", shape)
+        return statistics
 
     def update(
         self,

@@ -22,6 +22,7 @@ import numpy as np
 
 from .._util import validation
 from .._util.progress import Progress, prefixed
+from .._util.text import encodable
 from .._util.validation import Floats, check_seed
 from .._version import __version__
 from ..estimation.progressive import ProgressiveSettings
@@ -32,6 +33,8 @@ from ..rendering.layers import total_radiance, with_radiance
 from ..rendering.progressive_render import Checkpoints, pass_seed, render_progressive
 from ..scene.digest import scene_digest
 from ..scene.scene import Scene
+from ..transport.emission import MAX_PHOTONS
+from ..transport.trace import check_photons_fit
 from .analytic_pixels import AnalyticPixels
 from .request import ComparisonRequest
 
@@ -65,8 +68,9 @@ class ReferenceSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name, low in (("passes", 1), ("photons", 1), ("k", 2)):
-            validation.count(getattr(self, name), name, low=low)
+        validation.count(self.passes, "passes", high=validation.MAX_REPEATS)
+        validation.count(self.photons, "photons", high=MAX_PHOTONS)
+        validation.count(self.k, "k", low=2, high=validation.MAX_NEIGHBOURS // _WIDE)
         check_seed(self.seed)
 
     @property
@@ -146,8 +150,7 @@ class Reference:
     @property
     def cost(self) -> dict[str, Any]:
         """Photons ``emitted`` and ``stored``, and ``seconds`` of a computed reference."""
-        cost: dict[str, Any] = json.loads(self.image.metadata.get(COST, "{}"))
-        return cost
+        return _cost_of(self.image)
 
     def measure(self, caustic: Floats) -> tuple[Image, Errors]:
         """Image of a caustic with its difference from the reference, and its errors."""
@@ -189,6 +192,23 @@ def check_reference(image: Image, request: ComparisonRequest) -> None:
         )
     for name in {"radiance", "caustic"} & image.layers.keys():
         _check_layer(name, np.asarray(image.layers[name]), request.subject.size)
+    _cost_of(image)
+
+
+def _cost_of(image: Image) -> dict[str, Any]:
+    """Cost in the metadata of a reference; empty for an image of another origin."""
+    text = image.metadata.get(COST, "{}")
+    try:
+        cost = json.loads(text)
+        numbers = [cost["emitted"], cost["stored"], cost["seconds"] or 0.0] if cost != {} else []
+    except (ValueError, TypeError, LookupError, RecursionError):
+        cost, numbers = None, []
+    if cost is None or not all(type(number) in (int, float) for number in numbers):
+        raise ValueError(
+            f"the reference should have emitted, stored and seconds as JSON in {COST}, "
+            f"but has {text[:60]!r}"
+        )
+    return dict(cost)
 
 
 def _check_layer(name: str, layer: Floats, size: tuple[int, int]) -> None:
@@ -223,6 +243,22 @@ def check_cached(path: Path) -> None:
         )
 
 
+def check_computable(path: Path, request: ComparisonRequest, settings: ReferenceSettings) -> None:
+    """Raise an error, before the work, if no reference can be computed and cached at a path.
+
+    Raises
+    ------
+    ValueError
+        As `check_cached`.
+    MemoryError
+        If the photons of a pass surely do not fit in memory.
+    """
+    check_cached(path)
+    if path.exists() and read_exr(path).metadata.get(_KEY) == _key(request, settings):
+        read_reference(path, request)
+    check_photons_fit(_scene(request), settings.photons)
+
+
 # --- references from files ------------------------------------------------------------------------
 
 
@@ -231,13 +267,17 @@ def read_reference(path: Path, request: ComparisonRequest) -> Image:
 
     Raises
     ------
-    FileNotFoundError, ValueError
-        If there is none, or it does not show the requested view.
+    OSError, ValueError, MemoryError
+        If it cannot be read, is damaged, or does not show the requested view.
     """
     image = read_exr(path)
-    check_reference(image, request)
+    try:
+        check_reference(image, request)
+    except ValueError as error:
+        raise ValueError(f"{path} is not a reference for this comparison: {error}") from None
     about = image.metadata.get(ABOUT)
-    metadata = {ABOUT: f"{path.name}: {about}" if about else path.name}
+    name = encodable(path.name)
+    metadata = {ABOUT: f"{name}: {about}" if about else name}
     return Image(image.layers, {**image.metadata, **metadata})
 
 
@@ -279,7 +319,12 @@ def cached_reference(
 def uncertainty_of(reference: Image) -> Uncertainty | None:
     """Uncertainty of a reference, None unless it was estimated."""
     text = reference.metadata.get(_UNCERTAINTY)
-    return None if text is None else Uncertainty(**json.loads(text))
+    if text is None:
+        return None
+    try:
+        return Uncertainty(**json.loads(text))
+    except (ValueError, TypeError, RecursionError) as error:
+        raise ValueError(f"{_UNCERTAINTY} should be an uncertainty as JSON: {error}") from None
 
 
 def estimate_uncertainty(narrow: list[Floats], wide: list[Floats]) -> Uncertainty:

@@ -10,7 +10,7 @@ from .._util.frozen import set_field
 from .._util.validation import check_choice, check_seed
 from ..estimation.methods import METHODS, METHODS_OF_SJ13, Method, Settings, method_named
 from ..imaging.metrics import SSIM_WINDOW
-from ..transport.emission import SAMPLERS
+from ..transport.emission import MAX_PHOTONS, SAMPLERS
 from ..transport.hit_points import MAX_DEPTH
 from .subject import Subject
 
@@ -45,6 +45,8 @@ class ComparisonRequest:
     TypeError, ValueError
         If a method is unknown or not applicable to the subject, a number is out of its range, or
         images are too small for SSIM.
+    MemoryError
+        If photons or images surely do not fit in memory.
     """
 
     subject: Subject
@@ -65,12 +67,14 @@ class ComparisonRequest:
         set_field(self, "methods", methods)
         for method, _ in self.columns().values():
             self._check_spectra(method_named(method))
-        for name in ("n_emitted", "supersampling", "rounds"):
-            validation.count(getattr(self, name), name)
+        validation.count(self.n_emitted, "n_emitted", high=MAX_PHOTONS)
+        for name in ("supersampling", "rounds"):
+            validation.count(getattr(self, name), name, high=validation.MAX_REPEATS)
         validation.count(self.max_depth, "max_depth", low=0, high=MAX_DEPTH)
         check_seed(self.seed)
         check_choice(self.sampler, "sampler", SAMPLERS)
         self._check_size()
+        self.subject.check_memory(self.n_emitted, self.supersampling, self.max_depth)
 
     def columns(self) -> dict[str, tuple[str, Settings]]:
         """Method and settings of each column by its name."""

@@ -8,18 +8,22 @@ from typing import Protocol
 import numpy as np
 
 from .. import gallery
+from .._util.memory import check_memory
 from .._util.progress import Progress
-from .._util.validation import Floats, count
+from .._util.validation import MAX_REPEATS, Floats, count
 from ..gallery.analytic import AnalyticIrradiance, analytic_irradiance
+from ..gallery.shapes import PHOTON_BYTES
 from ..photons.photon_map import PhotonMap
 from ..rendering.view import Band, StoredView, View, resized
 from ..scene.scene import Scene
 from ..transport.hit_points import FirstSurfaces, HitPoints
-from ..transport.trace import trace_photons
+from ..transport.trace import check_photons_fit, trace_photons
 from .analytic_pixels import AnalyticPixels, analytic_pixels
 
 # Points of a plane evaluated together, which bounds the memory of estimates.
 _POINTS_PER_BAND = 400_000
+# Bytes of a point of a plane and of what is kept of it.
+_SAMPLE_BYTES = 176
 
 
 class Subject(Protocol):
@@ -41,6 +45,9 @@ class Subject(Protocol):
     def scene(self) -> Scene | None: ...
     @property
     def size(self) -> tuple[int, int]: ...
+
+    def check_memory(self, n_emitted: int, supersampling: int, max_depth: int) -> None:
+        """Raise MemoryError if photons or view surely do not fit in memory."""
 
     def photons(
         self,
@@ -104,6 +111,11 @@ class SceneSubject:
         assert camera is not None, "a subject has a camera"
         return camera.width, camera.height
 
+    def check_memory(self, n_emitted: int, supersampling: int, max_depth: int) -> None:
+        """Raise MemoryError if photons or view surely do not fit in memory."""
+        check_photons_fit(self.scene, n_emitted)
+        View(self.scene, supersampling=supersampling, max_depth=max_depth).check_hits_fit()
+
     def photons(
         self,
         n_emitted: int,
@@ -165,11 +177,20 @@ class PhotonPatternSubject:
     def __post_init__(self) -> None:
         gallery.about(self.name)
         for side in self.size:
-            count(side, "size")
+            count(side, "size", high=MAX_REPEATS)
 
     @property
     def scene(self) -> None:
         """None: photon patterns have no scene."""
+
+    def check_memory(self, n_emitted: int, supersampling: int, max_depth: int) -> None:
+        """Raise MemoryError if photons and view do not fit in memory."""
+        (width, height), samples = self.size, supersampling**2
+        check_memory(
+            PHOTON_BYTES * n_emitted + _SAMPLE_BYTES * width * height * samples,
+            f"{n_emitted:,} photons and {samples:,} samples in each of {width} x {height} pixels",
+            "emit fewer, make the image smaller or take fewer samples (supersampling)",
+        )
 
     def photons(
         self,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .._util.validation import Floats, count
+from .._util.validation import MAX_REPEATS, Floats, count
 from ..photons.photon_map import PhotonMap
 
 Estimate = Callable[[Floats, Floats], Floats]
@@ -40,8 +40,11 @@ class PhotonPattern:
 
         Pixel by pixel, row by row from the top: a pixel is the mean of s·s consecutive samples.
         """
-        width, height = count(width, "width"), count(height, "height")
-        s = count(supersampling, "supersampling")
+        width, height = (
+            count(side, name, high=MAX_REPEATS)
+            for side, name in ((width, "width"), (height, "height"))
+        )
+        s = count(supersampling, "supersampling", high=MAX_REPEATS)
         row, column, i, j = np.meshgrid(
             range(height), range(width), range(s), range(s), indexing="ij"
         )

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .._util.validation import Floats, check_seed, count, float_array, positive
+from .._util.memory import check_memory
+from .._util.validation import MAX_REPEATS, Floats, check_seed, count, float_array, positive
 from ..photons.photon_map import PhotonMap
 from ..transport.sampling import halton, seed_shift, square_to_disk
 from .photon_pattern import PhotonPattern
@@ -26,6 +27,8 @@ LINE_MIDDLES = (0.44, 0.28, 0.12)
 LINE_WIDTHS = (0.01, 0.02, 0.04)
 # Share of a line, at either end, without points.
 _MARGIN = 0.1
+# Bytes of a photon.
+PHOTON_BYTES = 124
 # Wider lines would leave the square.
 _MAX_WIDTH = 0.08
 
@@ -59,6 +62,7 @@ def shapes(
         If an argument is of a wrong type, or a line is wider than 0.08 m.
     """
     n, lit = count(n, "n", low=0), positive(irradiance, "irradiance")
+    check_memory(PHOTON_BYTES * n, f"{n:,} photons", "emit fewer")
     parts = _parts(float_array(line_widths, "line_widths", (3,)))
     areas = np.array([part.area for part in parts])
     area = areas.sum()
@@ -101,8 +105,8 @@ class _Stencil:
         return _grey(self.irradiance * np.any([part.holds(xy) for part in self.parts], axis=0))
 
     def pixel_means(self, width: int, height: int) -> Floats:
-        x = np.linspace(0.0, 1.0, count(width, "width") + 1)
-        y = np.linspace(1.0, 0.0, count(height, "height") + 1)
+        x = np.linspace(0.0, 1.0, count(width, "width", high=MAX_REPEATS) + 1)
+        y = np.linspace(1.0, 0.0, count(height, "height", high=MAX_REPEATS) + 1)
         below = sum(part.area_below(x, y[:, np.newaxis]) for part in self.parts)
         covered = -np.diff(np.diff(below, axis=0), axis=1) * width * height
         return _grey(self.irradiance * covered)

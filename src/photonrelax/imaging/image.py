@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -11,17 +12,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._util.files import WriteError, whole_file
+from .._util.files import WriteError, open_file, whole_file
 from .._util.frozen import set_field
+from .._util.library_output import held_back
+from .._util.memory import check_memory
+from .._util.text import encodable
 from .._util.validation import Floats, float_array
+
+if TYPE_CHECKING:
+    import OpenEXR
 
 # Channels of layers with three values per pixel that are not NAME.R, NAME.G and NAME.B.
 _CHANNELS = {"radiance": ("R", "G", "B"), "N": ("N.X", "N.Y", "N.Z")}
 # Layers that may hold inf: the depth where nothing is seen.
-_MAY_BE_INFINITE = ("Z",)
+MAY_BE_INFINITE = ("Z",)
 _MAX_FLOAT32 = float(np.finfo(np.float32).max)
 # Stops, in either direction; larger ones would overflow.
 MAX_EXPOSURE = 100.0
+# Printed by OpenEXR in place of an error.
+_PIXELS_FAILED = "Warning: Exception raised reading pixel data"
 # Attributes of the EXR format, which metadata must not overwrite.
 _RESERVED = frozenset(
     [
@@ -95,14 +104,14 @@ class Image:
         for name, layer in self.layers.items():
             _check_to_write(name, np.asarray(layer))
         header = {
-            **self.metadata,
+            **{encodable(name): encodable(text) for name, text in self.metadata.items()},
             "compression": OpenEXR.ZIP_COMPRESSION,
             "type": OpenEXR.scanlineimage,
         }
         file = OpenEXR.File(header, self._channels())
         with whole_file(path) as partial:
             try:
-                file.write(str(partial))
+                _write(file, partial)
             except RuntimeError as error:
                 reason = str(error).replace(str(partial), "the temporary file")
                 raise WriteError(partial, reason) from None
@@ -133,11 +142,11 @@ class Image:
         for name, layer in self.layers.items():
             values = np.asarray(layer, dtype=np.float32)
             if values.ndim == 2:
-                channels[name] = np.ascontiguousarray(values)
+                channels[encodable(name)] = np.ascontiguousarray(values)
             else:
                 for i, channel in enumerate(_channel_names(name)):
                     # OpenEXR silently writes wrong values of other layouts.
-                    channels[channel] = np.ascontiguousarray(values[..., i])
+                    channels[encodable(channel)] = np.ascontiguousarray(values[..., i])
         return channels
 
 
@@ -149,27 +158,76 @@ def read_exr(path: str | os.PathLike[str]) -> Image:
 
     Raises
     ------
-    FileNotFoundError
-        If there is no such file.
+    OSError
+        If there is no such file, or it cannot be read.
     ValueError
-        If it is not an EXR file, has several parts, or channels of different sizes.
+        If it is damaged or not an EXR file, has several parts, or channels of different sizes.
+    MemoryError
+        If its pixels do not fit in memory.
     """
-    import OpenEXR
-
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"there is no file {path}")
-    try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            n_parts = len(file.parts)
-            # Closing the file empties its header.
-            header = dict(file.header())
-            pixels = {name: channel.pixels for name, channel in file.channels().items()}
-    except (RuntimeError, ValueError) as error:
-        raise ValueError(f"{path} is not a whole EXR file: {error}") from None
+    path = Path(path)
+    open_file(path).close()
+    n_parts, header, pixels = _parts(path)
     if n_parts > 1:
         raise ValueError(f"{path} should be an EXR file of one part, but has {n_parts}")
     metadata = {k: v for k, v in header.items() if isinstance(v, str) and k not in _RESERVED}
-    return Image(_group(pixels), metadata)
+    try:
+        return Image(_group(pixels), metadata)
+    except (TypeError, ValueError) as error:
+        raise _not_whole(path, error) from None
+
+
+def _parts(path: Path) -> tuple[int, dict[str, Any], dict[str, NDArray]]:
+    """Number of parts of an EXR file, and header and channels of the first."""
+    with held_back(f"{path}: ", _PIXELS_FAILED) as held:
+        try:
+            return _read_parts(path)
+        except (RuntimeError, ValueError, TypeError, LookupError) as error:
+            caught = error
+    failed = any(line.startswith(_PIXELS_FAILED) for line in held.lines)
+    raise _not_whole(path, "its pixels are damaged or cut off" if failed else caught)
+
+
+def _not_whole(path: Path, reason: Exception | str) -> ValueError:
+    return ValueError(f"{path} is not a whole EXR file: {reason}; render or copy it again")
+
+
+def _read_parts(path: Path) -> tuple[int, dict[str, Any], dict[str, NDArray]]:
+    import OpenEXR
+
+    # As bytes: names of files need not be text.
+    name = os.fsencode(path)
+    with OpenEXR.File(name, header_only=True) as file:
+        n_parts, header = len(file.parts), dict(file.header())
+    _check_size(path, header)
+    with OpenEXR.File(name, separate_channels=True) as file:
+        channels = {name: channel.pixels for name, channel in file.channels().items()}
+        return n_parts, header, channels
+
+
+def _check_size(path: Path, header: dict[str, Any]) -> None:
+    first, last = header["dataWindow"]
+    width, height = (int(end) - int(start) + 1 for start, end in zip(first, last, strict=True))
+    n_channels = len(header["channels"])
+    check_memory(
+        8.0 * n_channels * width * height,
+        f"the {n_channels} channels of {width} x {height} pixels of {path}",
+        "it may be damaged",
+    )
+
+
+def _write(file: OpenEXR.File, path: Path) -> None:
+    """Write an EXR file to a path of any name; OpenEXR takes names in UTF-8 alone."""
+    try:
+        in_utf8 = str(path).encode() == os.fsencode(path)
+    except UnicodeEncodeError:
+        in_utf8 = False
+    if in_utf8:
+        file.write(str(path))
+    else:
+        content = io.BytesIO()
+        file.write(content)
+        path.write_bytes(content.getvalue())
 
 
 def srgb(linear: ArrayLike) -> Floats:
@@ -218,7 +276,7 @@ def _check_to_write(name: str, values: Floats) -> None:
     if name in _CHANNELS and values.ndim == 2:
         raise ValueError(f"layer {name} should have three values per pixel, but has one")
     bad = ~(np.abs(values) <= _MAX_FLOAT32)
-    if name in _MAY_BE_INFINITE:
+    if name in MAY_BE_INFINITE:
         bad &= values != np.inf
     if bad.any():
         row, column = np.argwhere(bad)[0][:2]

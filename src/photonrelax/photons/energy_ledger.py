@@ -15,6 +15,12 @@ from .._util.validation import Floats, float_array, int_array
 
 # Outcomes of paths, and of the flux they carry: fields of EnergyLedger, in the kernel's order.
 PATH_OUTCOMES = ("stored", "absorbed", "escaped", "cut", "discarded")
+LEDGER_NAMES = (
+    "ledger_emitted",
+    *(f"ledger_{name}" for name in PATH_OUTCOMES),
+    *(f"ledger_ends_{name}" for name in PATH_OUTCOMES),
+)
+"""Names of a ledger's arrays in a photon map's file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +55,7 @@ class EnergyLedger:
     ends: Mapping[str, Ints]
 
     def __post_init__(self) -> None:
-        shape = (len(self.emitted), 3)
+        shape = (len(float_array(self.emitted, "emitted", (None, 3))), 3)
         for name in ("emitted", *PATH_OUTCOMES):
             set_field(self, name, frozen(float_array(getattr(self, name), name, shape)))
         if set(self.ends) != set(PATH_OUTCOMES):
@@ -59,6 +65,8 @@ class EnergyLedger:
         ends = {
             k: frozen(int_array(self.ends[k], f"ends[{k!r}]", shape[:1])) for k in PATH_OUTCOMES
         }
+        if any(number.min(initial=0) < 0 for number in ends.values()):
+            raise ValueError("ends should hold numbers of paths, but one is negative")
         set_field(self, "ends", ends)
 
     @property
@@ -82,10 +90,7 @@ def ledger_arrays(ledger: EnergyLedger) -> dict[str, NDArray]:
 
 def ledger_from(arrays: Mapping[str, NDArray]) -> EnergyLedger:
     """Return the ledger in a photon map's file; raises ValueError if an array is missing."""
-    columns = [f"ledger_{name}" for name in PATH_OUTCOMES] + [
-        f"ledger_ends_{name}" for name in PATH_OUTCOMES
-    ]
-    check_names(arrays, columns)
+    check_names(arrays, LEDGER_NAMES)
     return EnergyLedger(
         **{name: arrays[f"ledger_{name}"] for name in ("emitted", *PATH_OUTCOMES)},
         ends={name: arrays[f"ledger_ends_{name}"] for name in PATH_OUTCOMES},

@@ -13,11 +13,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._util.files import NOT_READABLE
 from .._util.frozen import Ints, frozen, read_only, set_field
 from .._util.npz import check_names, read_npz, scalar, write_npz
-from .._util.validation import Floats, are_unit, count, float_array, int_array, unit_vectors
-from .energy_ledger import EnergyLedger, ledger_arrays, ledger_from
+from .._util.validation import (
+    Floats,
+    are_unit,
+    check_magnitude,
+    check_seed,
+    count,
+    float_array,
+    int_array,
+    not_negative,
+    unit_vectors,
+)
+from .energy_ledger import LEDGER_NAMES, EnergyLedger, ledger_arrays, ledger_from
 
 FORMAT_VERSION = 1
 
@@ -63,8 +72,8 @@ class PhotonMap:
     Raises
     ------
     TypeError, ValueError
-        If an array has the wrong type or shape, is not finite, flux or density is negative, or a
-        direction is zero.
+        If an array has the wrong type or shape, is not finite, a direction is zero, flux, density,
+        length or number of bounces is negative, or position, flux or coordinates exceed 1e150.
     """
 
     position: Floats
@@ -113,6 +122,7 @@ class PhotonMap:
 
     def __post_init__(self) -> None:
         position = float_array(self.position, "position", (None, 3))
+        check_magnitude(position, "position")
         n = len(position)
         set_field(self, "position", frozen(position))
         set_field(self, "normal", _directions(self.normal, "normal", n))
@@ -123,17 +133,25 @@ class PhotonMap:
             set_field(self, "emitter_coords", _emitter_coords(self.emitter_coords, n))
         for name in ("emitter_density", "path_length"):
             if getattr(self, name) is not None:
-                set_field(self, name, _not_negative(getattr(self, name), name, (n,)))
+                set_field(self, name, frozen(not_negative(getattr(self, name), name, (n,))))
         if self.spectrum is not None:
             set_field(self, "spectrum", _spectrum(self.spectrum, n))
         for name, dtype in _INTEGER_FIELDS.items():
             if getattr(self, name) is not None:
                 set_field(self, name, frozen(int_array(getattr(self, name), name, (n,), dtype)))
+        if self.n_bounces is not None and self.n_bounces.min(initial=0) < 0:
+            raise ValueError(f"n_bounces should not be negative, but one is {self.n_bounces.min()}")
+        self._check_scalars()
+
+    def _check_scalars(self) -> None:
         if self.n_emitted is not None:
             set_field(self, "n_emitted", count(self.n_emitted, "n_emitted", low=0))
         set_field(self, "well_spaced", bool(self.well_spaced))
         if self.seed is not None:
-            set_field(self, "seed", count(self.seed, "seed", low=0))
+            set_field(self, "seed", check_seed(self.seed))
+        for name in ("sampler", "paths"):
+            if not isinstance(getattr(self, name), str | None):
+                raise TypeError(f"{name} should be text, but is {getattr(self, name)!r}")
 
     def __len__(self) -> int:
         return len(self.position)
@@ -179,7 +197,10 @@ class PhotonMap:
         Raises
         ------
         ValueError
-            If the file is not a photon map, or one of another version.
+            If the file is damaged, not a photon map, or one of another version. Its arrays pass the
+            same checks as those given to `PhotonMap`.
+        OSError, MemoryError
+            If it cannot be read, or does not fit in memory.
         """
         arrays = _read_arrays(Path(path))
         known: dict[str, Any] = {
@@ -190,10 +211,10 @@ class PhotonMap:
             return cls(
                 **known,
                 **scalars | {"well_spaced": bool(scalars["well_spaced"])},
-                ledger=ledger_from(arrays) if "ledger_emitted" in arrays else None,
+                ledger=ledger_from(arrays) if arrays.keys() & set(LEDGER_NAMES) else None,
             )
         except (TypeError, ValueError) as error:
-            raise ValueError(f"{path} is not a photon map: {error}") from None
+            raise _no_photon_map(Path(path), error) from None
 
 
 _INTEGER_FIELDS: dict[str, type] = {
@@ -205,6 +226,10 @@ _INTEGER_FIELDS: dict[str, type] = {
 # Fields with one value, and the kinds of dtype it is saved with.
 _SCALARS = {"n_emitted": "iu", "well_spaced": "b", "seed": "iu", "sampler": "U", "paths": "U"}
 _ARRAY_FIELDS = tuple(f.name for f in fields(PhotonMap) if f.name not in (*_SCALARS, "ledger"))
+
+
+# Arrays of a file; others are not read.
+_NAMES = frozenset(["photonmap_version", *_ARRAY_FIELDS, *_SCALARS, *LEDGER_NAMES])
 
 
 class NothingStoredError(ValueError):
@@ -233,25 +258,18 @@ def _directions(value: ArrayLike, name: str, n: int) -> Floats:
     return frozen(array)
 
 
-def _not_negative(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Floats:
-    array = float_array(value, name, shape)
-    if array.min(initial=0.0) < 0.0:
-        raise ValueError(f"{name} should not be negative, but its least value is {array.min()}")
-    return frozen(array)
-
-
 def _flux(value: ArrayLike, n: int) -> Floats:
     array = np.asarray(value)
     if array.ndim == 1:
         array = np.repeat(array[:, np.newaxis], 3, axis=1)
-    return _not_negative(array, "flux", (n, 3))
+    return frozen(check_magnitude(not_negative(array, "flux", (n, 3)), "flux"))
 
 
 def _emitter_coords(value: ArrayLike, n: int) -> Floats:
     array = float_array(value, "emitter_coords", (n, None))
     if array.shape[1] not in (2, 3):
         raise ValueError(f"emitter_coords should have 2 or 3 columns, but has {array.shape[1]}")
-    return frozen(array)
+    return frozen(check_magnitude(array, "emitter_coords"))
 
 
 def _spectrum(value: ArrayLike, n: int) -> Floats:
@@ -267,16 +285,20 @@ def _spectrum(value: ArrayLike, n: int) -> Floats:
 def _read_arrays(path: Path) -> dict[str, NDArray]:
     """The arrays of a photon map's file, of the version that this package reads."""
     try:
-        arrays = read_npz(path)
+        arrays = read_npz(path, _NAMES)
         check_names(arrays, ["photonmap_version"])
         version = scalar(arrays, "photonmap_version", "iu")
         if version == FORMAT_VERSION:
             check_names(arrays, ["position", "normal", "flux"])
-    except NOT_READABLE as error:
-        raise ValueError(f"{path} is not a photon map: {error}") from None
+    except ValueError as error:
+        raise _no_photon_map(path, error) from None
     if version != FORMAT_VERSION:
         raise ValueError(
             f"{path} should be a photon map of version {FORMAT_VERSION}, "
-            f"but is of version {version}"
+            f"but is of version {version}: save it again with this package"
         )
     return arrays
+
+
+def _no_photon_map(path: Path, error: Exception) -> ValueError:
+    return ValueError(f"{path} is not a photon map: {error}; save or copy it again")

@@ -55,7 +55,8 @@ class GradientSettings:
     gain: float = 1.0
 
     def __post_init__(self) -> None:
-        set_field(self, "k", validation.count(self.k, "GradientSettings.k", low=4))
+        k = validation.count(self.k, "GradientSettings.k", low=4, high=validation.MAX_NEIGHBOURS)
+        set_field(self, "k", k)
         set_field(self, "gain", validation.positive(self.gain, "GradientSettings.gain"))
 
 

@@ -55,10 +55,12 @@ class RelaxSettings:
                 f"but is {self.n_iterations!r}"
             )
         numbers = tuple(
-            validation.count(n, "RelaxSettings.n_iterations", low=0) for n in iterations
+            validation.count(n, "RelaxSettings.n_iterations", low=0, high=validation.MAX_REPEATS)
+            for n in iterations
         )
         set_field(self, "n_iterations", numbers)
-        set_field(self, "k", validation.count(self.k, "RelaxSettings.k", low=4))
+        k = validation.count(self.k, "RelaxSettings.k", low=4, high=validation.MAX_NEIGHBOURS)
+        set_field(self, "k", k)
         set_field(self, "step", validation.positive(self.step, "RelaxSettings.step"))
         largest = validation.positive(
             self.largest_step, "RelaxSettings.largest_step", allow_inf=True

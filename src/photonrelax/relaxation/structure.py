@@ -63,7 +63,8 @@ class StructureSettings:
     reach_scale: float = 3.0
 
     def __post_init__(self) -> None:
-        set_field(self, "k", validation.count(self.k, "StructureSettings.k", low=4))
+        k = validation.count(self.k, "StructureSettings.k", low=4, high=validation.MAX_NEIGHBOURS)
+        set_field(self, "k", k)
         scale = validation.positive(self.range_scale, "StructureSettings.range_scale")
         set_field(self, "range_scale", scale)
         reach = validation.positive(
@@ -203,7 +204,9 @@ def emitter_range(photons: PhotonMap, settings: StructureSettings) -> Floats | N
         return None
     if (density <= 0.0).any():
         raise ValueError(f"emitter_density should be positive, but its least is {density.min()}")
-    return settings.range_scale * np.sqrt(settings.k / (np.pi * density))
+    # Of the least densities the range is infinite: all coordinates are in it.
+    with np.errstate(over="ignore"):
+        return settings.range_scale * np.sqrt(settings.k / (np.pi * density))
 
 
 def principal_components(offsets: Floats) -> tuple[Floats, Floats]:

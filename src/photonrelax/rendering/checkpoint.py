@@ -10,8 +10,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from .._util.files import NOT_READABLE, remove_leftovers
-from .._util.npz import read_npz, write_npz
+from .._util.files import remove_leftovers
+from .._util.npz import check_names, read_npz, scalar, write_npz
 
 
 class Checkpoint:
@@ -40,22 +40,41 @@ class Checkpoint:
         Raises
         ------
         ValueError
-            If the file is no checkpoint, or that of another run.
+            If the file is damaged, no checkpoint, or that of another run.
+        OSError, MemoryError
+            If it cannot be read, or does not fit in memory.
         """
         if not self.path.exists():
             return None
         try:
+            identity = _identity(self.path)
             arrays = read_npz(self.path)
-            identity = json.loads(str(arrays.pop("identity")))
-        except (*NOT_READABLE, KeyError) as error:
-            raise ValueError(f"{self.path} does not hold a run to be resumed: {error}") from None
+        except (ValueError, RecursionError) as error:
+            raise self.unreadable(error) from None
         self._check(identity)
         return arrays
+
+    def unreadable(self, error: Exception) -> ValueError:
+        """Error that names the file, from one of reading it."""
+        return ValueError(
+            f"{self.path} does not hold a run to be resumed: {error}; "
+            "it is left as it is: move it away to start anew, or name another file"
+        )
 
     def _check(self, identity: Mapping[str, Any]) -> None:
         for name, value in self._identity.items():
             if identity.get(name) != value:
                 raise ValueError(
                     f"{self.path} holds another run: its {name} is {identity.get(name)}, "
-                    f"not {value}"
+                    f"not {value}; name another file, or resume it as it was begun"
                 )
+
+
+def _identity(path: Path) -> dict[str, Any]:
+    """Identity of the run in a file."""
+    arrays = read_npz(path, ["identity"])
+    check_names(arrays, ["identity"])
+    identity: dict[str, Any] = json.loads(scalar(arrays, "identity", "U"))
+    if not isinstance(identity, dict):
+        raise ValueError("its identity should be a JSON object, but is not")
+    return identity

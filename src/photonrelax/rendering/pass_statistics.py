@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any, Protocol
@@ -9,6 +10,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from .._util import validation
+from .._util.npz import check_names, scalar
 from .._util.validation import Floats
 from ..estimation.progressive import (
     HitPointStatistics,
@@ -16,11 +19,16 @@ from ..estimation.progressive import (
     PhotonPass,
     ProgressiveSettings,
 )
+from ..imaging.image import MAY_BE_INFINITE
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees, morton_order
 from ..transport.sampling import halton, seed_shift
 from .layers import band_layers, merge_passes, merged_layers
 from .view import Band, View, concatenate_bands, pixel_sums
+
+# Names of arrays in checkpoints: of statistics, and before those of layers.
+_STATISTICS = ("radius", "n", "tau", "weight", "disc_passes")
+_SEEN = "seen_"
 
 
 @dataclass(frozen=True)
@@ -48,6 +56,33 @@ class PassSettings:
         statistics.weight = float(n_before * self.photons_per_pass)
         return statistics
 
+    def restored(
+        self, arrays: Mapping[str, NDArray], n_points: int, n_passes: int, n_threads: int
+    ) -> HitPointStatistics | None:
+        """Statistics saved after a number of passes, None if they have none.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If the arrays are not of so many hit points and passes.
+        """
+        if not arrays.keys() & set(_STATISTICS):
+            return None
+        check_names(arrays, _STATISTICS)
+        columns = {name: arrays[name] for name in ("radius", "n", "tau")}
+        statistics = HitPointStatistics.from_columns(
+            **columns, shape=(n_points, 3), alpha=self.settings.alpha, n_threads=n_threads
+        )
+        statistics.n_passes = validation.count(scalar(arrays, "disc_passes", "iu"), "disc_passes")
+        statistics.weight = validation.positive(scalar(arrays, "weight", "f"), "weight")
+        if statistics.n_passes != n_passes or statistics.weight != n_passes * self.photons_per_pass:
+            raise ValueError(
+                f"disc_passes and weight should be of {n_passes} passes of "
+                f"{self.photons_per_pass} photons, but are {statistics.n_passes} and "
+                f"{statistics.weight:g}"
+            )
+        return statistics
+
 
 @dataclass(frozen=True)
 class PassState:
@@ -66,27 +101,12 @@ class PassState:
 
     def arrays(self) -> dict[str, Any]:
         """The state as arrays for a checkpoint."""
-        combined = {f"seen_{name}": layer for name, layer in self.combined.items()}
+        combined = {f"{_SEEN}{name}": layer for name, layer in self.combined.items()}
         s = self.statistics
         if s is None:
             return combined
         values = {name: getattr(s, name) for name in ("radius", "n", "tau", "weight")}
         return {**values, "disc_passes": s.n_passes, **combined}
-
-    @classmethod
-    def from_arrays(
-        cls, arrays: dict[str, NDArray], settings: PassSettings, n_threads: int
-    ) -> PassState:
-        """State of which `arrays` are the arrays."""
-        prefix = "seen_"
-        combined = {n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}
-        if "radius" not in arrays:
-            return cls(None, combined)
-        n_passes = int(arrays["disc_passes"])
-        statistics = settings.statistics(arrays["radius"], n_passes, n_threads)
-        statistics.n, statistics.tau = arrays["n"], arrays["tau"]
-        statistics.weight = float(arrays["weight"])
-        return cls(statistics, combined)
 
 
 class PassHitPoints(Protocol):
@@ -94,6 +114,15 @@ class PassHitPoints(Protocol):
 
     def after(self, state: PassState, photons: PhotonMap, number: int) -> PassState:
         """State after the pass of a number, from zero, given that before it."""
+
+    def restored(self, arrays: Mapping[str, NDArray], n_passes: int) -> PassState:
+        """State whose `PassState.arrays` are given, after a number of passes.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If they are those of no such state.
+        """
 
     def layers(self, state: PassState, n_passes: int) -> dict[str, Floats]:
         """Layers of the image after a number of passes, except ``radiance``."""
@@ -105,6 +134,7 @@ class FixedHitPoints:
     def __init__(self, view: View, settings: PassSettings) -> None:
         self._view = view
         self._settings = settings
+        view.check_hits_fit()
         fixed, hits, scale = [], [], []
         for band in view.bands():
             fixed.append(band_layers(band))
@@ -130,6 +160,10 @@ class FixedHitPoints:
         found = gathered.within(self._points, statistics.radius, self._order)
         statistics.update(*found, gathered.weight)
         return PassState(statistics)
+
+    def restored(self, arrays: Mapping[str, NDArray], n_passes: int) -> PassState:
+        n_points, threads = len(self._pixel), self._view.n_threads
+        return PassState(self._settings.restored(arrays, n_points, n_passes, threads))
 
     def layers(self, state: PassState, n_passes: int) -> dict[str, Floats]:
         caustic = np.zeros((*self._view.shape, 3))
@@ -168,6 +202,18 @@ class StochasticHitPoints:
             statistics.update(counts, sums, gathered.weight)
         return PassState(statistics, merge_passes(state.combined, concatenate_bands(layers)))
 
+    def restored(self, arrays: Mapping[str, NDArray], n_passes: int) -> PassState:
+        height, width = self._view.shape
+        threads = self._view.n_threads
+        statistics = self._settings.restored(arrays, height * width, n_passes, threads)
+        seen = band_layers(next(self._view.bands(self.offset(0))))
+        check_names(arrays, [f"{_SEEN}{name}" for name in seen])
+        combined = {
+            name: _restored_layer(arrays[f"{_SEEN}{name}"], name, (height, *layer.shape[1:]))
+            for name, layer in seen.items()
+        }
+        return PassState(statistics, combined)
+
     def offset(self, number: int) -> tuple[float, float]:
         """Sample offset of a pass: the Halton points of all passes fill the pixel evenly."""
         right, down = halton(number, 1, shift=self._shift)[0].tolist()
@@ -185,6 +231,15 @@ class StochasticHitPoints:
         if state.statistics is not None:
             caustic = state.statistics.densities().reshape(caustic.shape)
         return {"caustic": caustic, **merged_layers(state.combined, n_passes)}
+
+
+def _restored_layer(values: NDArray, name: str, shape: tuple[int, ...]) -> Floats:
+    """Layer that was combined over passes, infinite only where one of an image may be."""
+    may_be_infinite = name in MAY_BE_INFINITE
+    layer = validation.float_array(values, f"{_SEEN}{name}", shape, finite=not may_be_infinite)
+    if np.isnan(layer).any() or (layer == -np.inf).any():
+        raise ValueError(f"{_SEEN}{name} should hold numbers, but some are NaN or -inf")
+    return layer
 
 
 class _Gatherer:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from .._util import validation
 from .._util.files import check_writable, file_lock
 from .._util.frozen import set_field
+from .._util.npz import check_names, scalar
 from .._util.progress import Progress
 from .._util.validation import check_seed
 from .._version import __version__
@@ -29,7 +30,8 @@ from ..imaging.image import Image
 from ..photons.photon_map import NothingStoredError, PhotonMap
 from ..scene.digest import scene_digests
 from ..scene.scene import Scene
-from ..transport.trace import trace_photons
+from ..transport.emission import MAX_PHOTONS
+from ..transport.trace import check_photons_fit, trace_photons
 from .checkpoint import Checkpoint
 from .layers import with_radiance
 from .metadata import metadata
@@ -112,7 +114,10 @@ def render_progressive(
     Raises
     ------
     TypeError, ValueError, BlockingIOError
-        If an argument is invalid, no pass stores a photon, or the file is of another run or in use.
+        If an argument is invalid, no pass stores a photon, or the file is damaged, of another run
+        or in use; it is left as it is.
+    MemoryError
+        If image or photons surely do not fit in memory.
     KeyboardInterrupt
         On Ctrl-C, after the run was saved; it is saved before any other error is raised, too.
     """
@@ -120,11 +125,12 @@ def render_progressive(
     view = View(scene, supersampling=supersampling, max_depth=max_depth, n_threads=n_threads)
     pass_settings = PassSettings(
         settings=_checked_settings(settings),
-        photons_per_pass=validation.count(photons_per_pass, "photons_per_pass"),
+        photons_per_pass=validation.count(photons_per_pass, "photons_per_pass", high=MAX_PHOTONS),
         seed=check_seed(seed),
         stochastic=bool(stochastic),
         **view.settings,
     )
+    check_photons_fit(scene, pass_settings.photons_per_pass, view.caster)
     run = _Run(view, pass_settings)
     return _run_to_end(run, stop, checkpoints or Checkpoints(), progress)
 
@@ -154,7 +160,9 @@ class _StopCondition:
         if n_passes is None and seconds is None:
             raise ValueError("n_passes or seconds should be given: passes have no end of their own")
         return cls(
-            np.inf if n_passes is None else validation.count(n_passes, "n_passes"),
+            np.inf
+            if n_passes is None
+            else validation.count(n_passes, "n_passes", high=validation.MAX_REPEATS),
             np.inf if seconds is None else validation.positive(seconds, "seconds"),
         )
 
@@ -230,13 +238,16 @@ class _Checkpointer:
         arrays = None if self._file is None else self._file.load()
         if arrays is None or self._file is None:
             return
-        n_passes = int(arrays["n_passes"])
+        try:
+            self._run.restore(arrays)
+        except (TypeError, ValueError) as error:
+            raise self._file.unreadable(error) from None
+        n_passes = self._run.n_passes
         if n_passes > stop.n_passes:
             raise ValueError(
                 f"n_passes should be at least the {n_passes} that {self._file.path} holds "
                 f"already, but is {stop.n_passes}"
             )
-        self._run.restore(arrays)
         self._n_saved = n_passes
 
     def save_at_intervals(self) -> None:
@@ -327,9 +338,15 @@ class _Run:
         return {"n_passes": done.n_passes, "n_stored": done.n_stored, **done.state.arrays()}
 
     def restore(self, arrays: dict[str, NDArray]) -> None:
-        """Continue after the passes saved as `arrays`."""
-        state = PassState.from_arrays(arrays, self._settings, self._view.n_threads)
-        self._completed = _Completed(int(arrays["n_passes"]), int(arrays["n_stored"]), state)
+        """Continue after the passes saved as `arrays`; raises ValueError if they are none."""
+        check_names(arrays, ["n_passes", "n_stored"])
+        n_passes = scalar(arrays, "n_passes", "iu")
+        validation.count(n_passes, "n_passes", high=validation.MAX_REPEATS)
+        n_stored = validation.count(scalar(arrays, "n_stored", "iu"), "n_stored", low=0)
+        state = self._hit_points.restored(arrays, n_passes)
+        if (n_stored == 0) != (state.statistics is None):
+            raise ValueError(f"it has statistics of photons, or none, but n_stored is {n_stored}")
+        self._completed = _Completed(n_passes, n_stored, state)
 
     def image(self) -> Image:
         """Image so far, the same however often the run was resumed."""

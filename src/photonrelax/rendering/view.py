@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._util import validation
+from .._util.memory import ESTIMATE_MARGIN, available_memory, check_memory
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
@@ -22,6 +23,10 @@ from ..transport.raycast import RayCaster
 
 # Camera rays traced together, which bounds the memory of an image.
 _RAYS_PER_BAND = 400_000
+# Bytes of the layers of a pixel, and of a camera ray and of a hit point that are kept, at least.
+_PIXEL_BYTES, _RAY_BYTES, _HIT_BYTES = 128, 56, 128
+# Rays a side of the small image from which the number of hit points is estimated.
+_PILOT_SIDE = 64
 # Position of samples in the cells of the s·s grid of their pixel.
 CENTRE = (0.5, 0.5)
 
@@ -96,6 +101,8 @@ class View:
     ------
     TypeError, ValueError
         If the scene has no camera, or a number is out of its range.
+    MemoryError
+        If an image of that size cannot fit in memory.
     """
 
     def __init__(
@@ -110,9 +117,48 @@ class View:
             raise ValueError("scene should have a camera to be rendered")
         self.scene = scene
         self.camera = scene.camera
-        self.supersampling = validation.count(supersampling, "supersampling")
+        self.supersampling = validation.count(
+            supersampling, "supersampling", high=validation.MAX_REPEATS
+        )
         self.max_depth = validation.count(max_depth, "max_depth", low=0, high=MAX_DEPTH)
         self.n_threads = thread_count(n_threads)
+        self._check_image_fits()
+
+    def _check_image_fits(self) -> None:
+        height, width = self.shape
+        check_memory(
+            _PIXEL_BYTES * height * width,
+            f"the layers of {width} x {height} pixels",
+            "make the image smaller (width, height)",
+        )
+        check_memory(
+            _RAY_BYTES * width * self.supersampling**2,
+            f"the {self.supersampling} x {self.supersampling} samples of each pixel of a row",
+            "take fewer (supersampling)",
+        )
+
+    def check_hits_fit(self) -> None:
+        """Raise MemoryError if all hit points together surely do not fit in memory."""
+        height, width = self.shape
+        n_samples = height * width * self.supersampling**2
+        if _HIT_BYTES * n_samples <= available_memory():
+            return
+        check_memory(
+            _HIT_BYTES * n_samples * self._hits_per_ray() / ESTIMATE_MARGIN,
+            f"the hit points of {self.supersampling} x {self.supersampling} samples in each of "
+            f"{width} x {height} pixels",
+            "make the image smaller (width, height), or take fewer samples (supersampling)",
+        )
+
+    def _hits_per_ray(self) -> float:
+        """Hit points for each camera ray, of a small image."""
+        scale = min(_PILOT_SIDE / max(self.shape), 1.0)
+        height, width = (max(round(scale * side), 1) for side in self.shape)
+        camera = replace(self.camera, width=width, height=height)
+        hits, _ = trace_hit_points(
+            self.scene, self.caster, camera, range(height), max_depth=self.max_depth
+        )
+        return len(hits) / (width * height)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -157,6 +203,7 @@ class View:
 
     def stored(self, progress: Progress | None) -> StoredView:
         """Trace all bands and keep them in memory."""
+        self.check_hits_fit()
         started = perf_counter()
         report = Reporter(progress, "camera", self.camera.height)
         bands = []

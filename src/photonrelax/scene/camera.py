@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._util.frozen import frozen, set_field
-from .._util.validation import Floats, count, float_array, positive, unit_vectors
+from .._util.validation import MAX_REPEATS, Floats, count, float_array, positive, unit_vectors
 
 # Sine of the smallest angle between a camera's `up` and its line of sight.
 _MIN_UP_SINE = 1e-6
@@ -49,8 +49,8 @@ class Camera:
             raise ValueError(
                 f"vertical_fov should be below 180 degrees, but is {self.vertical_fov}"
             )
-        set_field(self, "width", count(self.width, "width"))
-        set_field(self, "height", count(self.height, "height"))
+        set_field(self, "width", count(self.width, "width", high=MAX_REPEATS))
+        set_field(self, "height", count(self.height, "height", high=MAX_REPEATS))
         if self.orthographic_height is not None:
             height = positive(self.orthographic_height, "orthographic_height")
             set_field(self, "orthographic_height", height)
@@ -113,7 +113,7 @@ def pixel_rays(
     """
     if not len(rows) or min(rows) < 0 or max(rows) >= camera.height:
         raise ValueError(f"rows should be some of [0, {camera.height}), but are {rows}")
-    s = count(supersampling, "supersampling")
+    s = count(supersampling, "supersampling", high=MAX_REPEATS)
     row, column, i, j = np.meshgrid(rows, range(camera.width), range(s), range(s), indexing="ij")
     # In half heights of the image from its centre.
     x = ((2 * (column + (j + offset[0]) / s) - camera.width) / camera.height).ravel()

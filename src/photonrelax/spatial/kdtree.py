@@ -13,6 +13,7 @@ from .._ext.spatial import tree as _kdtree
 from .._ext.spatial.blocks import bounds
 from .._ext.spatial.morton import morton_order
 from .._util import validation
+from .._util.memory import check_memory
 from .._util.parallel import thread_count
 from .._util.validation import Floats
 
@@ -20,6 +21,8 @@ from .._util.validation import Floats
 _LARGEST_EXTENT = 1e150
 # The tree is built with numbers of 32 bits.
 _MOST_POINTS = 2**31 - 1
+# Bytes of a neighbour's id and distance.
+_FOUND_BYTES = 16
 
 
 @dataclass(frozen=True)
@@ -130,6 +133,8 @@ class KDTree:
         TypeError, ValueError
             If a shape is wrong, a value is NaN or a range negative, or a range is given to a
             tree that has no range axes.
+        MemoryError
+            If the result cannot fit in memory.
         """
         array = validation.float_array(queries, "queries", (None, None))
         array = self._check_queries(array, half_range is not None or range_radius is not None)
@@ -142,7 +147,7 @@ class KDTree:
             self.kernel,
             array,
             morton_order(array, self.n_metric, thread_count(n_threads)),
-            validation.count(k, "k"),
+            _neighbour_count(k, len(array)),
             ranges=self._ranges(len(array), half_range, range_radius),
             excluded=self._places() if exclude_self else None,
             n_threads=thread_count(n_threads),
@@ -161,7 +166,7 @@ class KDTree:
         """Find the k nearest points of each of the tree's own points; see `query`."""
         ids, distance = _neighbours.query_self(
             self.kernel,
-            validation.count(k, "k"),
+            _neighbour_count(k, self.n_points),
             ranges=self._ranges(self.n_points, half_range, range_radius),
             exclude_self=exclude_self,
             n_threads=thread_count(n_threads),
@@ -190,7 +195,7 @@ class KDTree:
             self._check_range_axes()
         distance: Floats = _kth_distance.of_points(
             self.kernel,
-            k=validation.count(k, "k"),
+            k=validation.count(k, "k", high=validation.MAX_NEIGHBOURS),
             range_radii=_ranges(range_radius, "range_radius", (self.n_points,)),
             n_threads=thread_count(n_threads),
         )
@@ -236,6 +241,14 @@ class KDTree:
         raise ValueError(
             f"queries should have the tree's {self.n_axes} axes, but have {queries.shape[1]}"
         )
+
+
+def _neighbour_count(k: int, n_queries: int) -> int:
+    """Neighbours of each query, whose ids and distances have to fit in memory."""
+    k = validation.count(k, "k", high=validation.MAX_NEIGHBOURS)
+    neighbours = f"the {k} neighbours of each of {n_queries} queries"
+    check_memory(_FOUND_BYTES * k * n_queries, neighbours, "ask for fewer (k)")
+    return k
 
 
 def _ranges(value: ArrayLike | None, name: str, shape: tuple[int, ...]) -> Floats | None:

@@ -26,6 +26,8 @@ from .sampling import seed_shift
 
 PATHS = ("caustic", "global", "all")
 SAMPLERS = ("halton", "random")
+# Halton numbers of larger indices are not exact.
+MAX_PHOTONS = 10**15
 
 # Candidates from which the share of a region that lies in no earlier one is estimated, and how
 # many times as many as that suggests are tried.
@@ -178,7 +180,7 @@ def plan_emission(
         If `paths`, seed or sampler is invalid, there is no specular object to aim at, no emitter
         shines on the target, or there are fewer photons than regions.
     """
-    n_emitted = count(n_emitted, "n_emitted")
+    n_emitted = count(n_emitted, "n_emitted", high=MAX_PHOTONS)
     check_choice(sampler, "sampler", SAMPLERS)
     draw = partial(_emission, n_candidates=0, seed=check_seed(seed), sampler=sampler)
     aimed = _aimed(scene, paths, n_emitted)
@@ -192,7 +194,7 @@ def plan_emission(
             f"but all {len(scene.emitters)} have no power or face away"
         )
     found = [
-        draw(each).photons(n, _STARTS_EVERY, int(_MAX_TRIES * n / share))
+        draw(each).photons(n, _STARTS_EVERY, min(int(_MAX_TRIES * n / share), 2**62))
         if len(each.outlines)
         else ((), n, n)
         for each, n, share in zip(aimed, _apportion(n_emitted, weights), shares, strict=True)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._ext.transport import sampling as _kernel
+from .._util.memory import check_memory
 from .._util.parallel import thread_count
 from .._util.validation import Floats, check_seed, count, float_array
 
@@ -41,11 +42,15 @@ def halton(
     ------
     TypeError, ValueError
         If an index is negative or the shift is outside [0, 1)².
+    MemoryError
+        If the points cannot fit in memory.
     """
     u, v = float_array(shift, "shift", (2,)).tolist()
     if not (0.0 <= u < 1.0 and 0.0 <= v < 1.0):
         raise ValueError(f"shift should lie in [0, 1)², but is {(u, v)}")
-    out = np.empty((count(n, "n", low=0), 2))
+    n = count(n, "n", low=0)
+    check_memory(16.0 * n, f"{n:,} Halton points", "ask for fewer at a time")
+    out = np.empty((n, 2))
     _kernel.halton(count(first, "first", low=0), u, v, out, thread_count(n_threads))
     return out
 

@@ -17,6 +17,7 @@ carry spectra, each of which takes a fifth of a millisecond, as its neighbours a
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import groupby
 from math import fsum
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 
 from .._ext.transport import trace as _kernel
 from .._ext.transport.deposits import Columns
+from .._util.memory import ESTIMATE_MARGIN, available_memory, check_memory
 from .._util.parallel import ordered_map, thread_count, thread_executor
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, check_choice, count, float_array
@@ -33,16 +35,24 @@ from ..photons.energy_ledger import PATH_OUTCOMES, EnergyLedger
 from ..photons.photon_map import NothingStoredError, PhotonMap
 from ..scene.scene import Scene
 from .batch import BatchLedger, Job, TraceContext, TracedBatch, TraceSettings, trace_batch
-from .emission import PATHS, EmissionPlan, plan_emission
+from .emission import MAX_PHOTONS, PATHS, EmissionPlan, plan_emission
 from .frequency.spectra import ReplayBatch, SpectrumTracer, batches_by_region
 from .media import warn_of_overflows
 from .raycast import RayCaster
 
 # Far beyond any path that matters; in a mirrored room paths would never end.
 MAX_BOUNCES = 10_000
+_DEFAULT_BOUNCES = 32
 # Capacity of a growing map over the number of photons expected from its paths so far; pages that
 # are not written take no memory.
 _CAPACITY_MARGIN = 1.05
+# Deposits count the paths of a batch in 32 bits.
+_MAX_BATCH = 2**30
+# Bytes of a stored photon, at least, and of the ledger of a block of paths.
+_PHOTON_BYTES = 148
+_LEDGER_BYTES = 8 * 3 * len(PATH_OUTCOMES)
+# Paths from which the number of photons stored is estimated.
+_PILOT = 16384
 
 _DTYPES: dict[str, type] = {
     "position": np.float64,
@@ -67,7 +77,7 @@ def trace_photons(
     seed: int = 0,
     paths: str = "caustic",
     sampler: str = "halton",
-    max_bounces: int = 32,
+    max_bounces: int = _DEFAULT_BOUNCES,
     frequency_share: float = 0.0,
     n_threads: int | None = None,
     progress: Progress | None = None,
@@ -112,13 +122,56 @@ def trace_photons(
     ------
     TypeError, ValueError
         If an argument is invalid, or if nothing is stored: the message says why.
+    MemoryError
+        If the photons surely do not fit in memory, as estimated from some thousands of them.
     """
     settings = _checked_settings(paths, max_bounces, frequency_share)
+    threads = thread_count(n_threads)
+    n_emitted = count(n_emitted, "n_emitted", high=MAX_PHOTONS)
+    _check_memory(scene, n_emitted, settings, caster, threads)
     plan = plan_emission(scene, n_emitted, paths, seed=seed, sampler=sampler)
-    most = min(count(batch_size, "batch_size"), int(plan.counts.max()))
+    most = min(count(batch_size, "batch_size", high=_MAX_BATCH), int(plan.counts.max()))
     size = -(-most // _kernel.LEDGER_BLOCK) * _kernel.LEDGER_BLOCK
     context = TraceContext(scene, plan, settings, size, caster=caster)
-    return _trace_all(context, thread_count(n_threads), progress)
+    return _trace_all(context, threads, progress)
+
+
+def check_photons_fit(scene: Scene, n_emitted: int, caster: RayCaster | None = None) -> None:
+    """Raise MemoryError if the caustic photons of a scene surely do not fit in memory."""
+    settings = TraceSettings("caustic", _DEFAULT_BOUNCES, 0.0)
+    _check_memory(scene, n_emitted, settings, caster, n_threads=1)
+
+
+def _check_memory(
+    scene: Scene, n_emitted: int, settings: TraceSettings, caster: RayCaster | None, n_threads: int
+) -> None:
+    """Raise MemoryError if photons surely do not fit in memory."""
+    deposits = 1 if settings.paths == "caustic" else settings.max_bounces
+    if _bytes(n_emitted, deposits * n_emitted) > available_memory():
+        stored = _stored_per_path(scene, settings, caster, n_threads)
+        check_memory(
+            _bytes(n_emitted, n_emitted * stored / ESTIMATE_MARGIN),
+            f"the photons stored of {n_emitted:,} emitted",
+            "emit fewer, or render in passes of fresh photons (--passes, render_progressive)",
+        )
+
+
+def _bytes(n_emitted: int, n_stored: float) -> float:
+    """Least bytes of photons and of the ledgers of their batches."""
+    return _PHOTON_BYTES * n_stored + _LEDGER_BYTES * n_emitted / _kernel.LEDGER_BLOCK
+
+
+def _stored_per_path(
+    scene: Scene, settings: TraceSettings, caster: RayCaster | None, n_threads: int
+) -> float:
+    """Photons stored for each path, of the first paths of each emitter."""
+    n = max(_PILOT, len(scene.emitters))
+    plan = plan_emission(scene, n, settings.paths)
+    pilot = TraceContext(scene, plan, replace(settings, frequency_share=0.0), _PILOT, caster=caster)
+    try:
+        return len(_trace_all(pilot, n_threads, None)) / n
+    except NothingStoredError:
+        return 0.0
 
 
 def _trace_all(context: TraceContext, n_threads: int, progress: Progress | None) -> PhotonMap:

@@ -6,7 +6,7 @@ from libc.math cimport sqrt
 from libc.stdint cimport int64_t, uint8_t, uint64_t
 
 from ..common.rng cimport hash_key, uniform
-from ..common.threads cimport ELEMENTS, team_size
+from ..common.threads cimport ELEMENTS, Watch, close_watch, goes_on, open_watch, team_size
 from ..common.vec3 cimport normalise
 from .sampling cimport (
     cap_direction, disk_point, radical_inverse_2, radical_inverse_3, sphere_direction, wrapped,
@@ -20,6 +20,10 @@ cdef enum:
     CAP = 1
     SPHERE = 2
     ELLIPSE = 3
+
+cdef enum:
+    # Candidates between looks for signals.
+    LOOK_EVERY = 1 << 12
 
 # Random numbers of a photon: two for its coordinates, this one, then those of events.
 cdef enum:
@@ -169,13 +173,15 @@ cdef class Emission:
         cdef Py_ssize_t found = 0
         cdef int64_t index = 0
         cdef int64_t[::1] starts = np.empty(n // step + 1, np.int64)
+        cdef Watch watch = open_watch()
         with nogil:
-            while found < n and index < limit:
+            while found < n and index < limit and goes_on(&watch, index % LOOK_EVERY == 0):
                 if self.accepts(index):
                     if found % step == 0:
                         starts[found // step] = index
                     found += 1
                 index += 1
+        close_watch(&watch)
         return np.asarray(starts)[: (found + step - 1) // step], found, index
 
     def accepted(self, int64_t first, Py_ssize_t n):

@@ -8,6 +8,7 @@ from string import ascii_lowercase
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
+from ..._util.text import encodable
 from .images import Bytes
 
 if TYPE_CHECKING:
@@ -126,5 +127,6 @@ def _write(draw: ImageDraw, top: tuple[int, int], lines: Iterable[_Line]) -> Non
     """Write centred lines one below the other; `top` is the middle of their upper border."""
     x, y = top[0], top[1] + _MARGIN
     for line in lines:
-        draw.text((x, y), line.text, fill=line.colour, font=_font(line.size), anchor="ma")
+        text = encodable(line.text)
+        draw.text((x, y), text, fill=line.colour, font=_font(line.size), anchor="ma")
         y += line.height

@@ -1,0 +1,58 @@
+"""Lines of libraries are held back, those of others are not."""
+
+import os
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from photonrelax._util.library_output import held_back
+
+
+def test_only_lines_that_begin_with_a_mark_are_held_back(capfd):
+    with held_back("file: ", "Warning") as held:
+        os.write(2, b"file: damaged\nanother: line\n\xff\n")
+        print("Warning: damaged")
+        print("a line that is printed")
+        print("and one on standard error", file=sys.stderr)
+    out, err = capfd.readouterr()
+    assert out == "a line that is printed\n"
+    assert set(err.splitlines()) == {"another: line", "\ufffd", "and one on standard error"}
+    assert sorted(held.lines) == ["Warning: damaged", "file: damaged"]
+
+
+def test_streams_come_back_after_an_error(capfd):
+    before = sys.stdout
+    with pytest.raises(OSError, match="read"), held_back("x"):
+        raise OSError("read")
+    assert sys.stdout is before
+    os.write(2, b"after\n")
+    assert capfd.readouterr().err == "after\n"
+
+
+def test_threads_take_turns_and_lose_no_line(capfd):
+    def work(name):
+        for i in range(20):
+            with held_back(f"{name}: ") as held:
+                os.write(2, f"{name}: {i}\n".encode())
+            assert held.lines == [f"{name}: {i}"]
+
+    threads = [threading.Thread(target=work, args=(name,)) for name in "abcd"]
+    for thread in threads:
+        thread.start()
+    for i in range(50):
+        os.write(2, f"main {i}\n".encode())
+    for thread in threads:
+        thread.join()
+    assert sorted(capfd.readouterr().err.splitlines()) == sorted(f"main {i}" for i in range(50))
+
+
+def test_a_closed_standard_error_is_no_error():
+    code = (
+        "import os; os.close(2)\n"
+        "from photonrelax._util.library_output import held_back\n"
+        "with held_back('x'): print('printed')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "printed\n"
