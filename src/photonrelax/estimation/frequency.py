@@ -131,7 +131,8 @@ class FrequencyField(ProgressiveField):
         """The largest variance within a radius, among the photons of a tree."""
         if part not in self._maxima:
             tree, rows = self._trees.tree(part)
-            values = to_soa_blocks(self._variance, rows, self._n_threads)
+            largest = self._trees.maxima(self._variance, part)
+            values = to_soa_blocks(largest, rows, self._n_threads)
             self._maxima[part] = MaxInRadius(tree.kernel, values, range_radius=normal_range(tree))
         return self._maxima[part]
 

@@ -37,8 +37,8 @@ class GatherSettings:
         within 0.3 % for k of 15 and more.
     gather_radius : float, optional
         Largest distance, m, from which photons are gathered. Where it holds fewer than k it is the
-        bandwidth, so that black regions stay black; also where k photons lie at the very point,
-        of which only these count. By default it is the `automatic_gather_radius` of the map: the
+        bandwidth, so that black regions stay black. Photons at the same point that face the same
+        way count as one with the flux of all. By default it is the `automatic_gather_radius` of the map: the
         radius within which 95 % of the photons, and 5 % of the area they light, have their k-th
         nearest. Infinite for no limit. With a refinement it limits the first k_min photons, and
         holds twice as many by default; k are gathered from √(k / k_min) times as far.
@@ -158,8 +158,9 @@ class IrradianceField(TreeField):
     def _flux_of(self, part: int) -> Floats:
         """Mean flux of the photons of a tree, in its order and in a unit near the largest."""
         if part not in self._mean_flux:
-            flux, _ = validation.in_units(self.photons.flux.mean(axis=1))
-            self._mean_flux[part] = flux[self._trees.tree(part)[1]]
+            flux, _ = validation.in_units(self.photons.flux.mean(axis=1, keepdims=True))
+            flux = self._trees.sums(flux, part)
+            self._mean_flux[part] = flux[self._trees.tree(part)[1], 0]
         return self._mean_flux[part]
 
 

@@ -257,10 +257,11 @@ class PhotonPass:
             tree, rows = self._trees.tree(number)
             self._sums[number] = RadiusGather(
                 tree.kernel,
-                self._values,
+                self._trees.sums(self._values, number),
                 rows,
                 KERNELS["constant"],
                 normal_range=normal_range(tree),
+                numbers=self._trees.numbers(number),
                 n_threads=self._n_threads,
             )
         return self._sums[number]

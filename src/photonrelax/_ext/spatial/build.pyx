@@ -48,7 +48,10 @@ cdef struct Workers:
     int n_threads
 
 
-def median_order(const double[:, ::1] points, const double[::1] axis_scale, int n_threads):
+def median_order(
+    const double[:, ::1] points, const double[::1] axis_scale, int n_threads,
+    unsigned char[::1] tied=None,
+):
     """Order points as the leaves of a tree of median splits.
 
     Leaves are blocks of 16 points, the last of which may hold fewer. Node j of level l has the
@@ -66,6 +69,9 @@ def median_order(const double[:, ::1] points, const double[::1] axis_scale, int 
         nothing is split. At most 255 may be positive, and scaled extents have to be finite.
     n_threads : int
         Threads; the order does not depend on it.
+    tied : (1,) uint8 array, optional
+        Set to one if a split has equal coordinates on both sides. If not, coincident points are
+        in the same block.
 
     Returns
     -------
@@ -85,6 +91,8 @@ def median_order(const double[:, ::1] points, const double[::1] axis_scale, int 
     order = np.zeros((n + BLOCK - 1) // BLOCK * BLOCK, np.intp)[:n]
     if n <= BLOCK or axes.shape[0] == 0:
         order[:] = np.arange(n)
+        if tied is not None and n > BLOCK:
+            tied[0] = True
         return order
     cdef Job job
     cdef Workers workers
@@ -92,6 +100,7 @@ def median_order(const double[:, ::1] points, const double[::1] axis_scale, int 
     job.words = (job.n_keys + QUAD) // QUAD * QUAD
     cdef Py_ssize_t[::1] order_view = order
     cdef int32_t[:, :, ::1] rows = np.empty((2, n, job.words), np.int32)
+    cdef unsigned char[::1] any_tied = np.zeros(1, np.uint8) if tied is None else tied
     cdef unsigned char[:, ::1] found = np.zeros((n_threads, sizeof(ThreadPartial)), np.uint8)
     job.points = &points[0, 0]
     job.n_points = n
@@ -102,6 +111,7 @@ def median_order(const double[:, ::1] points, const double[::1] axis_scale, int 
     job.rows[0] = &rows[0, 0, 0]
     job.rows[1] = &rows[1, 0, 0]
     job.order = &order_view[0]
+    job.tied = &any_tied[0]
     workers.job = &job
     workers.partials = <ThreadPartial*> &found[0, 0]
     workers.n_threads = n_threads
@@ -144,6 +154,7 @@ cdef void build(const Workers* workers) noexcept nogil:
 cdef void split_serial(const Job* job, int level, Py_ssize_t index) noexcept nogil:
     cdef Node node = node_at(job, level, index)
     if not split(job, &node):
+        job.tied[0] = True
         copy_node(job, &node)
 
 
@@ -169,7 +180,11 @@ cdef Node node_at(const Job* job, int level, Py_ssize_t index) noexcept nogil:
 cdef void descend(const Job* job, int level, Py_ssize_t index) noexcept nogil:
     """Order the points of a node."""
     cdef Node node = node_at(job, level, index)
-    if node.n_blocks < 2 or not split(job, &node):
+    if node.n_blocks < 2:
+        write_ids(job, &node)
+        return
+    if not split(job, &node):
+        job.tied[0] = True
         write_ids(job, &node)
         return
     descend(job, level + 1, 2 * index)
@@ -262,6 +277,7 @@ cdef void split_parallel(const Workers* workers, int level, Py_ssize_t index) no
     bound_parallel(workers, &node, low, high)
     if widest_extent(workers.job, low, high) < COARSE:
         if not renew_keys(workers.job, &node):
+            workers.job.tied[0] = True
             copy_node(workers.job, &node)
             return
         bound_parallel(workers, &node, low, high)
