@@ -42,7 +42,7 @@ from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
-from ..photons.neighbourhoods import normal_range
+from ..photons.axes import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
 from .field import Densities, Points, TreeField, check_points
@@ -221,13 +221,14 @@ class DiffusionField(TreeField):
         """Settings with the k and the largest bandwidth of the map, if that is left open."""
         if settings.k is None or not len(self.photons):
             return settings
-        tree = self._trees.whole()
+        tree, k = self._trees.whole(), settings.k
         if len(tree) < len(self.photons):
-            settings = replace(settings, k=self._places_of(settings.k, len(tree)))
+            k = self._places_of(k, len(tree))
+            settings = replace(settings, k=k)
         if settings.bandwidth is not None:
             return settings
         try:
-            radius = automatic_gather_radius(tree, settings.k, n_threads=self._n_threads)
+            radius = automatic_gather_radius(tree, k, n_threads=self._n_threads)
         except ValueError:
             raise ValueError(
                 f"the map's {len(self.photons)} photons are all at one point, from which no "

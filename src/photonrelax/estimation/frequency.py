@@ -34,7 +34,7 @@ from .._ext.spatial.blocks import to_soa_blocks
 from .._util import validation
 from .._util.frozen import set_field
 from .._util.validation import Floats
-from ..photons.neighbourhoods import normal_range
+from ..photons.axes import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
 from ..transport.frequency import operators

@@ -9,7 +9,7 @@ from .._ext.estimation import nearest as _nearest
 from .._ext.spatial import kth_distance as _kth_distance
 from .._util.parallel import thread_count
 from .._util.validation import Floats
-from ..photons.neighbourhoods import normal_range
+from ..photons.axes import normal_range
 from ..spatial.kdtree import KDTree
 
 Rows = NDArray[np.intp]

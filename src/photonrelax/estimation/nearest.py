@@ -14,7 +14,7 @@ from .._util import validation
 from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.validation import Floats
-from ..photons.neighbourhoods import normal_range
+from ..photons.axes import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
 from ..relaxation.structure import Structure
@@ -38,10 +38,10 @@ class GatherSettings:
     gather_radius : float, optional
         Largest distance, m, from which photons are gathered. Where it holds fewer than k it is the
         bandwidth, so that black regions stay black. Photons at the same point that face the same
-        way count as one with the flux of all. By default it is the `automatic_gather_radius` of the map: the
-        radius within which 95 % of the photons, and 5 % of the area they light, have their k-th
-        nearest. Infinite for no limit. With a refinement it limits the first k_min photons, and
-        holds twice as many by default; k are gathered from √(k / k_min) times as far.
+        way count as one with the flux of all. By default it is the `automatic_gather_radius` of the
+        map: the radius within which 95 % of the photons, and 5 % of the area they light, have their
+        k-th nearest. Infinite for no limit. With a refinement it limits the first k_min photons,
+        and holds twice as many by default; k are gathered from √(k / k_min) times as far.
     refinement : {"none", "differential-checking", "bias-compensation"}
         Rule by which the number of photons adapts to the light around a point; see
         `photonrelax.estimation.refinement`.

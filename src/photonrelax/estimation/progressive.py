@@ -25,7 +25,7 @@ from .._util import validation
 from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.validation import Floats
-from ..photons.neighbourhoods import normal_range
+from ..photons.axes import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import Order, PhotonTrees
 from .kernels import JUST_SHORT, KERNELS, automatic_gather_radius, kth_distance

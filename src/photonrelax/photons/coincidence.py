@@ -34,6 +34,11 @@ class Distinct(NamedTuple):
     merged: NDArray[np.intp]
     first: NDArray[np.intp]
 
+    def repeat(self, *columns: NDArray) -> None:
+        """Copy the rows of photons that stand for others, of some columns, to those."""
+        for column in columns:
+            column[self.merged] = column[self.first]
+
 
 def distinct_photons(
     rows: NDArray[np.intp],

@@ -13,8 +13,8 @@ from .._ext.spatial import morton
 from .._util import validation
 from .._util.validation import Floats, Rows
 from ..spatial.kdtree import KDTree
+from .axes import MAX_FACES, MAX_NORMAL_CHORD, hstack_rows, leaf_rows, within_chord
 from .coincidence import Distinct, distinct_photons
-from .neighbourhoods import MAX_FACES, MAX_NORMAL_CHORD, hstack_rows, leaf_rows, within_chord
 from .photon_map import PhotonMap
 
 Order = NDArray[np.intp]

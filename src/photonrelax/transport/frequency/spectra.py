@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from ..._ext.transport import trace as _kernel
 from ..._ext.transport.materials import Materials
 from ..._util.validation import Floats
+from ...photons.axes import MIN_NORMAL_COSINE
 from ...photons.energy_ledger import PATH_OUTCOMES
-from ...photons.neighbourhoods import MIN_NORMAL_COSINE
 from ...scene.emission_region import EmissionRegion
 from ...scene.scene import Scene
 from ..emission import LUMINANCE, PATHS, EmissionPlan, emission
