@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .._ext.photons.normals import group_normals
 from .._util.validation import Floats, Rows
 from .axes import MAX_FACES, within_chord
-from .emitter_pools import emitter_pools
+from .emitter_pools import EmitterPools, emitter_pools
 from .photon_map import PhotonMap
 
 # Groups that have a tree each; all others share one.
@@ -50,29 +50,28 @@ def neighbour_groups(photons: PhotonMap, n_threads: int) -> list[Group]:
     """
     face, present = _face_labels(photons.normal)
     emitter = photons.emitter_id
-    if emitter is None or (emitter == emitter[:1]).all():
-        return [Group(rows) for rows in _rows_of_labels(face, present)]
-    pools = emitter_pools(photons, n_threads)
+    if emitter is not None and (emitter != emitter[:1]).any():
+        return _groups_of_emitters(emitter_pools(photons, n_threads), face)
+    if len(present) < 2:
+        return [Group(slice(None))]
+    return [Group(np.flatnonzero(face == one)) for one in present]
+
+
+def _groups_of_emitters(pools: EmitterPools, face: NDArray) -> list[Group]:
+    """Groups of photons of one emitter or pool, whose faces have one label."""
     label = face + MAX_FACES * pools.number
     present, n_photons = np.unique(label, return_counts=True)
-    own = present[present < MAX_FACES * pools.first_pool]
-    largest = np.argsort(-n_photons[: len(own)], kind="stable")[:_MAX_TREES]
-    groups = [Group(rows) for rows in _rows_of_labels(label, np.sort(own[largest]))]
-    if len(own) > _MAX_TREES:
-        shared = np.isin(label, np.delete(own, largest))
+    own = present < MAX_FACES * pools.first_pool
+    order = np.argsort(-n_photons[own], kind="stable")
+    alone, together = present[own][order[:_MAX_TREES]], present[own][order[_MAX_TREES:]]
+    groups = [Group(np.flatnonzero(label == one)) for one in alone]
+    if len(together):
         labels = label[:, np.newaxis].astype(np.float64)
-        groups.append(Group(np.flatnonzero(shared), labels=labels))
-    for one in present[len(own) :]:
-        rows = np.flatnonzero(label == one)
-        groups.append(Group(rows, mixed=True, at_rest=bool(one >= MAX_FACES * pools.first_at_rest)))
+        groups.append(Group(np.flatnonzero(np.isin(label, together)), labels=labels))
+    for one in present[~own]:
+        at_rest = bool(one >= MAX_FACES * pools.first_at_rest)
+        groups.append(Group(np.flatnonzero(label == one), mixed=True, at_rest=at_rest))
     return groups
-
-
-def _rows_of_labels(label: NDArray, present: NDArray) -> list[Rows]:
-    """Rows of each label; a slice of all for a single one of all photons."""
-    if len(present) < 2 and (label == label[:1]).all():
-        return [slice(None)]
-    return [np.flatnonzero(label == one) for one in present]
 
 
 def _face_labels(normal: Floats) -> tuple[NDArray, NDArray]:
