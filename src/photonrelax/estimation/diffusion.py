@@ -52,7 +52,7 @@ NORMALISATIONS = ("maximum", "local")
 # Noise scale over integration scale, by default: SSO08 §6.4 wants it lower.
 _NOISE_RATIO = 0.5
 # Where photons coincide, largest share of the map's places that set a bandwidth, and least number.
-_SHARE_OF_PLACES = 1 / 8
+_SHARE_OF_PLACES = 1 / 5
 _LEAST_PLACES = 15
 
 
@@ -72,7 +72,7 @@ class DiffusionSettings:
     k : int or None
         The bandwidth, which is the integration scale too, is the distance to the k-th nearest
         photon; None for a fixed one. Photons at the same point count as one; but of a map of few
-        such points an eighth will do, or as many points as hold k photons.
+        such points a fifth will do, or as many points as hold k photons.
     bandwidth : float, optional
         h of Eq. 9 and 20, m: the fixed one, or the largest where `k` is given. By default,
         with `k`, that of `photonrelax.estimation.kernels.automatic_gather_radius`.

@@ -104,5 +104,6 @@ def detect_gradient(
         for first, end in report.chunks(len(of_group.tree)):
             _structure.detect(of_group.tree.kernel, first, end, inputs, found, **options)
         of_group.repeat(*found.values())
-        report.advance(of_group.n_merged)
+        if of_group.n_merged:
+            report.advance(of_group.n_merged)
     return Structure(**found, emitter_range=None)

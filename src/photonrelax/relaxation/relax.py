@@ -82,8 +82,9 @@ def relax(
     In each iteration every photon moves, all at once, by the repulsion of its nearest photons
     (SJ13 Eq. 8), as far as its constraint basis allows (Eq. 9): first by that of photons in range
     over the emitter coordinates, sheet by sheet, then by that of all of the emitter (Algorithm 1
-    lines 10–16). A photon with fewer than four in range stays, and photons at the same point repel
-    others but not one another.
+    lines 10–16). A photon with fewer than four in range stays. Photons at the same point, facing
+    the same way, are one and stay together. Of emitters that have too few photons for a structure
+    of their own all are relaxed together; see `photonrelax.photons.emitter_pools`.
 
     Parameters
     ----------
@@ -234,7 +235,8 @@ class _Stage:
                 self._project(self._relaxation.projector)
             self._refit()
         distinct = self._group_tree.distinct
-        self._relaxation.report.advance(n_iterations * self._group_tree.n_merged)
+        if self._group_tree.n_merged:
+            self._relaxation.report.advance(n_iterations * self._group_tree.n_merged)
         # Positions that have not been written yet take no memory; that of the tree will do.
         del self._tree, self._group_tree
         position[self._rows] = self._position

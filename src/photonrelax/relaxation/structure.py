@@ -287,7 +287,8 @@ class _Detection:
         for first, end in self._report.chunks(len(tree)):
             _structure.detect(tree.kernel, first, end, inputs, self.found, k=k, n_threads=n_threads)
         of_group.repeat(*self.found.values())
-        self._report.advance(of_group.n_merged)
+        if of_group.n_merged:
+            self._report.advance(of_group.n_merged)
 
     def _fill_reach(self, reach: Floats, group: Group) -> None:
         """Set the rows of a group: `reach_scale` times the radius of k photons of any sheet."""

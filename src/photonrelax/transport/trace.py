@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from itertools import groupby
 from math import fsum
 
 import numpy as np
@@ -264,15 +265,12 @@ def _ledger(plan: EmissionPlan, ledgers: list[BatchLedger]) -> EnergyLedger:
     n_emitters, flux = len(plan.regions), plan.flux_per_photon
     totals = np.zeros((len(PATH_OUTCOMES), n_emitters, 3))
     ends = np.zeros((len(PATH_OUTCOMES), n_emitters), dtype=np.int64)
-    for e in range(n_emitters):
-        mine = [batch for batch in ledgers if batch.emitter_id == e]
-        if mine:
-            blocks = np.concatenate([batch.energy for batch in mine])
-            blocks = blocks.reshape(-1, len(PATH_OUTCOMES) * 3)
-            totals[:, e] = np.reshape(
-                [fsum(column) for column in blocks.T], (len(PATH_OUTCOMES), 3)
-            )
-            ends[:, e] = np.sum([batch.ends for batch in mine], axis=0)
+    for e, batches in groupby(ledgers, key=lambda batch: batch.emitter_id):
+        mine = list(batches)
+        blocks = np.concatenate([batch.energy for batch in mine])
+        blocks = blocks.reshape(-1, len(PATH_OUTCOMES) * 3)
+        totals[:, e] = np.reshape([fsum(column) for column in blocks.T], (len(PATH_OUTCOMES), 3))
+        ends[:, e] = np.sum([batch.ends for batch in mine], axis=0)
     return EnergyLedger(
         emitted=plan.counts[:, np.newaxis] * flux,
         **dict(zip(PATH_OUTCOMES, totals * flux, strict=True)),
