@@ -45,7 +45,7 @@ def neighbour_groups(photons: PhotonMap, n_threads: int) -> list[Group]:
     a structure of its own; those of other emitters are grouped by `emitter_pools`. Many groups
     share a tree, so that time does not grow with their number.
 
-    Only surfaces of few planes are separated by their normals here; range axes of `photon_tree`
+    Only surfaces of few planes are separated by their normals here; range axes of `group_tree`
     separate the others.
     """
     face, present = _face_labels(photons.normal)

@@ -149,7 +149,8 @@ cdef class RadiusGather:
 
     def __init__(self, tree, values, rows, kernel, *, normal_range, n_threads, numbers=None):
         self.tree = tree
-        if len(rows) != self.tree.n_points or len(rows if numbers is None else numbers) != len(rows):
+        numbered = rows if numbers is None else numbers
+        if not len(rows) == len(numbered) == self.tree.n_points:
             raise ValueError("photons should have a row for each point of the tree")
         self.numbers = numbers
         self.values = to_soa_blocks(values, rows, n_threads)

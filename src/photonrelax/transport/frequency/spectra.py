@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,13 +77,18 @@ class ReplayBatch:
 
 def batches_by_emitter(batches: list[ReplayBatch]) -> Iterator[ReplayBatch]:
     """Regroup photons into batches of up to `BATCH_SIZE` of one emitter, in order."""
-    for emitter_id in sorted({batch.emitter_id for batch in batches}):
-        mine = [batch for batch in batches if batch.emitter_id == emitter_id]
+    ordered = sorted(batches, key=_emitter_of)
+    for emitter_id, of_emitter in groupby(ordered, key=_emitter_of):
+        mine = list(of_emitter)
         photons = np.concatenate([batch.photons for batch in mine])
         rows = np.concatenate([batch.rows for batch in mine])
         for first in range(0, len(rows), BATCH_SIZE):
             part = slice(first, first + BATCH_SIZE)
             yield ReplayBatch(emitter_id, photons[part], rows[part])
+
+
+def _emitter_of(batch: ReplayBatch) -> int:
+    return batch.emitter_id
 
 
 class SpectrumTracer:
