@@ -24,19 +24,19 @@ def with_trees_built(photons: pr.PhotonMap, n_threads: int) -> Callable[[], pr.S
     from photonrelax.relaxation import structure
 
     trees: list[Any] = []
-    build = structure.photon_tree
+    build = structure.group_tree
 
     def kept(*args: Any, **options: Any) -> Any:
         trees.append(build(*args, **options))
         return trees[-1]
 
-    def detected(photon_tree: Callable[..., Any]) -> pr.Structure:
-        with patch.object(structure, "photon_tree", photon_tree):
+    def detected(group_tree: Callable[..., Any]) -> pr.Structure:
+        with patch.object(structure, "group_tree", group_tree):
             return pr.detect_structure(photons, n_threads=n_threads)
 
     detected(kept)
     if not trees:
-        raise RuntimeError("structure detection should have asked photon_tree for trees")
+        raise RuntimeError("structure detection should have asked group_tree for trees")
 
     def work() -> pr.Structure:
         built = iter(trees)

@@ -214,7 +214,7 @@ def test_maps_with_next_to_nothing():
     assert (pr.irradiance_field(empty)(points, normals) == 0.0).all()
     few = flat_map(unit_square(5, "random"), 5)  # k > n: the radius that holds them all
     assert np.isfinite(pr.estimate_irradiance(few, points, normals)).all()
-    with pytest.raises(ValueError, match="2 photons are all at one point"):
+    with pytest.raises(ValueError, match="photons are all at one point"):
         pr.estimate_irradiance(flat_map(np.full((2, 2), 0.5), 2), points, normals)
     fixed = pr.GatherSettings(gather_radius=0.1)
     two = pr.estimate_irradiance(flat_map(np.full((2, 2), 0.5), 2), points, normals, fixed)

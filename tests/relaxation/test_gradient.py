@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import photonrelax as pr
-from photonrelax.photons.neighbourhoods import MAX_FACES
+from photonrelax.photons.axes import MAX_FACES
 from photonrelax.relaxation.gradient import gradient_constraint
 from tests.helpers.photon_maps import flat_map, plane, uniform_map, unit_square
 

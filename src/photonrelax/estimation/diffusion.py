@@ -42,7 +42,7 @@ from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
-from ..photons.neighbourhoods import normal_range
+from ..photons.axes import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
 from .field import Densities, Points, TreeField, check_points
@@ -51,6 +51,9 @@ from .kernels import Scale, automatic_gather_radius, bandwidths
 NORMALISATIONS = ("maximum", "local")
 # Noise scale over integration scale, by default: SSO08 §6.4 wants it lower.
 _NOISE_RATIO = 0.5
+# Where photons coincide, largest share of the map's places that set a bandwidth, and least number.
+_SHARE_OF_PLACES = 1 / 5
+_LEAST_PLACES = 15
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,8 @@ class DiffusionSettings:
     ----------
     k : int or None
         The bandwidth, which is the integration scale too, is the distance to the k-th nearest
-        photon; None for a fixed one.
+        photon; None for a fixed one. Photons at the same point count as one; but of a map of few
+        such points a fifth will do, or as many points as hold k photons.
     bandwidth : float, optional
         h of Eq. 9 and 20, m: the fixed one, or the largest where `k` is given. By default,
         with `k`, that of `photonrelax.estimation.kernels.automatic_gather_radius`.
@@ -217,18 +221,28 @@ class DiffusionField(TreeField):
         _diffusion.densities(photons, laid_out, around, shape, out, n_threads=self._n_threads)
 
     def _with_bandwidth(self, settings: DiffusionSettings) -> DiffusionSettings:
-        """Settings with the largest bandwidth of the map, if it is left open."""
-        if settings.bandwidth is not None or settings.k is None or not len(self.photons):
+        """Settings with the k and the largest bandwidth of the map, if that is left open."""
+        if settings.k is None or not len(self.photons):
+            return settings
+        tree, k = self._trees.whole(), settings.k
+        if len(tree) < len(self.photons):
+            k = self._places_of(k, len(tree))
+            settings = replace(settings, k=k)
+        if settings.bandwidth is not None:
             return settings
         try:
-            tree = self._trees.whole()
-            radius = automatic_gather_radius(tree, settings.k, n_threads=self._n_threads)
+            radius = automatic_gather_radius(tree, k, n_threads=self._n_threads)
         except ValueError:
             raise ValueError(
                 f"the map's {len(self.photons)} photons are all at one point, from which no "
                 "bandwidth follows: give DiffusionSettings(bandwidth=…)"
             ) from None
         return replace(settings, bandwidth=radius)
+
+    def _places_of(self, k: int, n_places: int) -> int:
+        """Number of places that set the bandwidth, of a map in which photons coincide."""
+        as_dense = round(k * n_places / len(self.photons))
+        return min(k, max(as_dense, round(_SHARE_OF_PLACES * n_places), _LEAST_PLACES))
 
     def _slopes(self, flux: Floats, progress: Progress | None) -> Floats:
         """Gradients (n, 3) at all photons, in the units of flux and length.
@@ -290,6 +304,11 @@ class DiffusionField(TreeField):
 
     def _tangent_photons(self, part: int, columns: Floats) -> _tangent.TangentPhotons:
         tree, rows = self._trees.tree(part)
+        own = columns[:, :1]
+        flux = self._trees.sums(own, part)
+        if flux is not own:
+            # Of the columns only the flux adds up: coincident photons have the same gradient.
+            columns = np.column_stack([flux, columns[:, 1:]])
         return _tangent.TangentPhotons(
             *(tree.kernel, rows, self._towards, columns),
             range_radius=normal_range(tree),

@@ -200,7 +200,8 @@ class TreeField(PhotonField):
 
     def _lay_out(self, values: Floats, part: int) -> Floats:
         """Values in tree order, as blocks (n_blocks, c, 16)."""
-        blocks: Floats = to_soa_blocks(values, self._trees.tree(part)[1], self._n_threads)
+        rows = self._trees.tree(part)[1]
+        blocks: Floats = to_soa_blocks(self._trees.sums(values, part), rows, self._n_threads)
         return blocks
 
 

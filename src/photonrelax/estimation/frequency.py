@@ -34,7 +34,7 @@ from .._ext.spatial.blocks import to_soa_blocks
 from .._util import validation
 from .._util.frozen import set_field
 from .._util.validation import Floats
-from ..photons.neighbourhoods import normal_range
+from ..photons.axes import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
 from ..transport.frequency import operators
@@ -131,7 +131,8 @@ class FrequencyField(ProgressiveField):
         """The largest variance within a radius, among the photons of a tree."""
         if part not in self._maxima:
             tree, rows = self._trees.tree(part)
-            values = to_soa_blocks(self._variance, rows, self._n_threads)
+            largest = self._trees.maxima(self._variance, part)
+            values = to_soa_blocks(largest, rows, self._n_threads)
             self._maxima[part] = MaxInRadius(tree.kernel, values, range_radius=normal_range(tree))
         return self._maxima[part]
 

@@ -9,7 +9,7 @@ from .._ext.estimation import nearest as _nearest
 from .._ext.spatial import kth_distance as _kth_distance
 from .._util.parallel import thread_count
 from .._util.validation import Floats
-from ..photons.neighbourhoods import normal_range
+from ..photons.axes import normal_range
 from ..spatial.kdtree import KDTree
 
 Rows = NDArray[np.intp]
@@ -86,8 +86,8 @@ def automatic_gather_radius(tree: KDTree, k: int, *, n_threads: int | None = Non
         radius = float(np.linalg.norm(np.subtract(tree.kernel.high, tree.kernel.low)[:3]))
     if radius == 0.0:
         raise ValueError(
-            f"the map's {len(tree)} photons are all at one point, from which no gather radius "
-            "follows: give GatherSettings(gather_radius=…)"
+            "the photons are all at one point, from which no gather radius follows: "
+            "give GatherSettings(gather_radius=…)"
         )
     return radius
 

@@ -14,7 +14,7 @@ from .._util import validation
 from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.validation import Floats
-from ..photons.neighbourhoods import normal_range
+from ..photons.axes import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
 from ..relaxation.structure import Structure
@@ -37,11 +37,11 @@ class GatherSettings:
         within 0.3 % for k of 15 and more.
     gather_radius : float, optional
         Largest distance, m, from which photons are gathered. Where it holds fewer than k it is the
-        bandwidth, so that black regions stay black; also where k photons lie at the very point,
-        of which only these count. By default it is the `automatic_gather_radius` of the map: the
-        radius within which 95 % of the photons, and 5 % of the area they light, have their k-th
-        nearest. Infinite for no limit. With a refinement it limits the first k_min photons, and
-        holds twice as many by default; k are gathered from √(k / k_min) times as far.
+        bandwidth, so that black regions stay black. Photons at the same point that face the same
+        way count as one with the flux of all. By default it is the `automatic_gather_radius` of the
+        map: the radius within which 95 % of the photons, and 5 % of the area they light, have their
+        k-th nearest. Infinite for no limit. With a refinement it limits the first k_min photons,
+        and holds twice as many by default; k are gathered from √(k / k_min) times as far.
     refinement : {"none", "differential-checking", "bias-compensation"}
         Rule by which the number of photons adapts to the light around a point; see
         `photonrelax.estimation.refinement`.
@@ -161,8 +161,9 @@ class IrradianceField(TreeField):
     def _flux_of(self, part: int) -> Floats:
         """Mean flux of the photons of a tree, in its order and in a unit near the largest."""
         if part not in self._mean_flux:
-            flux, _ = validation.in_units(self.photons.flux.mean(axis=1))
-            self._mean_flux[part] = flux[self._trees.tree(part)[1]]
+            flux, _ = validation.in_units(self.photons.flux.mean(axis=1, keepdims=True))
+            flux = self._trees.sums(flux, part)
+            self._mean_flux[part] = flux[self._trees.tree(part)[1], 0]
         return self._mean_flux[part]
 
 

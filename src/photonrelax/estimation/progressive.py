@@ -25,7 +25,7 @@ from .._util import validation
 from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.validation import Floats
-from ..photons.neighbourhoods import normal_range
+from ..photons.axes import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import Order, PhotonTrees
 from .kernels import JUST_SHORT, KERNELS, automatic_gather_radius, kth_distance
@@ -286,10 +286,11 @@ class PhotonPass:
             tree, rows = self._trees.tree(number)
             self._sums[number] = RadiusGather(
                 tree.kernel,
-                self._values,
+                self._trees.sums(self._values, number),
                 rows,
                 KERNELS["constant"],
                 normal_range=normal_range(tree),
+                numbers=self._trees.numbers(number),
                 n_threads=self._n_threads,
             )
         return self._sums[number]

@@ -15,31 +15,46 @@ import numpy as np
 from .._util import validation
 from .._util.parallel import thread_count
 from .._util.validation import Floats
+from ..photons.coincidence import first_equal_rows
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
 from .field import Densities, PhotonField, Points, Rows
 from .progressive import HitPointStatistics, InitialRadius, PhotonPass, ProgressiveSettings
 
 
-def assign_passes(photons: PhotonMap, n_passes: int) -> Rows:
+def assign_passes(photons: PhotonMap, n_passes: int, k: int = 1) -> Rows:
     """Pass (n,) that each photon of a map belongs to, from 0.
 
     Photons are assigned to the passes in turn, in the order of their distance from their centroid.
     But for ties, that depends neither on the order of the map nor on position, rotation and scale.
     Every so many-th photon of the map itself would be the worst of choices: those of a Halton
-    sequence lie in one strip of the emitter.
+    sequence lie in one strip of the emitter. Photons at the same point are in the same pass. There
+    are at most as many passes as leave k points to each.
     """
-    centroid = photons.position.mean(axis=0) if len(photons) else 0.0
-    distance = np.linalg.norm(photons.position - centroid, axis=1)
+    position = photons.position
+    order, any_tied = _by_distance(position)
+    first = first_equal_rows([position]) if any_tied else None
+    if first is not None:
+        rows = np.unique(first)
+        order = rows[_by_distance(position[rows])[0]]
+    n_passes = min(n_passes, max(len(order) // k, 1))
     number: Rows = np.empty(len(photons), dtype=np.intp)
-    number[np.argsort(distance, kind="stable")] = np.arange(len(photons)) % n_passes
-    return number
+    number[order] = np.arange(len(order)) % n_passes
+    return number if first is None else number[first]
+
+
+def _by_distance(position: Floats) -> tuple[Rows, bool]:
+    """Rows (n,) in the order of their distance from their centroid; true if some are equal."""
+    centroid = position.mean(axis=0) if len(position) else 0.0
+    distance = np.linalg.norm(position - centroid, axis=1)
+    order = np.argsort(distance, kind="stable")
+    return order, not np.diff(distance[order]).all()
 
 
 class ProgressiveField(PhotonField):
     """Progressive photon mapping of one photon map at any points.
 
-    The photons are split into passes (see `assign_passes`), at most as many as leave k photons to
+    The photons are split into passes (see `assign_passes`), at most as many as leave k points to
     each. All passes are gathered whenever the field is called, as the points are its hit points.
 
     Parameters
@@ -68,20 +83,19 @@ class ProgressiveField(PhotonField):
         n_threads: int | None = None,
     ) -> None:
         settings = settings or ProgressiveSettings()
-        most = max(len(photons) // settings.k, 1)
-        settings = replace(settings, n_passes=min(settings.n_passes, most))
+        number = assign_passes(photons, settings.n_passes, settings.k)
+        settings = replace(settings, n_passes=int(number.max(initial=0)) + 1)
         self.photons = photons
         self.settings = settings
         self.seconds = {}
         self.used = {"progressive": asdict(settings)}
         self._n_threads = thread_count(n_threads)
-        self._passes = list(self._split())
+        self._passes = list(self._split(number))
         rows, trees = self._passes[0]
         self._initial_radius = InitialRadius(photons.subset(rows), settings, self._n_threads, trees)
 
-    def _split(self) -> Iterator[tuple[Rows, PhotonTrees]]:
+    def _split(self, number: Rows) -> Iterator[tuple[Rows, PhotonTrees]]:
         """Rows and trees of the photons of each pass."""
-        number = assign_passes(self.photons, self.settings.n_passes)
         for one in range(self.settings.n_passes):
             rows = np.flatnonzero(number == one)
             trees = PhotonTrees(self.photons.subset(rows), self._n_threads)

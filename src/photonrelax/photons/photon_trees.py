@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,8 @@ from .._ext.spatial import morton
 from .._util import validation
 from .._util.validation import Floats, Rows
 from ..spatial.kdtree import KDTree
-from .neighbourhoods import MAX_FACES, MAX_NORMAL_CHORD, hstack_rows, leaf_rows, within_chord
+from .axes import MAX_FACES, MAX_NORMAL_CHORD, hstack_rows, leaf_rows, within_chord
+from .coincidence import Distinct, distinct_photons
 from .photon_map import PhotonMap
 
 Order = NDArray[np.intp]
@@ -27,6 +29,14 @@ def morton_order(points: Floats, n_threads: int) -> Order:
     return order
 
 
+class _Tree(NamedTuple):
+    tree: KDTree
+    # Rows of its photons, in tree order.
+    rows: Order
+    # Where some of its photons stand for others.
+    distinct: Distinct | None
+
+
 class PhotonTrees:
     """Trees of photons by the orientation of the faces they lie on.
 
@@ -34,12 +44,15 @@ class PhotonTrees:
     faces, each set of faces that points on one of them gather from has a number and a tree over
     positions. Points with another set, and all points where faces are many, use a tree of all
     photons with normals on range axes; its number is `n_sets`. Both trees find the same photons.
+
+    Of photons at the same point, facing the same way, a tree has the first only, for which `sums`
+    has the values of all: so k photons are at k places, however often one of them is repeated.
     """
 
     def __init__(self, photons: PhotonMap, n_threads: int) -> None:
         self._photons = photons
         self._n_threads = n_threads
-        self._trees: dict[int, tuple[KDTree, Order]] = {}
+        self._trees: dict[int, _Tree] = {}
         self._faces, face = group_normals(photons.normal, MAX_FACES)
         self._members = np.empty((0, 0), dtype=bool)
         if self._faces is not None:
@@ -67,25 +80,68 @@ class PhotonTrees:
         """
         if self._faces is None or len(self._faces) == 1:
             return self.tree(0)[0]
-        return self._build_tree(self.n_sets)[0]
+        return self._build_tree(self.n_sets).tree
 
     def tree(self, number: int) -> tuple[KDTree, Order]:
         """Return a tree, built at first use, and the rows of its photons in tree order."""
+        tree = self._tree(number)
+        return tree.tree, tree.rows
+
+    def sums(self, values: Floats, number: int) -> Floats:
+        """Values (n, c) with the sums over coincident photons at the rows of those in a tree."""
+        return self._combined(values, number, np.add)
+
+    def maxima(self, values: Floats, number: int) -> Floats:
+        """Values (n, c) with the maxima over coincident photons at the rows of those in a tree."""
+        return self._combined(values, number, np.maximum)
+
+    def numbers(self, number: int) -> NDArray[np.int64] | None:
+        """Number of photons that each of a tree's stands for, in its order; None if of itself."""
+        tree = self._tree(number)
+        if tree.distinct is None:
+            return None
+        return 1 + np.bincount(tree.distinct.first, minlength=len(self._photons))[tree.rows]
+
+    def _combined(self, values: Floats, number: int, combine: np.ufunc) -> Floats:
+        distinct = self._tree(number).distinct
+        if distinct is None:
+            return values
+        combined = values.copy()
+        combine.at(combined, distinct.first, values[distinct.merged])
+        return combined
+
+    def _tree(self, number: int) -> _Tree:
         if number not in self._trees:
             self._trees[number] = self._build_tree(number)
         return self._trees[number]
 
-    def _build_tree(self, number: int) -> tuple[KDTree, Order]:
-        position, normal = self._photons.position, self._photons.normal
-        columns: list[Floats] = [position]
+    def _build_tree(self, number: int) -> _Tree:
         rows: Rows = slice(None)
-        if number == self.n_sets:
-            columns = [position, normal]
-        elif self._face is not None:
+        if number < self.n_sets and self._face is not None:
             rows = np.flatnonzero(self._members[number][self._face])
+        tree = self._tree_of(number, rows)
+        distinct = self._distinct(number, rows) if tree.kernel.may_coincide else None
+        if distinct is not None:
+            rows = distinct.rows
+            tree = self._tree_of(number, rows)
+        return _Tree(tree, leaf_rows(tree, rows), distinct)
+
+    def _distinct(self, number: int, rows: Rows) -> Distinct | None:
+        position, normal = self._photons.position, self._photons.normal
+        return distinct_photons(
+            np.arange(len(position))[rows],
+            [position[rows]],
+            normal[rows] if number == self.n_sets else None,
+            max_chord=MAX_NORMAL_CHORD,
+        )
+
+    def _tree_of(self, number: int, rows: Rows) -> KDTree:
+        """Tree of photons, on the axes of a number."""
+        columns: list[Floats] = [self._photons.position]
+        if number == self.n_sets:
+            columns.append(self._photons.normal)
         points = hstack_rows(columns, [1.0] * len(columns), rows, self._n_threads)
-        tree = KDTree(points, n_metric=3, n_threads=self._n_threads)
-        return tree, leaf_rows(tree, rows)
+        return KDTree(points, n_metric=3, n_threads=self._n_threads)
 
     def parts(
         self, points: Floats, normals: Floats, order: Order | None = None

@@ -30,7 +30,8 @@ from .._util import validation
 from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
-from ..photons.neighbourhoods import leaf_rows, neighbour_groups, photon_tree
+from ..photons.group_trees import group_tree
+from ..photons.neighbourhoods import neighbour_groups
 from ..photons.photon_map import PhotonMap
 from .structure import Structure, empty_columns
 
@@ -93,12 +94,17 @@ def detect_gradient(
     threads = thread_count(n_threads)
     report = Reporter(progress, "structure", len(photons))
     found = empty_columns(len(photons))
-    for rows in neighbour_groups(photons):
-        tree, facing = photon_tree(photons.position, photons.normal, rows=rows, n_threads=threads)
+    for group in neighbour_groups(photons, threads):
+        place = photons.position, photons.normal
+        of_group = group_tree(*place, group=group, n_threads=threads)
         inputs = _structure.StructureInputs(
-            rows=leaf_rows(tree, rows), normal=photons.normal, range_radius=facing, reach=None
+            rows=of_group.rows, normal=photons.normal, range_radius=of_group.ranges, reach=None
         )
-        options = {"k": settings.k, "gain": settings.gain, "n_threads": threads}
-        for first, end in report.chunks(len(tree)):
-            _structure.detect(tree.kernel, first, end, inputs, found, **options)
+        k = 1 if group.at_rest else settings.k
+        options = {"k": k, "gain": settings.gain, "n_threads": threads}
+        for first, end in report.chunks(len(of_group.tree)):
+            _structure.detect(of_group.tree.kernel, first, end, inputs, found, **options)
+        of_group.repeat(*found.values())
+        if of_group.n_merged:
+            report.advance(of_group.n_merged)
     return Structure(**found, emitter_range=None)

@@ -7,7 +7,7 @@ import numpy as np
 from .._ext.relaxation.projection import DOWN, UP, Displacements, SurfacePositions
 from .._util.parallel import for_each_slice
 from .._util.validation import Floats, Rows
-from ..photons.neighbourhoods import MIN_NORMAL_COSINE
+from ..photons.axes import MIN_NORMAL_COSINE
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
 from ..transport.raycast import RayCaster

@@ -13,7 +13,9 @@ from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, Rows
-from ..photons.neighbourhoods import MAX_NORMAL_CHORD, leaf_rows, neighbour_groups, photon_tree
+from ..photons.axes import MAX_NORMAL_CHORD
+from ..photons.group_trees import group_tree
+from ..photons.neighbourhoods import Group, neighbour_groups
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
 from .projection import SurfaceProjector
@@ -82,8 +84,9 @@ def relax(
     In each iteration every photon moves, all at once, by the repulsion of its nearest photons
     (SJ13 Eq. 8), as far as its constraint basis allows (Eq. 9): first by that of photons in range
     over the emitter coordinates, sheet by sheet, then by that of all of the emitter (Algorithm 1
-    lines 10–16). A photon with fewer than four in range stays, and photons at the same point repel
-    others but not one another.
+    lines 10–16). A photon with fewer than four in range stays. Photons at the same point, facing
+    the same way, are one and stay together. Of emitters that have too few photons for a structure
+    of their own all are relaxed together; see `photonrelax.photons.emitter_pools`.
 
     Parameters
     ----------
@@ -121,8 +124,8 @@ def relax(
     relaxation = _Relaxation(photons, structure, settings, projector, threads, report)
     position = np.empty_like(photons.position)
     normal = photons.normal if projector is None else np.empty_like(photons.normal)
-    for rows in neighbour_groups(photons):
-        relaxation.relax(rows, position, normal)
+    for group in neighbour_groups(photons, threads):
+        relaxation.relax(group, position, normal)
     # The map copies arrays that could still be written to.
     for array in (position, normal):
         array.setflags(write=False)
@@ -153,14 +156,24 @@ class _Relaxation:
     n_threads: int
     report: Reporter
 
-    def relax(self, rows: Rows, position: Floats, normal: Floats) -> None:
+    def relax(self, group: Group, position: Floats, normal: Floats) -> None:
         """Write positions and normals of a group of neighbours after all iterations."""
         before = self.photons.position, self.photons.normal
+        if group.at_rest:
+            self._rest(group.rows, position, normal)
+            return
         for constrained, n in zip((True, False), self.settings.n_iterations, strict=True):
             if n:
                 # A stage has no name, so its tree is dropped before the next is built.
-                _Stage(self, rows, *before, constrained=constrained).finish(n, position, normal)
+                _Stage(self, group, *before, constrained=constrained).finish(n, position, normal)
                 before = position, normal
+
+    def _rest(self, rows: Rows, position: Floats, normal: Floats) -> None:
+        """Write positions and normals as they are."""
+        position[rows] = self.photons.position[rows]
+        if self.projector is not None:
+            normal[rows] = self.photons.normal[rows]
+        self.report.advance(len(position[rows]) * sum(self.settings.n_iterations))
 
 
 class _Stage:
@@ -173,7 +186,7 @@ class _Stage:
     def __init__(
         self,
         relaxation: _Relaxation,
-        rows: Rows,
+        group: Group,
         position: Floats,
         normal: Floats,
         *,
@@ -183,16 +196,15 @@ class _Stage:
         self._relaxation = relaxation
         coords = photons.emitter_coords if constrained else None
         ranges = structure.emitter_range if constrained else None
-        tree, range_radius = photon_tree(
-            position, normal, coords, ranges, rows=rows, n_threads=relaxation.n_threads
+        self._group_tree = group_tree(
+            position, normal, coords, ranges, group=group, n_threads=relaxation.n_threads
         )
-        self._tree = tree.kernel
-        self._rows = leaf_rows(tree, rows)
-        # Normals are range axes, the last three, of trees that have any of their own.
-        self._first_normal_axis = 3 if coords is None else 3 + coords.shape[1]
+        self._tree = self._group_tree.tree.kernel
+        self._rows = self._group_tree.rows
+        range_radius = self._group_tree.ranges
         if range_radius is not None:
-            self._normal_scale = range_radius[rows].max() / MAX_NORMAL_CHORD
-        self._position = np.empty((len(tree), 3))
+            self._normal_scale = range_radius[group.rows].max() / MAX_NORMAL_CHORD
+        self._position = np.empty((len(self._rows), 3))
         self._normal = self._normals_in_tree_order(normal)
         # The radius that held n_found photons, scaled to hold k.
         radius = structure.radius[self._rows]
@@ -213,7 +225,7 @@ class _Stage:
 
     def _normals_in_tree_order(self, normal: Floats) -> Floats:
         """Normals (n, 3) in tree order; a view of one where all are equal and stay so."""
-        if self._relaxation.projector is None and self._first_normal_axis == self._tree.n_axes:
+        if self._relaxation.projector is None and self._group_tree.normal_axis == self._tree.n_axes:
             return np.broadcast_to(normal[self._rows[:1]], self._position.shape)
         return normal[self._rows]
 
@@ -224,11 +236,18 @@ class _Stage:
             if self._relaxation.projector is not None:
                 self._project(self._relaxation.projector)
             self._refit()
+        distinct = self._group_tree.distinct
+        if self._group_tree.n_merged:
+            self._relaxation.report.advance(n_iterations * self._group_tree.n_merged)
         # Positions that have not been written yet take no memory; that of the tree will do.
-        del self._tree
+        del self._tree, self._group_tree
         position[self._rows] = self._position
+        written: tuple[Floats, ...] = (position,)
         if self._relaxation.projector is not None:
             normal[self._rows] = self._normal
+            written = position, normal
+        if distinct is not None:
+            distinct.repeat(*written)
 
     def _move(self) -> None:
         """Write the positions that photons move to; the tree keeps those before."""
@@ -260,7 +279,8 @@ class _Stage:
     def _refit(self) -> None:
         n_threads = self._relaxation.n_threads
         self._tree.move(self._position, 0, 1.0, n_threads)
+        axis = self._group_tree.normal_axis
         # Only surfaces turn photons.
-        if self._relaxation.projector is not None and self._first_normal_axis < self._tree.n_axes:
-            self._tree.move(self._normal, self._first_normal_axis, self._normal_scale, n_threads)
+        if self._relaxation.projector is not None and axis < self._tree.n_axes:
+            self._tree.move(self._normal, axis, self._normal_scale, n_threads)
         self._tree.box(n_threads)

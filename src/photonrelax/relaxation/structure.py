@@ -21,7 +21,9 @@ from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
-from ..photons.neighbourhoods import MAX_NORMAL_CHORD, leaf_rows, neighbour_groups, photon_tree
+from ..photons.axes import MAX_NORMAL_CHORD
+from ..photons.group_trees import group_tree
+from ..photons.neighbourhoods import Group, neighbour_groups
 from ..photons.photon_map import PhotonMap
 
 __all__ = [
@@ -178,8 +180,8 @@ def detect_structure(
     threads = thread_count(n_threads)
     report = Reporter(progress, "structure", len(photons))
     detection = _Detection(photons, settings, threads, report)
-    for rows in neighbour_groups(photons):
-        detection.fill(rows)
+    for group in neighbour_groups(photons, threads):
+        detection.fill(group)
     return Structure(**detection.found, emitter_range=detection.ranges, reach=detection.reach)
 
 
@@ -264,37 +266,43 @@ class _Detection:
         self.reach = None if self.ranges is None else np.empty(len(photons))
         self.found = empty_columns(len(photons))
 
-    def fill(self, rows: validation.Rows) -> None:
-        """Detect the structure of a group."""
+    def fill(self, group: Group) -> None:
+        """Detect the structure of a group; photons at rest are alone in theirs."""
         photons, n_threads = self._photons, self._n_threads
         if self.reach is not None:
-            self.reach[rows] = self._reach(rows)
-        tree, range_radius = photon_tree(
+            self._fill_reach(self.reach, group)
+        of_group = group_tree(
             photons.position,
             photons.normal,
             photons.emitter_coords,
             self.ranges,
-            rows=rows,
+            group=group,
             n_threads=n_threads,
         )
         inputs = _structure.StructureInputs(
-            rows=leaf_rows(tree, rows),
+            rows=of_group.rows,
             normal=photons.normal,
-            range_radius=range_radius,
+            range_radius=of_group.ranges,
             reach=self.reach,
         )
+        k = 1 if group.at_rest else self._settings.k
+        tree = of_group.tree
         for first, end in self._report.chunks(len(tree)):
-            _structure.detect(
-                tree.kernel, first, end, inputs, self.found, k=self._settings.k, n_threads=n_threads
-            )
+            _structure.detect(tree.kernel, first, end, inputs, self.found, k=k, n_threads=n_threads)
+        of_group.repeat(*self.found.values())
+        if of_group.n_merged:
+            self._report.advance(of_group.n_merged)
 
-    def _reach(self, rows: validation.Rows) -> Floats:
-        """Radii (m,): `reach_scale` times that which holds k photons of any sheet."""
+    def _fill_reach(self, reach: Floats, group: Group) -> None:
+        """Set the rows of a group: `reach_scale` times the radius of k photons of any sheet."""
         photons, settings, n_threads = self._photons, self._settings, self._n_threads
-        tree, facing = photon_tree(photons.position, photons.normal, rows=rows, n_threads=n_threads)
-        reach = tree.farthest(settings.k, range_radius=take_rows(facing, rows), n_threads=n_threads)
+        of_group = group_tree(photons.position, photons.normal, group=group, n_threads=n_threads)
+        tree = of_group.tree
+        facing = None if of_group.ranges is None else MAX_NORMAL_CHORD
+        radius = tree.farthest(settings.k, range_radius=facing, n_threads=n_threads)
         with np.errstate(invalid="ignore"):
-            reach *= settings.reach_scale
+            radius *= settings.reach_scale
         # An open reach stays open where photons coincide.
-        reach[np.isnan(reach)] = np.inf
-        return reach
+        radius[np.isnan(radius)] = np.inf
+        reach[of_group.rows] = radius[np.asarray(tree.kernel.ids)]
+        of_group.repeat(reach)

@@ -183,4 +183,6 @@ def _frame(w: Floats, aside: Floats | None = None) -> Floats:
         aside = np.eye(3)[np.abs(w).argmin()]
     u = aside - (aside @ w) * w
     u /= np.linalg.norm(u)
-    return np.array([u, np.cross(w, u), w])
+    # A product as of np.cross, which takes far longer; lights may be many.
+    v = [w[i - 2] * u[i - 1] - w[i - 1] * u[i - 2] for i in range(3)]
+    return np.array([u, v, w])

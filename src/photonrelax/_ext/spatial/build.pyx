@@ -52,7 +52,10 @@ cdef struct Workers:
     Watch watch
 
 
-def median_order(const double[:, ::1] points, const double[::1] axis_scale, int n_threads):
+def median_order(
+    const double[:, ::1] points, const double[::1] axis_scale, int n_threads,
+    unsigned char[::1] tied=None,
+):
     """Order points as the leaves of a tree of median splits.
 
     Leaves are blocks of 16 points, the last of which may hold fewer. Node j of level l has the
@@ -70,6 +73,9 @@ def median_order(const double[:, ::1] points, const double[::1] axis_scale, int 
         nothing is split. At most 255 may be positive, and scaled extents have to be finite.
     n_threads : int
         Threads; the order does not depend on it.
+    tied : (1,) uint8 array, optional
+        Set to one if a split has equal coordinates on both sides. If not, coincident points are
+        in the same block.
 
     Returns
     -------
@@ -89,6 +95,8 @@ def median_order(const double[:, ::1] points, const double[::1] axis_scale, int 
     order = np.zeros((n + BLOCK - 1) // BLOCK * BLOCK, np.intp)[:n]
     if n <= BLOCK or axes.shape[0] == 0:
         order[:] = np.arange(n)
+        if tied is not None and n > BLOCK:
+            tied[0] = True
         return order
     cdef Job job
     cdef Workers workers
@@ -96,6 +104,7 @@ def median_order(const double[:, ::1] points, const double[::1] axis_scale, int 
     job.words = (job.n_keys + QUAD) // QUAD * QUAD
     cdef Py_ssize_t[::1] order_view = order
     cdef int32_t[:, :, ::1] rows = np.empty((2, n, job.words), np.int32)
+    cdef unsigned char[::1] any_tied = np.zeros(1, np.uint8) if tied is None else tied
     workers.n_threads = team_size(n_threads, n, MIN_POINTS)
     cdef unsigned char[:, ::1] found = np.zeros(
         (workers.n_threads, sizeof(ThreadPartial)), np.uint8
@@ -109,6 +118,7 @@ def median_order(const double[:, ::1] points, const double[::1] axis_scale, int 
     job.rows[0] = &rows[0, 0, 0]
     job.rows[1] = &rows[1, 0, 0]
     job.order = &order_view[0]
+    job.tied = &any_tied[0]
     workers.job = &job
     workers.partials = <ThreadPartial*> &found[0, 0]
     workers.watch = open_watch()
@@ -152,6 +162,7 @@ cdef void build(Workers* workers) noexcept nogil:
 cdef void split_serial(const Job* job, int level, Py_ssize_t index) noexcept nogil:
     cdef Node node = node_at(job, level, index)
     if not split(job, &node):
+        job.tied[0] = True
         copy_node(job, &node)
 
 
@@ -180,7 +191,11 @@ cdef void descend(Workers* workers, int level, Py_ssize_t index) noexcept nogil:
     cdef Node node = node_at(job, level, index)
     if node.n_blocks >= WATCHED_BLOCKS and not goes_on(&workers.watch, threadid() == 0):
         return
-    if node.n_blocks < 2 or not split(job, &node):
+    if node.n_blocks < 2:
+        write_ids(job, &node)
+        return
+    if not split(job, &node):
+        job.tied[0] = True
         write_ids(job, &node)
         return
     descend(workers, level + 1, 2 * index)
@@ -273,6 +288,7 @@ cdef void split_parallel(const Workers* workers, int level, Py_ssize_t index) no
     bound_parallel(workers, &node, low, high)
     if widest_extent(workers.job, low, high) < COARSE:
         if not renew_keys(workers.job, &node):
+            workers.job.tied[0] = True
             copy_node(workers.job, &node)
             return
         bound_parallel(workers, &node, low, high)

@@ -36,6 +36,8 @@ cdef struct Job:
     # Rows of the nodes of even and of odd levels.
     int32_t* rows[2]
     Py_ssize_t* order
+    # Set where points of equal coordinates on the axis of a split are on both sides of it.
+    unsigned char* tied
 
 
 cdef struct Node:
@@ -240,6 +242,7 @@ cdef inline void mark_lower(
     cdef double median
     cdef bint is_equal, is_lower
     if not read_tied(job, node, cut, tied, n, x):
+        job.tied[0] = True
         for i in range(cut.n_tied):
             node.rows[tied[i] * job.words] ^= -1
         return
@@ -247,6 +250,8 @@ cdef inline void mark_lower(
     median = x[cut.n_tied]
     for i in range(cut.n_tied):
         n_coincident -= x[i] < median
+    if n_coincident > 0:
+        job.tied[0] = True
     for i in range(n):
         x[0] = coordinate(job, node.rows + tied[i] * job.words, cut.word)
         is_equal = x[0] == median

@@ -101,6 +101,8 @@ cdef struct Sums:
     const double* at
     int shape
     double squared_radius
+    # Photons that each of the tree's stands for, NULL where that is one.
+    const int64_t* numbers
     int64_t count
     double* out
 
@@ -117,7 +119,7 @@ cdef void add(void* state, Tree tree, Py_ssize_t block, unsigned int lanes) noex
         lane = lowest_bit(lanes)
         lanes &= lanes - 1
         weight = weight_of(sums.shape, squared[lane] / sums.squared_radius)
-        sums.count += 1
+        sums.count += 1 if sums.numbers == NULL else sums.numbers[BLOCK * block + lane]
         for channel in range(sums.n_channels):
             sums.out[channel] += weight * values[BLOCK * channel + lane]
 
@@ -136,17 +138,22 @@ cdef class RadiusGather:
         CONSTANT, CONE or EPANECHNIKOV of nearest.pyx.
     normal_range : float
         Radius of the ball over the tree's range axes; negative for none.
+    numbers : (n,) int64 array, optional
+        Photons that each of these stands for, in tree order.
     """
 
     cdef Tree tree
     cdef const double[:, :, ::1] values
+    cdef const int64_t[::1] numbers
     cdef int kernel
     cdef double normal_range
 
-    def __init__(self, tree, values, rows, kernel, *, normal_range, n_threads):
+    def __init__(self, tree, values, rows, kernel, *, normal_range, n_threads, numbers=None):
         self.tree = tree
-        if len(rows) != self.tree.n_points:
+        numbered = rows if numbers is None else numbers
+        if not len(rows) == len(numbered) == self.tree.n_points:
             raise ValueError("photons should have a row for each point of the tree")
+        self.numbers = numbers
         self.values = to_soa_blocks(values, rows, n_threads)
         self.kernel = kernel
         self.normal_range = normal_range
@@ -194,6 +201,9 @@ cdef int64_t sum_one(
     sums.values = &photons.values[0, 0, 0] if photons.values.shape[0] > 0 else NULL
     sums.n_channels = photons.values.shape[1]
     sums.shape = photons.kernel
+    sums.numbers = NULL
+    if photons.numbers is not None and photons.numbers.shape[0] > 0:
+        sums.numbers = &photons.numbers[0]
     sums.count = 0
     sums.out = out
     for channel in range(sums.n_channels):

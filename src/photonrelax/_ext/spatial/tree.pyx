@@ -64,6 +64,14 @@ cdef bint comes_after(const double[:, ::1] points, int64_t a, int64_t b) noexcep
     return a > b
 
 
+cdef bint coincide(const double[:, ::1] points, int64_t a, int64_t b) noexcept nogil:
+    cdef Py_ssize_t axis
+    for axis in range(points.shape[1]):
+        if points[a, axis] != points[b, axis]:
+            return False
+    return True
+
+
 cdef void sort_block(Tree tree, const double[:, ::1] points, Py_ssize_t block) noexcept nogil:
     """Sort the points of a block by coordinates.
 
@@ -79,6 +87,8 @@ cdef void sort_block(Tree tree, const double[:, ::1] points, Py_ssize_t block) n
             tree.ids[hole] = tree.ids[hole - 1]
             hole -= 1
         tree.ids[hole] = own
+        if hole > first and coincide(points, tree.ids[hole - 1], own):
+            tree.may_coincide = True
 
 
 cdef void place_block(Tree tree, const double[:, ::1] points, Py_ssize_t block) noexcept nogil:
@@ -202,7 +212,9 @@ cdef class Tree:
         self.n_metric = n_metric
         self.n_blocks = (self.n_points + BLOCK - 1) // BLOCK
         # First: its temporaries are larger than any array of the tree.
-        self.ids = median_order(points, axis_scale, n_threads)
+        tied = np.zeros(1, np.uint8)
+        self.ids = median_order(points, axis_scale, n_threads, tied)
+        self.may_coincide = tied[0]
         self.allocate()
         if self.n_points == 0:
             return

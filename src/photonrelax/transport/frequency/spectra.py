@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +25,8 @@ from numpy.typing import NDArray
 from ..._ext.transport import trace as _kernel
 from ..._ext.transport.materials import Materials
 from ..._util.validation import Floats
+from ...photons.axes import MIN_NORMAL_COSINE
 from ...photons.energy_ledger import PATH_OUTCOMES
-from ...photons.neighbourhoods import MIN_NORMAL_COSINE
 from ...scene.emission_region import EmissionRegion
 from ...scene.scene import Scene
 from ..aim import LUMINANCE
@@ -78,13 +79,17 @@ class ReplayBatch:
 
 def batches_by_region(batches: list[ReplayBatch]) -> Iterator[ReplayBatch]:
     """Regroup photons into batches of up to `BATCH_SIZE` of one region, in order."""
-    for region_id in sorted({batch.region_id for batch in batches}):
-        mine = [batch for batch in batches if batch.region_id == region_id]
+    for region_id, of_region in groupby(sorted(batches, key=_region_of), key=_region_of):
+        mine = list(of_region)
         photons = np.concatenate([batch.photons for batch in mine])
         rows = np.concatenate([batch.rows for batch in mine])
         for first in range(0, len(rows), BATCH_SIZE):
             part = slice(first, first + BATCH_SIZE)
             yield ReplayBatch(region_id, photons[part], rows[part])
+
+
+def _region_of(batch: ReplayBatch) -> int:
+    return batch.region_id
 
 
 class SpectrumTracer:

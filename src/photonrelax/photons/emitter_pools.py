@@ -1,0 +1,168 @@
+"""Emitters whose photons have a structure of their own, and pools of those whose photons do not.
+
+Photons of different emitters are not neighbours: what separates the sheets of one says nothing of
+another's. But of a light of many emitters (LEDs, patches of a sky, triangles of a mesh) each has a
+few photons, far apart among those of the others. Moved by one another they would leave the light,
+and the noise of all together would stay. So an emitter's photons are by themselves only if
+
+- they are at least as many as a neighbourhood has, and
+- they make up at least a ninth of the photons around them, in the mean over them: then the radius
+  that holds k of them is no more than three times that which holds k of any, the limit that
+  `photonrelax.StructureSettings.reach_scale` puts on sheets of one emitter.
+
+The photons of other emitters are pooled and relaxed in space alone, as those of one emitter without
+coordinates: a light is the same however many emitters it is made of. As relaxing assumes photons of
+equal flux, those in a pool differ by no more than a factor of four, in the means of the emitters.
+Pools of less than a ninth of the photons around theirs stay where they are.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._ext.photons.normals import all_nearly_equal
+from .._util.validation import Floats
+from ..spatial.kdtree import KDTree
+from .axes import MAX_NORMAL_CHORD, hstack_rows
+from .coincidence import first_equal_rows
+from .photon_map import PhotonMap
+
+Numbers = NDArray[np.intp]
+
+# Photons of a neighbourhood, and least number of an emitter that has a structure.
+_K = 50
+_LEAST_SHARE = 1 / 9
+# Largest ratio between the fluxes of photons in a pool.
+_FLUX_RATIO = 4.0
+# Photons whose neighbours are counted: so many in all, and at least so many of each emitter.
+_SAMPLE = 2048
+_SAMPLE_OF_EMITTER = 2
+
+
+class EmitterPools(NamedTuple):
+    """Emitters by themselves, and pools.
+
+    Attributes
+    ----------
+    number : (n,) intp array
+        By photon: that of its emitter if that is by itself, else that of its pool.
+    first_pool : int
+        Number of the first pool.
+    first_at_rest : int
+        Number of the first of the pools that are not relaxed.
+    """
+
+    number: Numbers
+    first_pool: int
+    first_at_rest: int
+
+
+class _Sample(NamedTuple):
+    """Some photons and those around them.
+
+    `rows` (s,) are theirs, `neighbours` (s, k) those around each, -1 for none, and `weight` (s,)
+    is the number of photons that each stands for.
+    """
+
+    rows: Numbers
+    neighbours: Numbers
+    weight: Floats
+
+    def shares(self, number: Numbers, n_numbers: int) -> Floats:
+        """Mean share (n_numbers,) of photons of the same number around those of each number.
+
+        `number` (n,) is that of all photons of the map.
+        """
+        mine = number[self.rows]
+        found = self.neighbours >= 0
+        same = found & (number[self.neighbours] == mine[:, np.newaxis])
+        # Without the photon itself.
+        n_found = np.maximum(found.sum(axis=1) - 1, 1)
+        share = (same.sum(axis=1) - 1) / n_found
+        total = np.bincount(mine, self.weight * share, minlength=n_numbers)
+        return total / np.maximum(np.bincount(mine, self.weight, minlength=n_numbers), 1.0)
+
+
+def emitter_pools(photons: PhotonMap, n_threads: int) -> EmitterPools:
+    """Emitters by themselves and pools of a map, which has emitter ids."""
+    assert photons.emitter_id is not None, "photons have emitter ids"
+    _, emitter, n_photons = np.unique(photons.emitter_id, return_inverse=True, return_counts=True)
+    n_emitters = len(n_photons)
+    sample = _sampled(photons, emitter, n_photons, n_threads)
+    weak = (n_photons < _K) | (sample.shares(emitter, n_emitters) < _LEAST_SHARE)
+    if not weak.any():
+        return EmitterPools(emitter, n_emitters, n_emitters)
+    flux = np.bincount(emitter, photons.flux.mean(axis=1)) / n_photons
+    number = np.arange(n_emitters)
+    number[weak] = n_emitters + _similar(flux[weak])
+    n_numbers = number.max() + 1
+    share = sample.shares(number[emitter], n_numbers)[n_emitters:]
+    # Pools at rest are the last.
+    at_rest = share < _LEAST_SHARE
+    renumbered = np.empty(len(share), dtype=np.intp)
+    renumbered[np.argsort(at_rest, kind="stable")] = np.arange(len(share))
+    number[weak] = n_emitters + renumbered[number[weak] - n_emitters]
+    return EmitterPools(number[emitter], n_emitters, n_numbers - int(at_rest.sum()))
+
+
+def _similar(flux: Floats) -> Numbers:
+    """Number (e,) for each flux, the same for those within a factor of `_FLUX_RATIO`."""
+    number = np.full(len(flux), -1, dtype=np.intp)
+    n_numbers = 0
+    while (number < 0).any():
+        rest = number < 0
+        number[rest & (flux >= flux[rest].max() / _FLUX_RATIO)] = n_numbers
+        n_numbers += 1
+    return number
+
+
+def _sampled(photons: PhotonMap, emitter: Numbers, n_photons: Numbers, n_threads: int) -> _Sample:
+    """Photons spread evenly over those of each emitter, and over all of emitters that have few."""
+    tree, rows = _tree(photons, emitter, n_threads)
+    ordered = rows[np.asarray(tree.kernel.ids)]
+    unit = np.where(n_photons < _K, 0, 1 + np.arange(len(n_photons)))
+    place, weight = _spread(unit[emitter[ordered]])
+    lanes = np.asarray(tree.kernel.coords)
+    block = lanes.shape[2]
+    found = tree.query(
+        lanes[place // block, :, place % block],
+        _K,
+        range_radius=MAX_NORMAL_CHORD if tree.n_axes > tree.n_metric else None,
+        n_threads=n_threads,
+    )
+    neighbours = np.append(rows, -1)[found.ids]
+    return _Sample(ordered[place], neighbours, weight)
+
+
+def _tree(photons: PhotonMap, emitter: Numbers, n_threads: int) -> tuple[KDTree, Numbers]:
+    """Tree of all photons, normals on range axes unless all are equal, and their rows.
+
+    An emitter's photons at the same point count as one.
+    """
+    columns = [photons.position]
+    if not all_nearly_equal(photons.normal, None):
+        columns.append(photons.normal)
+    rows = np.arange(len(photons))
+    points = hstack_rows(columns, [1.0] * len(columns), slice(None), n_threads)
+    tree = KDTree(points, 3, n_threads=n_threads)
+    first = first_equal_rows([photons.position, emitter]) if tree.kernel.may_coincide else None
+    if first is not None:
+        rows = np.unique(first)
+        points = hstack_rows(columns, [1.0] * len(columns), rows, n_threads)
+        tree = KDTree(points, 3, n_threads=n_threads)
+    return tree, rows
+
+
+def _spread(unit: Numbers) -> tuple[Numbers, Floats]:
+    """Places (s,) spread evenly over those of each number (n,), and how many each stands for."""
+    count = np.bincount(unit)
+    order = np.argsort(unit.astype(np.min_scalar_type(len(count))), kind="stable")
+    each = max(_SAMPLE // int(np.count_nonzero(count)), _SAMPLE_OF_EMITTER)
+    stride = -(-count // each)
+    unit = unit[order]
+    rank = np.arange(len(unit)) - (np.cumsum(count) - count)[unit]
+    chosen = np.flatnonzero(rank % np.maximum(stride, 1)[unit] == 0)
+    return order[chosen], stride[unit[chosen]].astype(np.float64)
