@@ -329,3 +329,26 @@ def test_files_of_any_content_are_described_or_refused(content, tmp_path, refuse
         path = tmp_path / name
         path.write_bytes(content)
         refused(path, "info", path)
+
+
+def test_a_damaged_run_of_a_reference_is_found_before_the_work(
+    tmp_path, refused, monkeypatch, capfd
+):
+    folder = tmp_path / "out"
+    options = ("--reference-passes", 4, "--reference-photons", 2000, "--photons", 2000)
+    compare = ("compare", "ring", "-o", folder, "--methods", "standard", *SIZE, *options)
+    advance = progressive_render._Run.advance
+
+    def interrupted(run):
+        advance(run)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(progressive_render._Run, "advance", interrupted)
+    assert run(*compare) == 130
+    capfd.readouterr()
+    [state] = folder.glob(".reference.*.0.npz")
+    damaged = state.read_bytes()[:-100]
+    state.write_bytes(damaged)
+    monkeypatch.setattr(progressive_render._Run, "advance", lambda _: pytest.fail("a pass began"))
+    refused(state, *compare)
+    assert state.read_bytes() == damaged

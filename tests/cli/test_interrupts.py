@@ -29,6 +29,7 @@ def run_interrupted_at(stage, *arguments, signals=("SIGINT",)):
         "import os, signal, sys\n"
         "from photonrelax.cli import commands, progress_bar\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
         "def report(bars, stage, done, total):\n"
         f"    for name in {signals!r} if stage == {stage!r} else ():\n"
         "        os.kill(os.getpid(), getattr(signal, name))\n"

@@ -29,6 +29,7 @@ from ..estimation.progressive import ProgressiveSettings
 from ..imaging import metrics
 from ..imaging.image import Image, read_exr, srgb
 from ..imaging.metrics import Errors
+from ..rendering.checkpoint import check_checkpoint
 from ..rendering.layers import total_radiance, with_radiance
 from ..rendering.progressive_render import Checkpoints, pass_seed, render_progressive
 from ..scene.digest import scene_digest
@@ -249,13 +250,15 @@ def check_computable(path: Path, request: ComparisonRequest, settings: Reference
     Raises
     ------
     ValueError
-        As `check_cached`.
+        As `check_cached`, or if the state of an interrupted run is damaged.
     MemoryError
         If the photons of a pass surely do not fit in memory.
     """
     check_cached(path)
     if path.exists() and read_exr(path).metadata.get(_KEY) == _key(request, settings):
         read_reference(path, request)
+    for state in _states(path, request, settings):
+        check_checkpoint(state)
     check_photons_fit(_scene(request), settings.photons)
 
 
@@ -405,9 +408,8 @@ def _runs(
 ) -> Iterator[tuple[tuple[int, int], Image]]:
     """Images of the runs by k and half; an interrupted run is resumed."""
     cases = [(k, half) for k in (settings.k, _WIDE * settings.k) for half in range(2)]
-    identity = blake2b(_key(request, settings).encode(), digest_size=8).hexdigest()
-    for number, (k, half) in enumerate(cases):
-        state = path.with_name(f".{path.stem}.{identity}.{number}.npz")
+    states = _states(path, request, settings)
+    for number, ((k, half), state) in enumerate(zip(cases, states, strict=True)):
         image = render_progressive(
             _scene(request),
             n_passes=settings.passes_per_run,
@@ -421,6 +423,12 @@ def _runs(
             progress=prefixed(progress, f"reference, run {number + 1} of {len(cases)}"),
         )
         yield (k, half), image
+
+
+def _states(path: Path, request: ComparisonRequest, settings: ReferenceSettings) -> list[Path]:
+    """Files of the four runs of a reference, which need not exist."""
+    identity = blake2b(_key(request, settings).encode(), digest_size=8).hexdigest()
+    return [path.with_name(f".{path.stem}.{identity}.{number}.npz") for number in range(4)]
 
 
 def _caustics(images: list[Image]) -> list[Floats]:

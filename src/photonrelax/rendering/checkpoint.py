@@ -50,16 +50,9 @@ class Checkpoint:
             identity = _identity(self.path)
             arrays = read_npz(self.path)
         except (ValueError, RecursionError) as error:
-            raise self.unreadable(error) from None
+            raise unreadable(self.path, error) from None
         self._check(identity)
         return arrays
-
-    def unreadable(self, error: Exception) -> ValueError:
-        """Error that names the file, from one of reading it."""
-        return ValueError(
-            f"{self.path} does not hold a run to be resumed: {error}; "
-            "it is left as it is: move it away to start anew, or name another file"
-        )
 
     def _check(self, identity: Mapping[str, Any]) -> None:
         for name, value in self._identity.items():
@@ -68,6 +61,24 @@ class Checkpoint:
                     f"{self.path} holds another run: its {name} is {identity.get(name)}, "
                     f"not {value}; name another file, or resume it as it was begun"
                 )
+
+
+def check_checkpoint(path: Path) -> None:
+    """Raise the errors of `Checkpoint.load` for a file that may be damaged, if there is one."""
+    if path.exists():
+        try:
+            _identity(path)
+            read_npz(path)
+        except (ValueError, RecursionError) as error:
+            raise unreadable(path, error) from None
+
+
+def unreadable(path: Path, error: Exception) -> ValueError:
+    """Error that names a file, from one of reading it."""
+    return ValueError(
+        f"{path} does not hold a run to be resumed: {error}; "
+        "it is left as it is: move it away to start anew, or name another file"
+    )
 
 
 def _identity(path: Path) -> dict[str, Any]:

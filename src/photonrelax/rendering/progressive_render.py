@@ -32,7 +32,7 @@ from ..scene.digest import scene_digests
 from ..scene.scene import Scene
 from ..transport.emission import MAX_PHOTONS
 from ..transport.trace import check_photons_fit, trace_photons
-from .checkpoint import Checkpoint
+from .checkpoint import Checkpoint, unreadable
 from .layers import with_radiance
 from .metadata import metadata
 from .pass_statistics import (
@@ -241,7 +241,7 @@ class _Checkpointer:
         try:
             self._run.restore(arrays)
         except (TypeError, ValueError) as error:
-            raise self._file.unreadable(error) from None
+            raise unreadable(self._file.path, error) from None
         n_passes = self._run.n_passes
         if n_passes > stop.n_passes:
             raise ValueError(
