@@ -79,7 +79,7 @@ def first_equal_rows(columns: Sequence[NDArray]) -> NDArray[np.intp] | None:
     """
     # Minus zero is zero.
     table = np.column_stack([np.asarray(column, dtype=np.float64) + 0.0 for column in columns])
-    key = _hash(table)
+    key = row_hashes(table)
     order = np.argsort(key, kind="stable")
     equal = key[order][1:] == key[order][:-1]
     # Most rows differ in their hashes.
@@ -93,8 +93,8 @@ def first_equal_rows(columns: Sequence[NDArray]) -> NDArray[np.intp] | None:
     return first
 
 
-def _hash(table: Floats) -> NDArray[np.uint64]:
-    """Hashes (n,) of rows (n, c), 64 bits."""
+def row_hashes(table: Floats) -> NDArray[np.uint64]:
+    """Hashes (n,) of the rows of a table (n, c), 64 bits."""
     key = np.zeros(len(table), dtype=np.uint64)
     for column in table.T:
         for mixer in _MIXERS:

@@ -27,7 +27,7 @@ from .._ext.photons.normals import all_nearly_equal
 from .._util.validation import Floats
 from ..spatial.kdtree import KDTree
 from .axes import MAX_NORMAL_CHORD, hstack_rows
-from .coincidence import first_equal_rows
+from .coincidence import first_equal_rows, row_hashes
 from .photon_map import PhotonMap
 
 Numbers = NDArray[np.intp]
@@ -40,6 +40,9 @@ _FLUX_RATIO = 4.0
 # Photons whose neighbours are counted: so many in all, and at least so many of each emitter.
 _SAMPLE = 2048
 _SAMPLE_OF_EMITTER = 2
+# Photons among which that is done, where there are more: so many in all, and of each emitter.
+_ENOUGH = 50_000
+_ENOUGH_OF_EMITTER = 1000
 
 
 class EmitterPools(NamedTuple):
@@ -89,7 +92,7 @@ class _Sample(NamedTuple):
 def emitter_pools(photons: PhotonMap, n_threads: int) -> EmitterPools:
     """Emitters by themselves and pools of a map, which has emitter ids."""
     assert photons.emitter_id is not None, "photons have emitter ids"
-    _, emitter, n_photons = np.unique(photons.emitter_id, return_inverse=True, return_counts=True)
+    emitter, n_photons = _numbered(photons.emitter_id)
     n_emitters = len(n_photons)
     sample = _sampled(photons, emitter, n_photons, n_threads)
     weak = (n_photons < _K) | (sample.shares(emitter, n_emitters) < _LEAST_SHARE)
@@ -108,6 +111,18 @@ def emitter_pools(photons: PhotonMap, n_threads: int) -> EmitterPools:
     return EmitterPools(number[emitter], n_emitters, n_numbers - int(at_rest.sum()))
 
 
+def _numbered(emitter_id: NDArray[np.int32]) -> tuple[Numbers, Numbers]:
+    """Number (n,) of each photon's emitter, from 0, and numbers of photons (e,)."""
+    first = int(emitter_id.min())
+    if int(emitter_id.max()) - first > len(emitter_id):
+        _, number, counts = np.unique(emitter_id, return_inverse=True, return_counts=True)
+        return number, counts
+    # Without a sort.
+    index = emitter_id - np.int64(first)
+    counts = np.bincount(index)
+    return (np.cumsum(counts > 0) - 1)[index], counts[counts > 0]
+
+
 def _similar(flux: Floats) -> Numbers:
     """Number (e,) for each flux, the same for those within a factor of `_FLUX_RATIO`."""
     number = np.full(len(flux), -1, dtype=np.intp)
@@ -121,7 +136,8 @@ def _similar(flux: Floats) -> Numbers:
 
 def _sampled(photons: PhotonMap, emitter: Numbers, n_photons: Numbers, n_threads: int) -> _Sample:
     """Photons spread evenly over those of each emitter, and over all of emitters that have few."""
-    tree, rows = _tree(photons, emitter, n_threads)
+    share = min(len(photons) // _ENOUGH, int(n_photons.min()) // _ENOUGH_OF_EMITTER)
+    tree, rows = _tree(photons, emitter, max(share, 1), n_threads)
     ordered = rows[np.asarray(tree.kernel.ids)]
     unit = np.where(n_photons < _K, 0, 1 + np.arange(len(n_photons)))
     place, weight = _spread(unit[emitter[ordered]])
@@ -137,20 +153,27 @@ def _sampled(photons: PhotonMap, emitter: Numbers, n_photons: Numbers, n_threads
     return _Sample(ordered[place], neighbours, weight)
 
 
-def _tree(photons: PhotonMap, emitter: Numbers, n_threads: int) -> tuple[KDTree, Numbers]:
-    """Tree of all photons, normals on range axes unless all are equal, and their rows.
+def _tree(
+    photons: PhotonMap, emitter: Numbers, share: int, n_threads: int
+) -> tuple[KDTree, Numbers]:
+    """Tree of one in `share` photons, normals on range axes unless all are equal, and their rows.
 
-    An emitter's photons at the same point count as one.
+    The photons are chosen by their positions: whatever their order, and together where they
+    coincide. An emitter's photons at the same point count as one.
     """
     columns = [photons.position]
     if not all_nearly_equal(photons.normal, None):
         columns.append(photons.normal)
     rows = np.arange(len(photons))
-    points = hstack_rows(columns, [1.0] * len(columns), slice(None), n_threads)
+    if share > 1:
+        rows = np.flatnonzero(row_hashes(photons.position) % np.uint64(share) == 0)
+    points = hstack_rows(columns, [1.0] * len(columns), rows, n_threads)
     tree = KDTree(points, 3, n_threads=n_threads)
-    first = first_equal_rows([photons.position, emitter]) if tree.kernel.may_coincide else None
+    first = None
+    if tree.kernel.may_coincide:
+        first = first_equal_rows([photons.position[rows], emitter[rows]])
     if first is not None:
-        rows = np.unique(first)
+        rows = rows[np.unique(first)]
         points = hstack_rows(columns, [1.0] * len(columns), rows, n_threads)
         tree = KDTree(points, 3, n_threads=n_threads)
     return tree, rows
