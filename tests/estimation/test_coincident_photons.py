@@ -5,6 +5,7 @@ import pytest
 
 import photonrelax as pr
 from tests.helpers.photon_maps import flat_map, plane, uniform_map, unit_square
+from tests.helpers.tracing_scenes import SCENES
 
 N = 3000
 RNG = np.random.default_rng(5)
@@ -82,7 +83,7 @@ def test_parts_of_photons_are_whole_photons_with_any_kernel(gather):
 
 
 def test_parts_of_photons_are_whole_photons_with_spectra():
-    photons = pr.trace_photons(pr.gallery.scene("sphere"), 6000, frequency_share=0.2)
+    photons = pr.trace_photons(SCENES["glass ball"], 6000, frequency_share=0.2)
     points = photons.position[::20], photons.normal[::20]
     one, three = (
         pr.irradiance_field(some, method="frequency")(*points)

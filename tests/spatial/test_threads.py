@@ -13,6 +13,7 @@ import pytest
 
 import photonrelax as pr
 from tests.helpers.photon_maps import uniform_map
+from tests.helpers.tracing_scenes import SCENES
 
 WAIT_SETTINGS = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "KMP_BLOCKTIME")
 # Prints what other libraries and child processes then see.
@@ -62,8 +63,7 @@ def relax_map(_=None):
 
 
 def trace(_=None):
-    scene = pr.gallery.scene("sphere")
-    return (pr.trace_photons(scene, 20_000, n_threads=N_THREADS).position,)
+    return (pr.trace_photons(SCENES["glass ball"], 20_000, n_threads=N_THREADS).position,)
 
 
 def estimate(field):
