@@ -155,6 +155,16 @@ def test_outlines_that_overlap_count_once(sampler):
     )
 
 
+def test_flux_of_overlapping_regions_has_no_bias_for_few_photons():
+    """Passes of few photons add up to the light of many."""
+    lit = scene(ball(0, z=1), ball(0.6, z=4), ball(100))
+    plans = [plan_emission(lit, 48, seed=seed, sampler="random") for seed in range(1500)]
+    assert {len(plan.regions) for plan in plans} == {3}
+    flux = np.array([plan.flux[0, 0] for plan in plans])
+    expected = union_of_two_disks(0.5, 0.6) + np.pi * 0.25
+    assert abs(flux.mean() - expected) < 4.0 * flux.std() / np.sqrt(len(flux))
+
+
 def test_photons_of_overlapping_regions_are_as_even_as_those_of_one():
     """The density in the lens of two outlines is that outside of it."""
     plan = plan_emission(scene(ball(0, z=1), ball(0.6, z=4), ball(100)), N)
