@@ -232,6 +232,11 @@ def test_rendering_takes_photons_of_overlapping_regions():
     assert np.isfinite(pr.render(lit, photons=photons).layers["caustic"]).all()
 
 
+# Most of what is sent to it passes through it and falls on the floor.
+RING = trimesh.creation.torus(5.0, 1e-5, major_sections=64, minor_sections=6)
+RING.apply_translation([0, 0, 1])
+
+
 def closed_box(material):
     return pr.SceneObject(trimesh.creation.box((9, 9, 9)), material)
 
@@ -267,8 +272,24 @@ def closed_box(material):
             {"paths": "global", "n_emitted": 10},
             "leaves the scene",
         ),
+        (scene(RING, material=pr.Mirror()), {}, "light misses the specular objects"),
+        (
+            pr.Scene(
+                [
+                    floor(20.0),
+                    *objects([trimesh.creation.box((4, 4, 4))], pr.Dielectric(1.3, absorption=1e3)),
+                    *objects([ball(0, z=-1.0)], pr.Mirror()),
+                ],
+                [lamp(0, 0, 1.0)],
+            ),
+            {},
+            "raise the reflectance of the materials or lower their absorption",
+        ),
     ],
-    ids=["blocked", "nothing below", "black glass", "cut", "floor too small"],
+    ids=[
+        *("blocked", "nothing below", "black glass", "cut", "floor too small"),
+        *("thin ring over a floor", "lamp in black glass"),
+    ],
 )
 def test_nothing_stored_names_cause_and_remedy(lit, options, remedy):
     with pytest.raises(NothingStoredError, match=remedy):
