@@ -1,8 +1,11 @@
 """Aim at casters that lie apart: all light of each, and no photons for the space between."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 import photonrelax as pr
 from photonrelax.photons.photon_map import NothingStoredError
@@ -230,6 +233,33 @@ def test_rendering_takes_photons_of_overlapping_regions():
     lit = pr.Scene(lit.objects, lit.emitters, camera)
     photons = pr.trace_photons(lit, N)
     assert np.isfinite(pr.render(lit, photons=photons).layers["caustic"]).all()
+
+
+@dataclass(frozen=True, eq=False)
+class Turned(pr.CollimatedEmitter):
+    """Parallel light whose coordinates are turned about its direction, by the target."""
+
+    angle: float = 0.0
+
+    def emission_region(self, target, scene, emitter_offset):
+        region = super().emission_region(target, scene, emitter_offset)
+        turn = Rotation.from_rotvec(self.angle * target.radius * region.frame[2])
+        return replace(region, frame=turn.apply(region.frame))
+
+
+@dataclass(frozen=True, eq=False)
+class Mixed(pr.CollimatedEmitter):
+    """Parallel light on large targets, and that of a point on small ones."""
+
+    def emission_region(self, target, scene, emitter_offset):
+        source = pr.PointEmitter([0, 0, 20.0]) if target.radius < 1.0 else super()
+        return source.emission_region(target, scene, emitter_offset)
+
+
+@pytest.mark.parametrize("emitter", [Turned([0, 0, -1], angle=0.1), Mixed([0, 0, -1])])
+def test_emitters_without_a_chart_of_their_own_are_refused(emitter):
+    with pytest.raises(ValueError, match=f"those of {type(emitter).__name__} differ by target"):
+        plan_emission(scene(ball(0), ball(100), emitters=[emitter]), N)
 
 
 # Most of what is sent to it passes through it and falls on the floor.

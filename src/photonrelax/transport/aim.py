@@ -18,6 +18,9 @@ from ..scene.emitters import Emitter
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in the luminance (Rec. 709)."""
 
+# Components of frames of one emitter differ by rounding alone.
+_SAME_FRAME = 1e-9
+
 
 def aimed_regions(
     emitter: Emitter, targets: tuple[Sphere, ...], around: Sphere, scene: Sphere, offset: float
@@ -34,11 +37,18 @@ def aimed_regions(
         Around all targets, and around all objects.
     offset : float
         As of `Emitter.emission_region`.
+
+    Raises
+    ------
+    ValueError
+        If they do not share one chart.
     """
     whole = emitter.emission_region(around, scene, offset)
     if len(targets) == 1:
         return [whole]
-    regions = [_in_chart(emitter.emission_region(each, scene, offset), whole) for each in targets]
+    regions = [
+        _in_chart(emitter, emitter.emission_region(each, scene, offset), whole) for each in targets
+    ]
     lit = _outermost([region for region in regions if region.flux.any()])
     if sum(luminance(region) for region in lit) > SAVING * luminance(whole):
         return [whole]
@@ -67,11 +77,20 @@ def overlapped(regions: list[EmissionRegion]) -> list[Floats]:
     return found
 
 
-def _in_chart(region: EmissionRegion, whole: EmissionRegion) -> EmissionRegion:
+def _in_chart(emitter: Emitter, region: EmissionRegion, whole: EmissionRegion) -> EmissionRegion:
     """A region whose emitter coordinates are those of the whole one."""
-    if not region.is_plane:
-        return region
-    return replace(region, coords_offset=whole.frame[:2] @ (region.origin - whole.origin))
+    if region.is_plane:
+        same = whole.is_plane and np.abs(region.frame - whole.frame).max() < _SAME_FRAME
+        offset = whole.frame[:2] @ (region.origin - whole.origin)
+        region = replace(region, coords_offset=offset)
+    else:
+        same = not whole.is_plane and np.array_equal(region.origin, whole.origin)
+    if not same:
+        raise ValueError(
+            "the emission regions of an emitter should be disks with one frame, or directions from "
+            f"one point, but those of {type(emitter).__name__} differ by target"
+        )
+    return region
 
 
 def _outermost(regions: list[EmissionRegion]) -> list[EmissionRegion]:

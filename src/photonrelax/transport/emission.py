@@ -137,7 +137,8 @@ class PrimalRays:
     origin, direction : (n, 3) float64
         Origins, m, and unit vectors.
     emitter_coords : (n, 2) or (n, 3) float64
-        m on the emitter plane, relative to the projection of the target's centre; or unit vectors.
+        m on the emitter plane, relative to the projection of the centre of all targets; or unit
+        vectors.
     emitter_density : (n,) float64
         Photons emitted per m² or sr around those coordinates.
     travelled : float

@@ -330,9 +330,7 @@ def _ledger(plan: EmissionPlan, ledgers: list[BatchLedger]) -> EnergyLedger:
     )
 
 
-def _nothing_stored(
-    context: TraceContext, ledger: EnergyLedger, ledgers: list[BatchLedger]
-) -> str:
+def _nothing_stored(context: TraceContext, ledger: EnergyLedger, ledgers: list[BatchLedger]) -> str:
     ends = {outcome: int(ledger.ends[outcome].sum()) for outcome in PATH_OUTCOMES}
     met, settings = sum(batch.n_met_specular for batch in ledgers), context.settings
     return (
