@@ -104,5 +104,5 @@ def _outermost(regions: list[EmissionRegion]) -> list[EmissionRegion]:
 
 
 def _inside(centre: Floats, radius: float, other: Floats, other_radius: float) -> bool:
-    """Whether one outline surely lies in another; chords of arcs that add up are shorter."""
+    """True if one outline surely lies in another; chords of arcs that add up are shorter."""
     return bool(np.linalg.norm(centre - other) + radius <= other_radius)

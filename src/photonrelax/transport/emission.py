@@ -294,7 +294,7 @@ def _aimed(scene: Scene, paths: str, n_emitted: int) -> tuple[AimedRegion, ...]:
 
 
 def _targets(scene: Scene, paths: str) -> tuple[tuple[Sphere, ...], Sphere]:
-    """What photons are aimed at, and a sphere around all of it."""
+    """Targets of the photons, and a sphere around all of them."""
     check_choice(paths, "paths", PATHS)
     if paths != "caustic":
         return (scene.bounding_sphere(),), scene.bounding_sphere()

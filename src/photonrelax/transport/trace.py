@@ -353,7 +353,7 @@ def _remedy(context: TraceContext, ends: dict[str, int], met: int) -> str:
 
 
 def _is_aimed_at_specular(context: TraceContext) -> bool:
-    """Whether some photons would meet a specular object if there were no diffuse ones."""
+    """True if photons would meet a specular object if there were no diffuse ones."""
     is_diffuse, caster = context.materials.diffuse, context.caster
     for region_id, planned in enumerate(context.plan.counts.tolist()):
         rays = emit(context.plan, region_id, range(min(planned, _N_PROBES)), n_threads=1)
