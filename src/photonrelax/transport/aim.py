@@ -65,16 +65,9 @@ def overlapped(regions: list[EmissionRegion]) -> list[Floats]:
 
     Centres are emitter coordinates, of disks with a third one of zero.
     """
-    outlines = [region.outline for region in regions]
-    found = []
-    for i, (centre, radius) in enumerate(outlines):
-        rows = [
-            (*other, *(3 - len(other)) * (0.0,), other_radius**2)
-            for other, other_radius in outlines[:i]
-            if np.linalg.norm(centre - other) < radius + other_radius
-        ]
-        found.append(np.array(rows, dtype=np.float64).reshape(-1, 4))
-    return found
+    table, radius, distance = _outlines(regions)
+    overlaps = distance < radius[:, np.newaxis] + radius
+    return [table[:i][overlaps[i, :i]] for i in range(len(regions))]
 
 
 def _in_chart(emitter: Emitter, region: EmissionRegion, whole: EmissionRegion) -> EmissionRegion:
@@ -95,14 +88,19 @@ def _in_chart(emitter: Emitter, region: EmissionRegion, whole: EmissionRegion) -
 
 def _outermost(regions: list[EmissionRegion]) -> list[EmissionRegion]:
     """Regions that lie in no other, the largest first."""
-    kept: list[EmissionRegion] = []
-    for region in sorted(regions, key=lambda region: -region.outline[1]):
-        centre, radius = region.outline
-        if not any(_inside(centre, radius, *other.outline) for other in kept):
-            kept.append(region)
-    return kept
+    if len(regions) < 2:
+        return regions
+    regions = sorted(regions, key=lambda region: -region.outline[1])
+    _, radius, distance = _outlines(regions)
+    # Surely inside, as chords of arcs that add up are shorter. What holds it may lie in another.
+    inside = distance + radius[:, np.newaxis] <= radius
+    return [region for i, region in enumerate(regions) if not inside[i, :i].any()]
 
 
-def _inside(centre: Floats, radius: float, other: Floats, other_radius: float) -> bool:
-    """True if one outline surely lies in another; chords of arcs that add up are shorter."""
-    return bool(np.linalg.norm(centre - other) + radius <= other_radius)
+def _outlines(regions: list[EmissionRegion]) -> tuple[Floats, Floats, Floats]:
+    """Outlines (m, 4) as of `overlapped`, radii (m,), and distances (m, m) of the centres."""
+    centres, radii = zip(*(region.outline for region in regions), strict=True)
+    table = np.zeros((len(regions), 4))
+    table[:, : len(centres[0])], table[:, 3] = centres, np.square(radii)
+    between = table[:, np.newaxis, :3] - table[:, :3]
+    return table, np.array(radii), np.sqrt(np.einsum("ijk,ijk->ij", between, between))
