@@ -1,8 +1,11 @@
 """Aim at casters that lie apart: all light of each, and no photons for the space between."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 import photonrelax as pr
 from photonrelax.photons.photon_map import NothingStoredError
@@ -155,6 +158,16 @@ def test_outlines_that_overlap_count_once(sampler):
     )
 
 
+def test_flux_of_overlapping_regions_has_no_bias_for_few_photons():
+    """Passes of few photons add up to the light of many."""
+    lit = scene(ball(0, z=1), ball(0.6, z=4), ball(100))
+    plans = [plan_emission(lit, 48, seed=seed, sampler="random") for seed in range(1500)]
+    assert {len(plan.regions) for plan in plans} == {3}
+    flux = np.array([plan.flux[0, 0] for plan in plans])
+    expected = union_of_two_disks(0.5, 0.6) + np.pi * 0.25
+    assert abs(flux.mean() - expected) < 4.0 * flux.std() / np.sqrt(len(flux))
+
+
 def test_photons_of_overlapping_regions_are_as_even_as_those_of_one():
     """The density in the lens of two outlines is that outside of it."""
     plan = plan_emission(scene(ball(0, z=1), ball(0.6, z=4), ball(100)), N)
@@ -222,6 +235,38 @@ def test_rendering_takes_photons_of_overlapping_regions():
     assert np.isfinite(pr.render(lit, photons=photons).layers["caustic"]).all()
 
 
+@dataclass(frozen=True, eq=False)
+class Turned(pr.CollimatedEmitter):
+    """Parallel light whose coordinates are turned about its direction, by the target."""
+
+    angle: float = 0.0
+
+    def emission_region(self, target, scene, emitter_offset):
+        region = super().emission_region(target, scene, emitter_offset)
+        turn = Rotation.from_rotvec(self.angle * target.radius * region.frame[2])
+        return replace(region, frame=turn.apply(region.frame))
+
+
+@dataclass(frozen=True, eq=False)
+class Mixed(pr.CollimatedEmitter):
+    """Parallel light on large targets, and that of a point on small ones."""
+
+    def emission_region(self, target, scene, emitter_offset):
+        source = pr.PointEmitter([0, 0, 20.0]) if target.radius < 1.0 else super()
+        return source.emission_region(target, scene, emitter_offset)
+
+
+@pytest.mark.parametrize("emitter", [Turned([0, 0, -1], angle=0.1), Mixed([0, 0, -1])])
+def test_emitters_without_a_chart_of_their_own_are_refused(emitter):
+    with pytest.raises(ValueError, match=f"those of {type(emitter).__name__} differ by target"):
+        plan_emission(scene(ball(0), ball(100), emitters=[emitter]), N)
+
+
+# Most of what is sent to it passes through it and falls on the floor.
+RING = trimesh.creation.torus(5.0, 1e-5, major_sections=64, minor_sections=6)
+RING.apply_translation([0, 0, 1])
+
+
 def closed_box(material):
     return pr.SceneObject(trimesh.creation.box((9, 9, 9)), material)
 
@@ -257,8 +302,24 @@ def closed_box(material):
             {"paths": "global", "n_emitted": 10},
             "leaves the scene",
         ),
+        (scene(RING, material=pr.Mirror()), {}, "light misses the specular objects"),
+        (
+            pr.Scene(
+                [
+                    floor(20.0),
+                    *objects([trimesh.creation.box((4, 4, 4))], pr.Dielectric(1.3, absorption=1e3)),
+                    *objects([ball(0, z=-1.0)], pr.Mirror()),
+                ],
+                [lamp(0, 0, 1.0)],
+            ),
+            {},
+            "raise the reflectance of the materials or lower their absorption",
+        ),
     ],
-    ids=["blocked", "nothing below", "black glass", "cut", "floor too small"],
+    ids=[
+        *("blocked", "nothing below", "black glass", "cut", "floor too small"),
+        *("thin ring over a floor", "lamp in black glass"),
+    ],
 )
 def test_nothing_stored_names_cause_and_remedy(lit, options, remedy):
     with pytest.raises(NothingStoredError, match=remedy):

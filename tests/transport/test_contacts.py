@@ -25,8 +25,11 @@ def surfaces(objects):
     return zip(*met, strict=True)
 
 
-def test_the_smaller_of_two_bodies_that_touch_reaches_into_the_other():
-    heights, objects = surfaces([block(0.0, 1.0, 3.0), block(1.0, 2.0, 2.0)])
+@pytest.mark.parametrize("gap", [-1e-9, 0.0, 1e-15, 1e-9, 1e-6])
+@pytest.mark.parametrize("lower", [3.0, 1.0])
+def test_the_smaller_of_two_bodies_that_touch_reaches_into_the_other(lower, gap):
+    """Rounded coordinates leave a gap between bodies, or make them overlap."""
+    heights, objects = surfaces([block(0.0, 1.0, lower), block(1.0 + gap, 2.0, 2.0)])
     assert objects == (1, 0, 1, 0)
     np.testing.assert_allclose(heights, [2, 1, 1, 0], atol=1e-3)
 

@@ -93,6 +93,18 @@ def test_far_blockers_before_the_fine_part_are_hit():
         pr.trace_photons(pr.Scene([ball, floor, shade], [sun]), 1000)
 
 
+@pytest.mark.parametrize("half", [2.0, 10.0, 1e3, 1e5])
+@pytest.mark.parametrize("distance", [2.0, 20.0, 1e4])
+def test_near_blockers_before_the_fine_part_are_hit(half, distance):
+    """A sheet over a ball of 1 cm: cubes around the ball reach beyond the box of a wide floor."""
+    ball = pr.SceneObject(trimesh.creation.icosphere(2, 0.005), pr.Mirror())
+    floor = pr.SceneObject(sheet(half, -0.01), pr.Diffuse(0.5))
+    caster = RayCaster([floor, ball, pr.SceneObject(sheet(1.0, 0.25), pr.Mirror())])
+    hits = caster.intersect([[0.001, 0.002, distance]], [[0.0, 0.0, -1.0]])
+    assert hits.object_id.tolist() == [2]
+    assert hits.distance[0] == pytest.approx(distance - 0.25, rel=1e-9)
+
+
 def test_cameras_far_away_see_small_things_on_wide_tilted_floors():
     """The share of the pixels that see a ball, from 1 m and from 100 km."""
     objects = [

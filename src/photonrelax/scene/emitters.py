@@ -56,6 +56,9 @@ class Emitter(ABC):
     ) -> EmissionRegion:
         """Return the region to sample for photons that may hit a target, one of several.
 
+        The regions of an emitter share one chart: disks with the same frame, whatever the target,
+        or directions from the same point. Where they overlap, light counts once.
+
         Parameters
         ----------
         target, scene : Sphere

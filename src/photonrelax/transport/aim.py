@@ -18,6 +18,9 @@ from ..scene.emitters import Emitter
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in the luminance (Rec. 709)."""
 
+# Components of frames of one emitter differ by rounding alone.
+_SAME_FRAME = 1e-9
+
 
 def aimed_regions(
     emitter: Emitter, targets: tuple[Sphere, ...], around: Sphere, scene: Sphere, offset: float
@@ -34,11 +37,18 @@ def aimed_regions(
         Around all targets, and around all objects.
     offset : float
         As of `Emitter.emission_region`.
+
+    Raises
+    ------
+    ValueError
+        If they do not share one chart.
     """
     whole = emitter.emission_region(around, scene, offset)
     if len(targets) == 1:
         return [whole]
-    regions = [_in_chart(emitter.emission_region(each, scene, offset), whole) for each in targets]
+    regions = [
+        _in_chart(emitter, emitter.emission_region(each, scene, offset), whole) for each in targets
+    ]
     lit = _outermost([region for region in regions if region.flux.any()])
     if sum(luminance(region) for region in lit) > SAVING * luminance(whole):
         return [whole]
@@ -55,35 +65,42 @@ def overlapped(regions: list[EmissionRegion]) -> list[Floats]:
 
     Centres are emitter coordinates, of disks with a third one of zero.
     """
-    outlines = [region.outline for region in regions]
-    found = []
-    for i, (centre, radius) in enumerate(outlines):
-        rows = [
-            (*other, *(3 - len(other)) * (0.0,), other_radius**2)
-            for other, other_radius in outlines[:i]
-            if np.linalg.norm(centre - other) < radius + other_radius
-        ]
-        found.append(np.array(rows, dtype=np.float64).reshape(-1, 4))
-    return found
+    table, radius, distance = _outlines(regions)
+    overlaps = distance < radius[:, np.newaxis] + radius
+    return [table[:i][overlaps[i, :i]] for i in range(len(regions))]
 
 
-def _in_chart(region: EmissionRegion, whole: EmissionRegion) -> EmissionRegion:
+def _in_chart(emitter: Emitter, region: EmissionRegion, whole: EmissionRegion) -> EmissionRegion:
     """A region whose emitter coordinates are those of the whole one."""
-    if not region.is_plane:
-        return region
-    return replace(region, coords_offset=whole.frame[:2] @ (region.origin - whole.origin))
+    if region.is_plane:
+        same = whole.is_plane and np.abs(region.frame - whole.frame).max() < _SAME_FRAME
+        offset = whole.frame[:2] @ (region.origin - whole.origin)
+        region = replace(region, coords_offset=offset)
+    else:
+        same = not whole.is_plane and np.array_equal(region.origin, whole.origin)
+    if not same:
+        raise ValueError(
+            "the emission regions of an emitter should be disks with one frame, or directions from "
+            f"one point, but those of {type(emitter).__name__} differ by target"
+        )
+    return region
 
 
 def _outermost(regions: list[EmissionRegion]) -> list[EmissionRegion]:
     """Regions that lie in no other, the largest first."""
-    kept: list[EmissionRegion] = []
-    for region in sorted(regions, key=lambda region: -region.outline[1]):
-        centre, radius = region.outline
-        if not any(_inside(centre, radius, *other.outline) for other in kept):
-            kept.append(region)
-    return kept
+    if len(regions) < 2:
+        return regions
+    regions = sorted(regions, key=lambda region: -region.outline[1])
+    _, radius, distance = _outlines(regions)
+    # Surely inside, as chords of arcs that add up are shorter. What holds it may lie in another.
+    inside = distance + radius[:, np.newaxis] <= radius
+    return [region for i, region in enumerate(regions) if not inside[i, :i].any()]
 
 
-def _inside(centre: Floats, radius: float, other: Floats, other_radius: float) -> bool:
-    """Whether one outline surely lies in another; chords of arcs that add up are shorter."""
-    return bool(np.linalg.norm(centre - other) + radius <= other_radius)
+def _outlines(regions: list[EmissionRegion]) -> tuple[Floats, Floats, Floats]:
+    """Outlines (m, 4) as of `overlapped`, radii (m,), and distances (m, m) of the centres."""
+    centres, radii = zip(*(region.outline for region in regions), strict=True)
+    table = np.zeros((len(regions), 4))
+    table[:, : len(centres[0])], table[:, 3] = centres, np.square(radii)
+    between = table[:, np.newaxis, :3] - table[:, :3]
+    return table, np.array(radii), np.sqrt(np.einsum("ijk,ijk->ij", between, between))

@@ -83,7 +83,7 @@ def overlap_contacts(
     for pair in _meeting_boxes(low_corner - margin, high_corner):
         inner, outer = sorted(pair, key=lambda i: volume[i])
         mine, others = (
-            rows[_meet(low[rows] - margin, high[rows], low_corner[box], high_corner[box])]
+            rows[_meet(low[rows], high[rows], low_corner[box] - margin, high_corner[box] + margin)]
             for rows, box in (
                 (np.arange(first[inner], last[inner]), outer),
                 (np.arange(first[outer], last[outer]), inner),

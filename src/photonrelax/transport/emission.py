@@ -137,7 +137,8 @@ class PrimalRays:
     origin, direction : (n, 3) float64
         Origins, m, and unit vectors.
     emitter_coords : (n, 2) or (n, 3) float64
-        m on the emitter plane, relative to the projection of the target's centre; or unit vectors.
+        m on the emitter plane, relative to the projection of the centre of all targets; or unit
+        vectors.
     emitter_density : (n,) float64
         Photons emitted per m² or sr around those coordinates.
     travelled : float
@@ -293,7 +294,7 @@ def _aimed(scene: Scene, paths: str, n_emitted: int) -> tuple[AimedRegion, ...]:
 
 
 def _targets(scene: Scene, paths: str) -> tuple[tuple[Sphere, ...], Sphere]:
-    """What photons are aimed at, and a sphere around all of it."""
+    """Targets of the photons, and a sphere around all of them."""
     check_choice(paths, "paths", PATHS)
     if paths != "caustic":
         return (scene.bounding_sphere(),), scene.bounding_sphere()

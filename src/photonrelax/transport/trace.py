@@ -35,7 +35,7 @@ from ..photons.energy_ledger import PATH_OUTCOMES, EnergyLedger
 from ..photons.photon_map import NothingStoredError, PhotonMap
 from ..scene.scene import Scene
 from .batch import BatchLedger, Job, TraceContext, TracedBatch, TraceSettings, trace_batch
-from .emission import MAX_PHOTONS, PATHS, EmissionPlan, plan_emission
+from .emission import MAX_PHOTONS, PATHS, EmissionPlan, emit, plan_emission
 from .frequency.spectra import ReplayBatch, SpectrumTracer, batches_by_region
 from .media import warn_of_overflows
 from .raycast import RayCaster
@@ -53,6 +53,8 @@ _PHOTON_BYTES = 148
 _LEDGER_BYTES = 8 * 3 * len(PATH_OUTCOMES)
 # Paths from which the number of photons stored is estimated.
 _PILOT = 16384
+# Photons of a region that are looked at to tell why nothing is stored.
+_N_PROBES = 4096
 
 _DTYPES: dict[str, type] = {
     "position": np.float64,
@@ -191,7 +193,7 @@ def _trace_all(context: TraceContext, n_threads: int, progress: Progress | None)
             # The deposits are freed before the next batch is traced.
             del batch
     warn_of_overflows(sum(ledger.n_overflows for ledger in ledgers), context.materials)
-    photons = _photon_map(plan, settings, columns, ledgers)
+    photons = _photon_map(context, columns, ledgers)
     if not settings.frequency_share:
         return photons
     return photons.replace(spectrum=_spectra(context, selected, len(photons), n_threads, progress))
@@ -292,9 +294,8 @@ def _jobs(plan: EmissionPlan, size: int) -> Iterator[Job]:
             yield region_id, range(start, min(start + size, planned))
 
 
-def _photon_map(
-    plan: EmissionPlan, settings: TraceSettings, columns: _Columns, ledgers: list[BatchLedger]
-) -> PhotonMap:
+def _photon_map(context: TraceContext, columns: _Columns, ledgers: list[BatchLedger]) -> PhotonMap:
+    plan, settings = context.plan, context.settings
     ledger = _ledger(plan, ledgers)
     photons = PhotonMap(
         **columns.finished(),
@@ -306,7 +307,7 @@ def _photon_map(
         paths=settings.paths,
     )
     if not len(photons):
-        raise NothingStoredError(_nothing_stored(ledger, ledgers, settings), photons)
+        raise NothingStoredError(_nothing_stored(context, ledger, ledgers), photons)
     return photons
 
 
@@ -329,38 +330,50 @@ def _ledger(plan: EmissionPlan, ledgers: list[BatchLedger]) -> EnergyLedger:
     )
 
 
-def _nothing_stored(
-    ledger: EnergyLedger, ledgers: list[BatchLedger], settings: TraceSettings
-) -> str:
+def _nothing_stored(context: TraceContext, ledger: EnergyLedger, ledgers: list[BatchLedger]) -> str:
     ends = {outcome: int(ledger.ends[outcome].sum()) for outcome in PATH_OUTCOMES}
-    met = sum(batch.n_met_specular for batch in ledgers)
+    met, settings = sum(batch.n_met_specular for batch in ledgers), context.settings
     return (
         f'no photons were stored for paths="{settings.paths}": of {sum(ends.values())} paths, '
         f"{met} met a specular object first, {ends['escaped']} escaped from the scene, "
         f"{ends['absorbed']} were absorbed, {ends['discarded']} ended on diffuse objects as light "
         f"of another kind, {ends['cut']} were cut after max_bounces={settings.max_bounces}. "
-        f"{_remedy(ends, met, settings)}"
+        f"{_remedy(context, ends, met)}"
     )
 
 
-def _remedy(ends: dict[str, int], met: int, settings: TraceSettings) -> str:
+def _remedy(context: TraceContext, ends: dict[str, int], met: int) -> str:
     """The likely cause, and what would do."""
-    if settings.paths == "caustic" and met == 0 and ends["discarded"]:
-        return (
-            "Diffuse objects stand between the emitters and the specular ones: move them out of "
-            "the light, or raise n_emitted if it passes through small gaps"
-        )
-    if settings.paths == "caustic" and met == 0:
-        return (
-            "The light misses the specular objects, which are small within their bounding spheres: "
-            "raise n_emitted"
-        )
-    if settings.paths == "caustic":
+    if context.settings.paths == "caustic":
+        if met == 0 and ends["absorbed"] < max(ends.values()):
+            return _BLOCKED if _is_aimed_at_specular(context) else _MISSED
         # Direct light says nothing of what became of light from the specular objects.
         ends = {**ends, "discarded": 0}
     return _REMEDIES[max(_REMEDIES, key=lambda outcome: ends[outcome])]
 
 
+def _is_aimed_at_specular(context: TraceContext) -> bool:
+    """True if photons would meet a specular object if there were no diffuse ones."""
+    is_diffuse, caster = context.materials.diffuse, context.caster
+    for region_id, planned in enumerate(context.plan.counts.tolist()):
+        rays = emit(context.plan, region_id, range(min(planned, _N_PROBES)), n_threads=1)
+        direction, found = rays.direction, caster.intersect(rays.origin, rays.direction)
+        while found.hit.any():
+            direction, found = direction[found.hit], found[found.hit]
+            if not is_diffuse[found.object_id].all():
+                return True
+            found = caster.intersect(found.position, direction, origin_offset=found.offset)
+    return False
+
+
+_BLOCKED = (
+    "Diffuse objects stand between the emitters and the specular ones: move them out of "
+    "the light, or raise n_emitted if it passes through small gaps"
+)
+_MISSED = (
+    "The light misses the specular objects, which are small within their bounding spheres: "
+    "raise n_emitted"
+)
 # By what became of most paths; the first of equal ones.
 _REMEDIES = {
     "cut": "Most were cut: raise max_bounces",

@@ -168,15 +168,18 @@ cdef class Emission:
     def photons(self, Py_ssize_t n, Py_ssize_t step, int64_t limit):
         """Candidates that are photons 0, step, …, and the numbers of photons and of candidates.
 
-        There are n photons unless the candidates reach their limit before.
+        There are n photons unless the candidates reach their limit before. Candidates end before
+        photon n, not after photon n - 1: the share of photons among them would be too large.
         """
         cdef Py_ssize_t found = 0
         cdef int64_t index = 0
         cdef int64_t[::1] starts = np.empty(n // step + 1, np.int64)
         cdef Watch watch = open_watch()
         with nogil:
-            while found < n and index < limit and goes_on(&watch, index % LOOK_EVERY == 0):
+            while index < limit and goes_on(&watch, index % LOOK_EVERY == 0):
                 if self.accepts(index):
+                    if found == n:
+                        break
                     if found % step == 0:
                         starts[found // step] = index
                     found += 1

@@ -170,7 +170,8 @@ cdef class EmbreeFrame:
         half_side : float
             Half the side of the cube, m.
         outer : float
-            Half the side of a larger cube, where rays that start outside of that are already.
+            Half the side of a larger cube. Rays that start outside of it, or of the box, are where
+            they enter both of these.
 
         Returns
         -------
@@ -197,12 +198,15 @@ cdef class EmbreeFrame:
                 normalise(d)
                 enter = entered_cube(o, d, half_side)
                 # From inside the length is zero.
-                if enter > 0.0:
-                    start = max(self.skipped(o, d), entered_cube(o, d, outer))
+                if enter <= 0.0:
+                    continue
+                # A cube reaches beyond the box in some directions; rays are not moved back to it.
+                start = max(self.skipped(o, d), entered_cube(o, d, outer))
+                if enter > start:
                     rows[found] = i
                     for axis in range(3):
                         near[found, axis] = <float>((o[axis] + enter * d[axis]) * self.scale)
-                    limits[found] = <float>(SHORTENED * max(enter - start, 0.0) * self.scale)
+                    limits[found] = <float>(SHORTENED * (enter - start) * self.scale)
                     found += 1
         return rows.base[:found], near.base[:found], limits.base[:found]
 
