@@ -14,8 +14,8 @@ import photonrelax as pr
 from .. import gallery
 from .._util.files import (
     check_distinct,
+    first_bytes,
     json_text,
-    open_file,
     output_path,
     whole_file,
     write_json,
@@ -316,8 +316,7 @@ def _info(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ..imaging.image import read_exr
     from .reports import describe_image, describe_photons
 
-    with open_file(options.file) as file:
-        magic = file.read(4)
+    magic = first_bytes(options.file, 4)
     if magic == _MAGIC_EXR:
         write_lines(describe_image(read_exr(options.file)))
     elif magic == _MAGIC_NPZ:
