@@ -242,6 +242,8 @@ def _compare(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ..imaging import metrics
 
     _check_reference(options)
+    images = {f"the image {name}": options.output / name for name in folder.image_names()}
+    check_distinct({"--reference": options.reference, **images})
     metrics.check_installed()
     request = _comparison_request(options)
     image = None

@@ -36,6 +36,11 @@ def prepare_folder(folder: Path, methods: tuple[str, ...]) -> None:
         check_writable(folder / name)
 
 
+def image_names() -> set[str]:
+    """Names of images of all methods, which a comparison replaces or removes."""
+    return {name for method in METHODS for name in _method_files(method)}.union(_photon_files())
+
+
 def write(comparison: Comparison, folder: Path) -> Table:
     """Write the images, contact sheet, numbers and page of a comparison; return its table.
 
@@ -108,8 +113,7 @@ def _photon_files() -> list[str]:
 
 def _remove_others(folder: Path, placed: set[str]) -> None:
     """Remove the images that comparisons of other methods have written."""
-    known = {name for method in METHODS for name in _method_files(method)}
-    for name in known.union(_photon_files()) - placed:
+    for name in image_names() - placed:
         (folder / name).unlink(missing_ok=True)
 
 
