@@ -1,6 +1,8 @@
 """`photonrelax compare`: all in one command, errors before the work, nothing lost on Ctrl-C."""
 
+import errno
 import json
+import os
 
 import numpy as np
 import pytest
@@ -73,6 +75,16 @@ def test_a_folder_that_cannot_be_is_an_error_before_the_work(tmp_path, capsys, n
     (tmp_path / "e" / "standard-flip.png").mkdir(parents=True)
     assert run_cli("compare", "ring", "-o", tmp_path / "e") == 1
     assert "it is a folder" in capsys.readouterr().err
+
+
+def test_a_folder_that_may_not_be_made_is_named(tmp_path, capsys, monkeypatch):
+    def refused(self, exist_ok):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(type(tmp_path), "mkdir", refused)
+    assert run_cli("compare", "ring", "-o", tmp_path / "new", *ARGUMENTS) == 1
+    expected = f"photonrelax: error: cannot make the folder {tmp_path / 'new'}: Permission denied\n"
+    assert capsys.readouterr().err == expected
 
 
 def test_a_foreign_reference_is_an_error_before_the_work(tmp_path, capsys, no_photons):

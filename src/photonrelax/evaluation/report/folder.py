@@ -30,7 +30,10 @@ def prepare_folder(folder: Path, methods: tuple[str, ...]) -> None:
         raise NotADirectoryError(f"cannot write into {folder}: it is not a folder")
     if not folder.exists() and not folder.parent.is_dir():
         raise FileNotFoundError(f"cannot write {folder}: there is no folder {folder.parent}")
-    folder.mkdir(exist_ok=True)
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise type(error)(f"cannot make the folder {folder}: {error.strerror}") from None
     names = {name for method in methods for name in _method_files(method)}
     for name in (PAGE, SHEET, NUMBERS, REFERENCE, "reference.png", *names, *_photon_files()):
         check_writable(folder / name)
