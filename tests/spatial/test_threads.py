@@ -62,7 +62,7 @@ def relax_map(_=None):
 
 
 def trace(_=None):
-    scene = pr.gallery.scene("sphere")
+    scene = pr.gallery.scene("ring")
     return (pr.trace_photons(scene, 20_000, n_threads=N_THREADS).position,)
 
 
