@@ -234,6 +234,12 @@ def test_a_bar_counts_the_time_before_its_first_report(capsys, monkeypatch):
     assert "[00:03<" in bars.shown("relax", 6, 6)
 
 
+def test_bars_start_no_thread(capsys, monkeypatch):
+    monkeypatch.setattr(tqdm.tqdm, "monitor", None)
+    ProgressBars(capsys).shown("trace", 1, 4)
+    assert tqdm.tqdm.monitor is None
+
+
 def test_a_bar_left_over_closes_at_the_end(capsys):
     bars = ProgressBars(capsys)
     with bars.bars:
