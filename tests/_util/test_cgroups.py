@@ -66,3 +66,10 @@ def test_by_default_no_more_threads_than_the_quota(groups, quota, n_threads):
     groups("0::/\n", {"cpu.max": f"{quota} 100000\n"})
     assert thread_count(None) == n_threads
     assert thread_count(3) == 3
+
+
+def test_names_that_are_not_text_are_read(groups, tmp_path):
+    folder = tmp_path / "root" / os.fsdecode(b"caf\xe9")
+    groups("", {f"{folder.name}/cpu.max": "50000 100000\n"})
+    (tmp_path / "membership").write_bytes(b"0::/caf\xe9\n")
+    assert cgroups.cpu_quota() == 0.5

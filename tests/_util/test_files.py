@@ -1,12 +1,19 @@
 """Whole files: symbolic links and modes stay, errors name the file that was asked for."""
 
 import errno
+import io
 import os
 import stat
 
 import pytest
 
-from photonrelax._util.files import WriteError, check_writable, remove_leftovers, whole_file
+from photonrelax._util.files import (
+    WriteError,
+    check_writable,
+    first_bytes,
+    remove_leftovers,
+    whole_file,
+)
 
 
 def write(path, text):
@@ -83,3 +90,30 @@ def test_devices_and_pipes_are_not_replaced(tmp_path):
     with pytest.raises(IsADirectoryError, match="it is a folder"):
         write(tmp_path, "text")
     assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+
+
+def test_links_that_lead_nowhere_are_refused_and_stay(tmp_path):
+    (tmp_path / "missing.txt").symlink_to("none/real.txt")
+    (tmp_path / "loop.txt").symlink_to("loop.txt")
+    for name, complaint in (("missing.txt", "there is no folder .*none"), ("loop.txt", "links")):
+        for refuse in (check_writable, lambda path: write(path, "after")):
+            with pytest.raises(OSError, match=rf"cannot write .*{name}: .*{complaint}"):
+                refuse(tmp_path / name)
+        assert (tmp_path / name).is_symlink()
+
+
+def test_names_that_are_too_long_are_refused_before_the_work(tmp_path):
+    with pytest.raises(OSError, match=r"cannot write .*aaa: File name too long"):
+        check_writable(tmp_path / ("a" * 300))
+
+
+def test_a_file_that_cannot_be_read_to_its_end_is_named(tmp_path, monkeypatch):
+    class Broken(io.BytesIO):
+        def read(self, n=-1):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    (tmp_path / "a").write_bytes(b"content")
+    assert first_bytes(tmp_path / "a", 3) == b"con"
+    monkeypatch.setattr(type(tmp_path), "open", lambda self, mode: Broken())
+    with pytest.raises(OSError, match=r"cannot read .*a: Input/output error"):
+        first_bytes(tmp_path / "a", 3)

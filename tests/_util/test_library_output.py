@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import tempfile
 import threading
 
 import pytest
@@ -56,3 +57,31 @@ def test_a_closed_standard_error_is_no_error():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "printed\n"
+
+
+def test_without_a_folder_for_temporary_files_nothing_is_held_back(capfd, monkeypatch):
+    def full():
+        raise FileNotFoundError("no usable temporary directory")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", full)
+    with held_back("x: "):
+        os.write(2, b"x: damaged\n")
+    assert capfd.readouterr().err == "x: damaged\n"
+
+
+def test_forked_processes_find_the_streams_free():
+    code = (
+        "import os, threading\n"
+        "from photonrelax._util.library_output import held_back\n"
+        "inside, leave = threading.Event(), threading.Event()\n"
+        "def hold():\n"
+        "    with held_back('x'): inside.set(); leave.wait()\n"
+        "thread = threading.Thread(target=hold); thread.start(); inside.wait()\n"
+        "threading.Timer(0.1, leave.set).start()\n"
+        "if not (child := os.fork()):\n"
+        "    with held_back('x'): os.write(2, b'x held\\nof the child\\n')\n"
+        "    os._exit(0)\n"
+        "thread.join(); os.waitpid(child, 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "of the child\n")

@@ -1,6 +1,8 @@
 """`photonrelax compare`: all in one command, errors before the work, nothing lost on Ctrl-C."""
 
+import errno
 import json
+import os
 
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ import pytest
 from photonrelax.cli import commands
 from photonrelax.evaluation import comparison, reference, subject
 from photonrelax.evaluation.report import folder
-from photonrelax.imaging.image import read_exr
+from photonrelax.imaging.image import Image, read_exr
 
 SIZE = 32
 N = 10_000
@@ -75,6 +77,16 @@ def test_a_folder_that_cannot_be_is_an_error_before_the_work(tmp_path, capsys, n
     assert "it is a folder" in capsys.readouterr().err
 
 
+def test_a_folder_that_may_not_be_made_is_named(tmp_path, capsys, monkeypatch):
+    def refused(self, exist_ok):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(type(tmp_path), "mkdir", refused)
+    assert run_cli("compare", "ring", "-o", tmp_path / "new", *ARGUMENTS) == 1
+    expected = f"photonrelax: error: cannot make the folder {tmp_path / 'new'}: Permission denied\n"
+    assert capsys.readouterr().err == expected
+
+
 def test_a_foreign_reference_is_an_error_before_the_work(tmp_path, capsys, no_photons):
     (tmp_path / "reference.exr").write_text("mine")
     assert run_cli("compare", "ring", "-o", tmp_path) == 1
@@ -95,6 +107,19 @@ def test_what_cannot_be_leaves_no_folder(arguments, complaint, tmp_path, capsys,
     assert run_cli("compare", *arguments, "-o", tmp_path / "new") == 1
     assert complaint in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("name", ["standard.exr", "relaxation.exr"])
+def test_a_reference_that_the_comparison_replaces_or_removes_is_an_error(
+    name, tmp_path, capsys, no_photons
+):
+    mine = tmp_path / name
+    Image({"radiance": np.ones((SIZE, SIZE, 3))}).write_exr(mine)
+    before = mine.read_bytes()
+    compare = ("compare", "ring", "-o", tmp_path, "--methods", "standard", *ARGUMENTS)
+    assert run_cli(*compare, "--reference", mine) == 1
+    assert f"the image {name} and --reference should not be one file" in capsys.readouterr().err
+    assert mine.read_bytes() == before
 
 
 def test_photons_that_are_none_are_an_error_before_a_reference(tmp_path, capsys, no_reference):

@@ -1,9 +1,11 @@
 """Signals that end the command line, and its progress bars."""
 
+import importlib
 import json
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from types import SimpleNamespace
 
 import numpy as np
@@ -47,22 +49,17 @@ def test_ctrl_c_leaves_no_file_and_returns_130(stage, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_ctrl_c_leaves_the_passes_done_and_their_image(tmp_path):
-    command = ("render", "ring", "--method", "progressive", "--passes", 3, *SMALL)
-    state, output = ("--state", tmp_path / "run.npz"), tmp_path / "ring.exr"
-    done = run_interrupted_at("passes", *command, *state, "-o", output)
-    assert (done.returncode, done.stderr) == (130, "photonrelax: interrupted\n")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["ring.exr", "ring.png", "run.npz"]
-    assert run(*command, *state, "-o", output, "--quiet") == 0
-    assert run(*command, "-o", tmp_path / "straight.exr", "--quiet") == 0
-    assert output.read_bytes() == (tmp_path / "straight.exr").read_bytes()
-
-
 ENDS = [("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up"), ("SIGINT", 130, "interrupted")]
 
 
-@pytest.mark.parametrize(("name", "code", "message"), ENDS)
-@pytest.mark.parametrize("options", [(), ("--stochastic",), ("--interval", "1e-9")])
+@pytest.mark.parametrize(
+    ("name", "code", "message", "options"),
+    [
+        *((*end, ()) for end in ENDS),
+        (*ENDS[0], ("--stochastic",)),
+        (*ENDS[0], ("--interval", "1e-9")),
+    ],
+)
 def test_every_end_of_a_session_saves_the_passes_done(name, code, message, options, tmp_path):
     command = ("render", "ring", "--method", "progressive", "--passes", 3, *SMALL, *options)
     state, output = ("--state", tmp_path / "run.npz"), tmp_path / "ring.exr"
@@ -154,6 +151,30 @@ def test_ctrl_c_while_modules_load_is_not_lost(module, swallowed, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.fixture
+def swallowed():
+    """A signal whose exception was swallowed."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    with Interrupts() as interrupts:
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        yield interrupts
+    signal.signal(signal.SIGINT, before)
+
+
+def test_an_interrupt_that_was_swallowed_comes_with_the_next_import(swallowed):
+    with pytest.raises(KeyboardInterrupt):
+        importlib.import_module("no_such_module")
+
+
+def test_modules_load_while_an_exception_is_handled(swallowed):
+    try:
+        raise KeyboardInterrupt
+    except KeyboardInterrupt:
+        with pytest.raises(ModuleNotFoundError):
+            importlib.import_module("no_such_module")
+
+
 def test_ctrl_c_while_the_last_file_is_written_leaves_none(tmp_path, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
@@ -211,6 +232,12 @@ def test_a_bar_counts_the_time_before_its_first_report(capsys, monkeypatch):
     assert "[00:07<" in bars.shown("trace", 4, 4)
     monkeypatch.setattr(tqdm.std, "time", lambda: 110.0)
     assert "[00:03<" in bars.shown("relax", 6, 6)
+
+
+def test_bars_start_no_thread(capsys, monkeypatch):
+    monkeypatch.setattr(tqdm.tqdm, "monitor", None)
+    ProgressBars(capsys).shown("trace", 1, 4)
+    assert tqdm.tqdm.monitor is None
 
 
 def test_a_bar_left_over_closes_at_the_end(capsys):

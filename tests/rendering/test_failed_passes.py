@@ -133,3 +133,12 @@ def test_a_run_that_another_process_works_on_is_left_alone(ring, tmp_path):
     assert len(refused) == 3
     assert [path.name for path in tmp_path.iterdir()] == ["run.npz"]
     pr.render_progressive(ring, n_passes=3, checkpoints=state, **FEW)
+
+
+def test_a_state_that_cannot_be_written_is_refused_before_the_view_is_traced(
+    ring, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(pass_statistics.View, "bands", lambda _: pytest.fail("traced"))
+    state = pr.Checkpoints(state=tmp_path / "none" / "run.npz")
+    with pytest.raises(FileNotFoundError, match=r"cannot write .*run\.npz: there is no folder"):
+        pr.render_progressive(ring, n_passes=1, checkpoints=state, **FEW)

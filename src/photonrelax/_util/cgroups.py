@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -36,7 +37,8 @@ def control_groups(controller: str) -> Iterator[Path]:
 def text_of(path: Path) -> str:
     """Text of a file of the system, empty if there is none."""
     try:
-        return path.read_text()
+        # Names of groups and processes need not be text.
+        return os.fsdecode(path.read_bytes())
     except OSError:
         return ""
 

@@ -40,8 +40,7 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         If writing fails.
     """
     path = Path(path)
-    _check_target(path)
-    target = Path(os.path.realpath(path))
+    target = _target(path)
     partial = _partial(target)
     try:
         yield partial
@@ -76,6 +75,15 @@ def open_file(path: str | os.PathLike[str]) -> BinaryIO:
         raise FileNotFoundError(f"there is no file {path}: {error.strerror}") from None
     except OSError as error:
         raise type(error)(f"cannot read {path}: {error.strerror}") from None
+
+
+def first_bytes(path: str | os.PathLike[str], n: int) -> bytes:
+    """The first bytes of a file, at most `n`; raises the errors of `open_file`."""
+    with open_file(path) as file:
+        try:
+            return file.read(n)
+        except OSError as error:
+            raise type(error)(f"cannot read {path}: {error.strerror}") from None
 
 
 @contextmanager
@@ -135,13 +143,12 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         If the folder does not exist or cannot be written to, or `path` is not a regular file.
     """
     path = Path(path)
-    _check_target(path)
-    probe = _partial(Path(os.path.realpath(path)))
+    probe = _partial(_target(path))
     try:
         probe.touch()
     except OSError as error:
         raise OSError(
-            f"cannot write {path}: no file can be made in {path.parent} ({error.strerror})"
+            f"cannot write {path}: no file can be made in {_folder(path)} ({error.strerror})"
         ) from None
     finally:
         probe.unlink(missing_ok=True)
@@ -186,14 +193,35 @@ def json_text(content: Mapping[str, Any]) -> str:
     return json.dumps(content, indent=2)
 
 
-def _check_target(path: Path) -> None:
-    """Raise OSError unless a regular file may be, or is already, at a path."""
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"cannot write {path}: there is no folder {path.parent}")
-    if path.is_dir():
-        raise IsADirectoryError(f"cannot write {path}: it is a folder")
-    if path.exists() and not path.is_file():
-        raise OSError(f"cannot write {path}: it is a device, not a regular file")
+def _target(path: Path) -> Path:
+    """Path with symbolic links followed; OSError unless a regular file may be, or is, there."""
+    target, folder = Path(os.path.realpath(path)), _folder(path)
+    try:
+        if not folder.is_dir():
+            raise FileNotFoundError(None, f"there is no folder {folder}")
+        mode = _mode(target)
+        if stat.S_ISDIR(mode):
+            raise IsADirectoryError(None, "it is a folder")
+        if stat.S_ISLNK(mode):
+            raise OSError(None, "its symbolic links lead back to themselves")
+        if not stat.S_ISREG(mode):
+            raise OSError(None, "it is a device, not a regular file")
+    except OSError as error:
+        raise type(error)(f"cannot write {path}: {error.strerror}") from None
+    return target
+
+
+def _folder(path: Path) -> Path:
+    """Folder of the file that a path stands for."""
+    return Path(os.path.realpath(path)).parent if os.path.islink(path) else path.parent
+
+
+def _mode(path: Path) -> int:
+    """Mode of a file, that of a regular one if there is none."""
+    try:
+        return path.lstat().st_mode
+    except FileNotFoundError:
+        return stat.S_IFREG
 
 
 def _partial(path: Path) -> Path:

@@ -8,12 +8,16 @@ import sys
 import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from typing import IO
 
 _STDERR = 2
 # The streams are those of the whole process.
-_lock = threading.Lock()
+_lock = threading.RLock()
+# A child that is forked meanwhile would find it held for ever, and its standard error held back.
+os.register_at_fork(
+    before=_lock.acquire, after_in_parent=_lock.release, after_in_child=_lock.release
+)
 
 
 class HeldBack:
@@ -57,19 +61,20 @@ def _python_stdout(held: HeldBack) -> Iterator[None]:
 
 @contextmanager
 def _file_stderr(held: HeldBack) -> Iterator[None]:
-    try:
-        stderr = os.dup(_STDERR)
-    except OSError:
-        # It is closed: nothing can be printed there.
-        yield
-        return
-    with tempfile.TemporaryFile() as printed:
-        os.dup2(printed.fileno(), _STDERR)
+    with ExitStack() as opened:
         try:
+            stderr = os.dup(_STDERR)
+            opened.callback(os.close, stderr)
+            printed = opened.enter_context(tempfile.TemporaryFile())
+        except OSError:
+            # It is closed, or no file can be made: nothing is held back.
+            yield
+            return
+        try:
+            os.dup2(printed.fileno(), _STDERR)
             yield
         finally:
             os.dup2(stderr, _STDERR)
-            os.close(stderr)
             _write_others(printed, held)
 
 

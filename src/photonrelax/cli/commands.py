@@ -14,8 +14,8 @@ import photonrelax as pr
 from .. import gallery
 from .._util.files import (
     check_distinct,
+    first_bytes,
     json_text,
-    open_file,
     output_path,
     whole_file,
     write_json,
@@ -242,6 +242,8 @@ def _compare(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ..imaging import metrics
 
     _check_reference(options)
+    images = {f"the image {name}": options.output / name for name in folder.image_names()}
+    check_distinct({"--reference": options.reference, **images})
     metrics.check_installed()
     request = _comparison_request(options)
     image = None
@@ -316,8 +318,7 @@ def _info(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ..imaging.image import read_exr
     from .reports import describe_image, describe_photons
 
-    with open_file(options.file) as file:
-        magic = file.read(4)
+    magic = first_bytes(options.file, 4)
     if magic == _MAGIC_EXR:
         write_lines(describe_image(read_exr(options.file)))
     elif magic == _MAGIC_NPZ:

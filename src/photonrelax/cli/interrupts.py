@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from types import FrameType, TracebackType
 from typing import Any
@@ -23,7 +24,8 @@ _ENDS: dict[int, str] = {
 class Interrupts:
     """Context in which SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt, and are recorded.
 
-    Libraries with a bare ``except`` around imports swallow the exception; `check` raises it again.
+    Libraries with a bare ``except`` around imports swallow the exception; `check` raises it again,
+    and so does the next import.
 
     Attributes
     ----------
@@ -42,6 +44,7 @@ class Interrupts:
                 if signal.getsignal(number) == default:
                     signal.signal(number, self._record)
                     self._installed.append(number)
+        sys.meta_path.insert(0, self)
         return self
 
     def __exit__(
@@ -50,6 +53,7 @@ class Interrupts:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
+        sys.meta_path.remove(self)
         for number in self._installed:
             signal.signal(number, _DEFAULTS[number])
 
@@ -67,6 +71,12 @@ class Interrupts:
         """Raise KeyboardInterrupt if a signal was received, even if it was swallowed."""
         if self.received:
             raise KeyboardInterrupt
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> None:
+        """Find no module: importing calls this, and hears of a signal that was swallowed."""
+        # What is imported while an exception is handled may be needed to save the run.
+        if sys.exc_info()[0] is None:
+            self.check()
 
     def _record(self, number: int, frame: FrameType | None) -> None:
         is_first = not self.received

@@ -34,6 +34,8 @@ class ProgressBars:
         self._interrupts.check()
         if stage != self._stage:
             self._close()
+            # A thread that is of no use here; where none can be started tqdm prints a warning.
+            tqdm.monitor_interval = 0
             self._stage = stage
             self._bar = tqdm(total=total, desc=stage, unit_scale=True, disable=self._disable)
             # The first report of a stage comes late: it started when the last one ended.

@@ -131,8 +131,10 @@ def render_progressive(
         **view.settings,
     )
     check_photons_fit(scene, pass_settings.photons_per_pass, view.caster)
-    run = _Run(view, pass_settings)
-    return _run_to_end(run, stop, checkpoints or Checkpoints(), progress)
+    checkpoints = checkpoints or Checkpoints()
+    # Before the camera rays are traced, which may take long.
+    with _locked(checkpoints.state):
+        return _run_to_end(_Run(view, pass_settings), stop, checkpoints, progress)
 
 
 def _checked_settings(settings: ProgressiveSettings | None) -> ProgressiveSettings:
@@ -180,10 +182,9 @@ def _run_to_end(
     run: _Run, stop: _StopCondition, checkpoints: Checkpoints, progress: Progress | None
 ) -> Image:
     """Image of a run that is resumed, and run to its end with checkpoints."""
-    with _locked(checkpoints.state):
-        checkpointer = _Checkpointer(run, checkpoints)
-        checkpointer.resume(stop)
-        _loop(run, stop, checkpointer, progress)
+    checkpointer = _Checkpointer(run, checkpoints)
+    checkpointer.resume(stop)
+    _loop(run, stop, checkpointer, progress)
     run.check()
     return run.image()
 

@@ -30,10 +30,18 @@ def prepare_folder(folder: Path, methods: tuple[str, ...]) -> None:
         raise NotADirectoryError(f"cannot write into {folder}: it is not a folder")
     if not folder.exists() and not folder.parent.is_dir():
         raise FileNotFoundError(f"cannot write {folder}: there is no folder {folder.parent}")
-    folder.mkdir(exist_ok=True)
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise type(error)(f"cannot make the folder {folder}: {error.strerror}") from None
     names = {name for method in methods for name in _method_files(method)}
     for name in (PAGE, SHEET, NUMBERS, REFERENCE, "reference.png", *names, *_photon_files()):
         check_writable(folder / name)
+
+
+def image_names() -> set[str]:
+    """Names of images of all methods, which a comparison replaces or removes."""
+    return {name for method in METHODS for name in _method_files(method)}.union(_photon_files())
 
 
 def write(comparison: Comparison, folder: Path) -> Table:
@@ -108,8 +116,7 @@ def _photon_files() -> list[str]:
 
 def _remove_others(folder: Path, placed: set[str]) -> None:
     """Remove the images that comparisons of other methods have written."""
-    known = {name for method in METHODS for name in _method_files(method)}
-    for name in known.union(_photon_files()) - placed:
+    for name in image_names() - placed:
         (folder / name).unlink(missing_ok=True)
 
 
