@@ -113,28 +113,36 @@ def render_progressive(
 
     Raises
     ------
-    TypeError, ValueError, BlockingIOError
-        If an argument is invalid, no pass stores a photon, or the file is damaged, of another run
-        or in use; it is left as it is.
-    MemoryError
-        If image or photons surely do not fit in memory.
+    TypeError, ValueError, BlockingIOError, MemoryError
+        If an argument is invalid, no pass stores a photon, the file is damaged, of another run or
+        in use (it is left as it is), or image or photons surely do not fit in memory.
     KeyboardInterrupt
         On Ctrl-C, after the run was saved; it is saved before any other error is raised, too.
     """
     stop = _StopCondition.from_arguments(n_passes, seconds)
     view = View(scene, supersampling=supersampling, max_depth=max_depth, n_threads=n_threads)
-    pass_settings = PassSettings(
+    pass_settings = _pass_settings(view, settings, photons_per_pass, seed, stochastic)
+    check_photons_fit(scene, pass_settings.photons_per_pass, view.caster)
+    checkpoints = checkpoints or Checkpoints()
+    # Before the camera rays are traced, which may take long.
+    with _locked(checkpoints.state):
+        return _run_to_end(_Run(view, pass_settings), stop, checkpoints, progress)
+
+
+def _pass_settings(
+    view: View,
+    settings: ProgressiveSettings | None,
+    photons_per_pass: int,
+    seed: int,
+    stochastic: bool,
+) -> PassSettings:
+    return PassSettings(
         settings=_checked_settings(settings),
         photons_per_pass=validation.count(photons_per_pass, "photons_per_pass", high=MAX_PHOTONS),
         seed=check_seed(seed),
         stochastic=bool(stochastic),
         **view.settings,
     )
-    check_photons_fit(scene, pass_settings.photons_per_pass, view.caster)
-    checkpoints = checkpoints or Checkpoints()
-    # Before the camera rays are traced, which may take long.
-    with _locked(checkpoints.state):
-        return _run_to_end(_Run(view, pass_settings), stop, checkpoints, progress)
 
 
 def _checked_settings(settings: ProgressiveSettings | None) -> ProgressiveSettings:

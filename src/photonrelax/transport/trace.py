@@ -88,16 +88,15 @@ def trace_photons(
 ) -> PhotonMap:
     """Emit photons, trace their paths and store them on diffuse surfaces.
 
-    Photon i of an emission region depends on `seed` and i alone. `photonrelax.transport.trace`
-    describes the events at surfaces, and the memory photons take.
+    Photon i of an emission region depends on `seed` and i alone. The module describes the events
+    at surfaces, and the memory photons take.
 
     Parameters
     ----------
     scene : Scene
         Objects and emitters.
     n_emitted, seed : int
-        Paths to start, apportioned to the emitters by the flux they send to the target; seed of
-        the Halton sequence's shift and of the random numbers.
+        Paths to start, apportioned to the emitters by the flux they send to the target; the seed.
     paths : {"caustic", "global", "all"}
         Light to store: that of specular paths (L S+ D), neither that nor direct light, or all
         that arrives on diffuse surfaces.
@@ -113,7 +112,7 @@ def trace_photons(
     batch_size : int
         Paths traced together, rounded up to a multiple of 1024.
     caster : RayCaster, optional
-        Of the scene's objects, if there is one already: building it takes time.
+        Of the scene's objects: building it takes time.
 
     Returns
     -------
@@ -122,20 +121,24 @@ def trace_photons(
 
     Raises
     ------
-    TypeError, ValueError
-        If an argument is invalid, or if nothing is stored: the message says why.
-    MemoryError
-        If the photons surely do not fit in memory, as estimated from some thousands of them.
+    TypeError, ValueError, MemoryError
+        If an argument is invalid, nothing is stored (the message says why), or the photons surely
+        do not fit in memory, as estimated from some thousands of them.
     """
     settings = _checked_settings(paths, max_bounces, frequency_share)
     threads = thread_count(n_threads)
     n_emitted = count(n_emitted, "n_emitted", high=MAX_PHOTONS)
     _check_memory(scene, n_emitted, settings, caster, threads)
     plan = plan_emission(scene, n_emitted, paths, seed=seed, sampler=sampler)
-    most = min(count(batch_size, "batch_size", high=_MAX_BATCH), int(plan.counts.max()))
-    size = -(-most // _kernel.LEDGER_BLOCK) * _kernel.LEDGER_BLOCK
+    size = _batch_capacity(batch_size, plan)
     context = TraceContext(scene, plan, settings, size, caster=caster)
     return _trace_all(context, threads, progress)
+
+
+def _batch_capacity(batch_size: int, plan: EmissionPlan) -> int:
+    """Paths of a batch, whole blocks of the ledger."""
+    most = min(count(batch_size, "batch_size", high=_MAX_BATCH), int(plan.counts.max()))
+    return -(-most // _kernel.LEDGER_BLOCK) * _kernel.LEDGER_BLOCK
 
 
 def check_photons_fit(scene: Scene, n_emitted: int, caster: RayCaster | None = None) -> None:
