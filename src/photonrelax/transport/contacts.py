@@ -190,7 +190,9 @@ def warn_of_thin_objects(
     resolution : Resolution
         Distance that rays resolve.
     """
-    ids, first, of_face = np.unique(object_id, return_index=True, return_inverse=True)
+    first = np.flatnonzero(np.diff(object_id, prepend=-1))
+    n_faces = np.diff(first, append=len(object_id))
+    ids, of_face = object_id[first], np.repeat(np.arange(len(first)), n_faces)
     a, b, c = (corners[:, i] for i in range(3))
     normal = np.cross(b - a, c - a)
     height = np.einsum("ij,ij->i", a - corners[first, 0][of_face], normal)

@@ -7,15 +7,20 @@ photons only.
 
 cimport cython
 from libc.math cimport fabs, isfinite, sqrt
-from libc.stdint cimport int8_t, int32_t
+from libc.stdint cimport int32_t, int64_t
 
 import numpy as np
 
+from ..common.prefetch cimport prefetch_row
 from ..common.vec3 cimport dot
 from ..transport.raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
 
 # Hits farther along a ray than this multiple of the displacement do not count.
 cdef double MAX_DISTANCE_SCALE = 2.0
+
+cdef enum:
+    # Photons between the prefetch of a position and its use.
+    PREFETCH_DISTANCE = 8
 
 # Signs of a ray's direction along the photon's normal.
 DOWN, UP = -1, 1
@@ -81,6 +86,20 @@ cdef class Displacements:
             self.projected_normal[i, c] = side * hit.geometric[c]
 
 
+cdef struct SurfacePosition:
+    # Where a ray that finds the photon's face starts, m before it; the photon's own object; -1
+    # where the triangle is not known; side 0 for photons on no face, which are not displaced.
+    double ray_offset
+    int32_t object_id
+    int32_t triangle
+    int64_t side
+
+
+SURFACE_POSITION = np.dtype(
+    [("ray_offset", "f8"), ("object_id", "i4"), ("triangle", "i4"), ("side", "i8")]
+)
+
+
 @cython.final
 cdef class SurfacePositions:
     """The triangle each photon lies on, and the side of it.
@@ -92,12 +111,8 @@ cdef class SurfacePositions:
 
     cdef EmbreeFrame frame
     cdef Triangles triangles
-    cdef const int32_t[::1] object_id
-    cdef const double[::1] ray_offset
     cdef double min_cosine
-    # -1 where the triangle is not known; side 0 for photons on no face, which are not displaced.
-    cdef int32_t[::1] triangle
-    cdef int8_t[::1] side
+    cdef SurfacePosition[::1] at
 
     def __init__(
         self, EmbreeFrame frame, Triangles triangles, const int32_t[::1] object_id, *,
@@ -108,10 +123,10 @@ cdef class SurfacePositions:
                 f"ray_offset should have {object_id.shape[0]} rows, but has {ray_offset.shape[0]}"
             )
         self.frame, self.triangles = frame, triangles
-        self.object_id = object_id
-        self.ray_offset, self.min_cosine = ray_offset, min_cosine
-        self.triangle = np.full(object_id.shape[0], -1, np.int32)
-        self.side = np.zeros(object_id.shape[0], np.int8)
+        self.min_cosine = min_cosine
+        at = np.zeros(object_id.shape[0], SURFACE_POSITION)
+        at["ray_offset"], at["object_id"], at["triangle"] = ray_offset, object_id, -1
+        self.at = at
 
     def project(self, Displacements moves):
         """Project the photons that need no ray; the others are left pending."""
@@ -119,6 +134,10 @@ cdef class SurfacePositions:
         moves.n_pending = 0
         with nogil:
             for i in range(moves.photons.shape[0]):
+                if i + PREFETCH_DISTANCE < moves.photons.shape[0]:
+                    prefetch_row(
+                        &self.at[moves.photons[i + PREFETCH_DISTANCE]], sizeof(SurfacePosition)
+                    )
                 if not self.project_without_ray(moves, i):
                     moves.pending[moves.n_pending] = <int32_t>i
                     moves.n_pending += 1
@@ -135,7 +154,7 @@ cdef class SurfacePositions:
             for j in range(moves.n_pending):
                 moves.ray(
                     origin, direction, moves.pending[j], sign,
-                    self.ray_offset[moves.photons[moves.pending[j]]]
+                    self.at[moves.photons[moves.pending[j]]].ray_offset
                 )
                 finite &= isfinite(
                     self.frame.ray_to_embree(
@@ -165,14 +184,14 @@ cdef class SurfacePositions:
     cdef bint project_without_ray(self, Displacements moves, Py_ssize_t i) noexcept nogil:
         """Project a photon within its triangle, or one that stays; false for any other."""
         cdef Py_ssize_t photon = moves.photons[i]
-        cdef double offset = self.ray_offset[photon]
-        cdef int32_t triangle = self.triangle[photon]
+        cdef double offset = self.at[photon].ray_offset
+        cdef int32_t triangle = self.at[photon].triangle
         cdef double[3] origin
         cdef double[3] direction
         cdef Hit hit
         if moves.lookup:
             return False
-        if self.side[photon] == 0 or moves.squared_length(i) == 0.0:
+        if self.at[photon].side == 0 or moves.squared_length(i) == 0.0:
             moves.reject(i)
             return True
         if triangle < 0:
@@ -189,7 +208,7 @@ cdef class SurfacePositions:
         """Project a photon to what its ray hit; false where a ray the other way is needed."""
         cdef Py_ssize_t i = moves.pending[j]
         cdef Py_ssize_t photon = moves.photons[i]
-        cdef double offset = self.ray_offset[photon]
+        cdef double offset = self.at[photon].ray_offset
         cdef double[3] origin
         cdef double[3] direction
         cdef double max_distance = (
@@ -199,7 +218,7 @@ cdef class SurfacePositions:
         cdef bint any_hit
         moves.ray(origin, direction, i, sign, offset)
         any_hit = self.triangles.refine_hit(found, j, origin, direction, &hit)
-        if any_hit and hit.distance <= max_distance and hit.object_id == self.object_id[photon]:
+        if any_hit and hit.distance <= max_distance and hit.object_id == self.at[photon].object_id:
             self.place(moves, i, found.triangle[j], &hit)
         elif sign < 0:
             return False
@@ -207,7 +226,7 @@ cdef class SurfacePositions:
             moves.reject(i)
         elif any_hit:
             # Off its object, but what lies above it may be the object, farther away.
-            self.side[photon] = self.side_of(hit.geometric, &moves.normal[i, 0])
+            self.at[photon].side = self.side_of(hit.geometric, &moves.normal[i, 0])
         return True
 
     cdef void place(
@@ -217,13 +236,13 @@ cdef class SurfacePositions:
         cdef Py_ssize_t photon = moves.photons[i]
         cdef int side = self.side_of(hit.geometric, &moves.normal[i, 0])
         if moves.lookup:
-            self.side[photon] = side
-        elif side != self.side[photon]:
+            self.at[photon].side = side
+        elif side != self.at[photon].side:
             moves.reject(i)
             return
         else:
             moves.accept(i, hit, side)
-        self.triangle[photon] = triangle
+        self.at[photon].triangle = triangle
 
     cdef int side_of(self, const double* geometric, const double* normal) noexcept nogil:
         """Return +1 or -1 by the side of the face the normal is on, 0 beyond the largest angle."""

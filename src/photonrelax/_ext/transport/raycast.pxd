@@ -56,6 +56,9 @@ cdef class Triangles:
         self, EmbreeHits found, Py_ssize_t ray, const double* origin, const double* direction,
         Hit* hit,
     ) noexcept nogil
+    cdef double step_at(
+        self, int triangle, double u, double v, const TriangleRay* local
+    ) noexcept nogil
     cdef bint intersects(
         self, int triangle, const double* origin, const double* direction,
         double max_distance, Hit* hit,

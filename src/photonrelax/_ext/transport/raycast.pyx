@@ -334,7 +334,21 @@ cdef class Triangles:
         self.triangle_setup(&local, triangle, origin, direction)
         barycentric(&u, &v, &local)
         self.write_hit(hit, triangle, u, v, &local)
+        hit.step = self.step_at(triangle, u, v, &local)
         return True
+
+    cdef double step_at(
+        self, int triangle, double u, double v, const TriangleRay* local
+    ) noexcept nogil:
+        """Distance that rays are moved off a triangle at a point of it."""
+        cdef double[3] point
+        cdef int axis
+        for axis in range(3):
+            point[axis] = local.corner[axis] + u * local.ab[axis] + v * local.ac[axis]
+        return self.frame.step(
+            local.corner, &self.corners[self.faces[triangle, 1], 0],
+            &self.corners[self.faces[triangle, 2], 0], point
+        )
 
     cdef bint intersects(
         self, int triangle, const double* origin, const double* direction, double max_distance,
@@ -342,7 +356,7 @@ cdef class Triangles:
     ) noexcept nogil:
         """Write the intersection of a ray and one triangle; false where there is none.
 
-        Other triangles are ignored, also where they lie nearer.
+        Other triangles are ignored, also where they lie nearer. The step is not written.
         """
         cdef double u, v, t
         cdef TriangleRay local
@@ -380,10 +394,6 @@ cdef class Triangles:
             offset = u * local.ab[axis] + v * local.ac[axis]
             hit.position[axis] = local.corner[axis] + u * local.ab[axis] + v * local.ac[axis]
             distance += (offset - local.origin[axis]) * local.direction[axis]
-        hit.step = self.frame.step(
-            local.corner, &self.corners[self.faces[triangle, 1], 0],
-            &self.corners[self.faces[triangle, 2], 0], hit.position
-        )
         for axis in range(3):
             hit.position[axis] += self.frame.origin[axis]
         hit.distance = max(distance, 0.0)
