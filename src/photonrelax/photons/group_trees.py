@@ -56,9 +56,13 @@ def group_tree(
     ranges: Floats | None = None,
     *,
     group: Group,
+    coincident: bool = False,
     n_threads: int,
 ) -> GroupTree:
     """The tree of the photons of a group.
+
+    `coincident` says that some are known to be at the same point: emitter coordinates that differ
+    may keep the tree from noticing.
 
     Range axes are the emitter coordinates, if given with their ranges and of one emitter; the
     labels of the group, if it has any; and the normals, unless all are equal but for rounding:
@@ -81,7 +85,7 @@ def group_tree(
     if facing:
         axes.append((normal, largest / MAX_NORMAL_CHORD))
     tree, distinct = _tree_on(axes, rows, n_threads), None
-    if tree.kernel.may_coincide:
+    if coincident or tree.kernel.may_coincide:
         same = [position, *([] if coords is None else [np.floor(coords / largest)])]
         distinct = _distinct(same, group, normal if facing else None)
     if distinct is not None:

@@ -269,14 +269,14 @@ class _Detection:
     def fill(self, group: Group) -> None:
         """Detect the structure of a group; photons at rest are alone in theirs."""
         photons, n_threads = self._photons, self._n_threads
-        if self.reach is not None:
-            self._fill_reach(self.reach, group)
+        coincident = self.reach is not None and self._fill_reach(self.reach, group)
         of_group = group_tree(
             photons.position,
             photons.normal,
             photons.emitter_coords,
             self.ranges,
             group=group,
+            coincident=coincident,
             n_threads=n_threads,
         )
         inputs = _structure.StructureInputs(
@@ -293,8 +293,11 @@ class _Detection:
         if of_group.n_merged:
             self._report.advance(of_group.n_merged)
 
-    def _fill_reach(self, reach: Floats, group: Group) -> None:
-        """Set the rows of a group: `reach_scale` times the radius of k photons of any sheet."""
+    def _fill_reach(self, reach: Floats, group: Group) -> bool:
+        """Set the rows of a group: `reach_scale` times the radius of k photons of any sheet.
+
+        True if some are at the same point.
+        """
         photons, settings, n_threads = self._photons, self._settings, self._n_threads
         of_group = group_tree(photons.position, photons.normal, group=group, n_threads=n_threads)
         tree = of_group.tree
@@ -306,3 +309,4 @@ class _Detection:
         radius[np.isnan(radius)] = np.inf
         reach[of_group.rows] = radius[np.asarray(tree.kernel.ids)]
         of_group.repeat(reach)
+        return of_group.n_merged > 0
