@@ -17,7 +17,7 @@ import numpy as np
 from .._util.frozen import set_field
 from .._util.validation import Floats
 from .camera import Camera
-from .casters import MAX_GROUPS, group_spheres
+from .casters import MAX_GROUPS, bounding_sphere, group_spheres
 from .emission_region import Sphere
 from .emitters import Emitter
 from .materials import Material, MaterialTable
@@ -137,8 +137,8 @@ class Scene:
     @cached_property
     def scale(self) -> float:
         """Length of the diagonal of the bounding box of all objects, m."""
-        low, high = self._bounds(range(len(self.objects)))
-        return float(np.linalg.norm(high - low))
+        low, high = self.object_bounds
+        return float(np.linalg.norm(high.max(axis=0) - low.min(axis=0)))
 
     @cached_property
     def resolution(self) -> Resolution:
@@ -166,10 +166,7 @@ class Scene:
         ids = tuple(range(len(self.objects)) if object_ids is None else object_ids)
         if not ids:
             raise ValueError("object_ids should name at least one object, but is empty")
-        low, high = self._bounds(ids)
-        centre = low + 0.5 * (high - low)
-        radii = [np.linalg.norm(self._vertices[i] - centre, axis=1).max() for i in ids]
-        return Sphere(centre, float(max(radii)))
+        return bounding_sphere(np.concatenate([self._vertices[i] for i in ids]))
 
     @cached_property
     def caster_spheres(self) -> tuple[Sphere, ...]:
@@ -181,8 +178,7 @@ class Scene:
             return ()
         max_groups = max(1, min(MAX_GROUPS, _MAX_REGIONS // len(self.emitters)))
         meshes = [self.objects[i].mesh for i in self.specular_objects]
-        spheres = group_spheres(meshes, max_groups)
-        return spheres if len(spheres) > 1 else (self.bounding_sphere(self.specular_objects),)
+        return group_spheres(meshes, max_groups)
 
     @cached_property
     def object_bounds(self) -> tuple[Floats, Floats]:
@@ -198,11 +194,6 @@ class Scene:
     def _vertices(self) -> tuple[Floats, ...]:
         """The vertices of each object that belong to a face with an area."""
         return tuple(nondegenerate_vertices(item.mesh) for item in self.objects)
-
-    def _bounds(self, object_ids: Iterable[int]) -> tuple[Floats, Floats]:
-        rows = list(object_ids)
-        low, high = self.object_bounds
-        return low[rows].min(axis=0), high[rows].max(axis=0)
 
 
 def object_label(object_id: int, item: SceneObject) -> str:
