@@ -3,11 +3,12 @@
 import os
 import subprocess
 import sys
-import tempfile
 import threading
+import time
 
 import pytest
 
+from photonrelax._util import library_output
 from photonrelax._util.library_output import held_back
 
 
@@ -34,7 +35,7 @@ def test_streams_come_back_after_an_error(capfd):
 
 def test_threads_take_turns_and_lose_no_line(capfd):
     def work(name):
-        for i in range(20):
+        for i in range(500):
             with held_back(f"{name}: ") as held:
                 os.write(2, f"{name}: {i}\n".encode())
             assert held.lines == [f"{name}: {i}"]
@@ -42,11 +43,13 @@ def test_threads_take_turns_and_lose_no_line(capfd):
     threads = [threading.Thread(target=work, args=(name,)) for name in "abcd"]
     for thread in threads:
         thread.start()
-    for i in range(50):
-        os.write(2, f"main {i}\n".encode())
-    for thread in threads:
-        thread.join()
-    assert sorted(capfd.readouterr().err.splitlines()) == sorted(f"main {i}" for i in range(50))
+    written = 0
+    while any(thread.is_alive() for thread in threads):
+        os.write(2, f"main {written}\n".encode())
+        written += 1
+        time.sleep(1e-5)
+    lines = capfd.readouterr().err.splitlines()
+    assert sorted(lines) == sorted(f"main {i}" for i in range(written))
 
 
 def test_a_closed_standard_error_is_no_error():
@@ -59,14 +62,28 @@ def test_a_closed_standard_error_is_no_error():
     assert done.stdout == "printed\n"
 
 
-def test_without_a_folder_for_temporary_files_nothing_is_held_back(capfd, monkeypatch):
-    def full():
-        raise FileNotFoundError("no usable temporary directory")
+def test_without_another_thread_nothing_is_held_back(capfd, monkeypatch):
+    def full(thread):
+        raise RuntimeError("can't start new thread")
 
-    monkeypatch.setattr(tempfile, "TemporaryFile", full)
+    monkeypatch.setattr(threading.Thread, "start", full)
     with held_back("x: "):
         os.write(2, b"x: damaged\n")
     assert capfd.readouterr().err == "x: damaged\n"
+
+
+def test_a_process_that_goes_on_is_not_waited_for(capfd, monkeypatch):
+    monkeypatch.setattr(library_output, "_LONGEST_WAIT", 0.01)
+    with held_back("x: ") as held:
+        child = subprocess.Popen(["sh", "-c", "read line; echo $line >&2"], stdin=subprocess.PIPE)
+        os.write(2, b"x: damaged\n")
+    assert capfd.readouterr().err == ""
+    child.communicate(b"the child's\n")
+    for thread in threading.enumerate():
+        if thread.daemon:
+            thread.join(60)
+    assert held.lines == ["x: damaged"]
+    assert capfd.readouterr().err == "the child's\n"
 
 
 def test_forked_processes_find_the_streams_free():

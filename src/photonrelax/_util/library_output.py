@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import sys
-import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout
@@ -20,6 +19,10 @@ os.register_at_fork(
 )
 
 
+# In seconds, for processes started meanwhile: what they write comes when they have ended.
+_LONGEST_WAIT = 1.0
+
+
 class HeldBack:
     """Lines that were held back: `lines` has those of the library once the context has ended."""
 
@@ -27,12 +30,12 @@ class HeldBack:
         self.lines: list[str] = []
         self._marks = marks
 
-    def others(self, text: str) -> str:
-        """Text without the lines of the library, which are kept."""
-        lines = text.splitlines(keepends=True)
-        own = [line for line in lines if line.startswith(self._marks)]
-        self.lines += [line.rstrip("\n") for line in own]
-        return "".join(line for line in lines if line not in own)
+    def keeps(self, line: str) -> bool:
+        """Whether a line is the library's; it is kept then."""
+        own = line.startswith(self._marks)
+        if own:
+            self.lines.append(line.rstrip("\n"))
+        return own
 
 
 @contextmanager
@@ -40,7 +43,7 @@ def held_back(*marks: str) -> Iterator[HeldBack]:
     """Hold back lines on standard output and error that begin with one of the marks.
 
     Whatever else is printed meanwhile, by other threads, comes when the context ends. C code is
-    heard on standard error alone. Processes started meanwhile would write into what is held back.
+    heard on standard error alone.
     """
     held = HeldBack(marks)
     with _lock, _python_stdout(held), _file_stderr(held):
@@ -54,32 +57,50 @@ def _python_stdout(held: HeldBack) -> Iterator[None]:
         with redirect_stdout(printed):
             yield
     finally:
-        others = held.others(printed.getvalue())
+        lines = printed.getvalue().splitlines(keepends=True)
+        others = "".join(line for line in lines if not held.keeps(line))
         if others and sys.stdout is not None:
             sys.stdout.write(others)
 
 
 @contextmanager
 def _file_stderr(held: HeldBack) -> Iterator[None]:
+    # A pipe, as it ends only when no write into it is under way: a file could have been read, and
+    # be gone, before a line that another thread was writing is in it.
     with ExitStack() as opened:
         try:
             stderr = os.dup(_STDERR)
             opened.callback(os.close, stderr)
-            printed = opened.enter_context(tempfile.TemporaryFile())
-        except OSError:
-            # It is closed, or no file can be made: nothing is held back.
+            read_end, write_end = os.pipe()
+            opened.callback(os.close, write_end)
+            reader = _start_reader(read_end, held)
+        except (OSError, RuntimeError):
+            # It is closed, or there are too many files or threads: nothing is held back.
             yield
             return
         try:
-            os.dup2(printed.fileno(), _STDERR)
+            os.dup2(write_end, _STDERR)
             yield
         finally:
             os.dup2(stderr, _STDERR)
-            _write_others(printed, held)
+            opened.close()
+            reader.join(_LONGEST_WAIT)
 
 
-def _write_others(printed: IO[bytes], held: HeldBack) -> None:
-    printed.seek(0)
-    others = held.others(printed.read().decode(errors="surrogateescape"))
-    if others:
-        os.write(_STDERR, others.encode(errors="surrogateescape"))
+def _start_reader(read_end: int, held: HeldBack) -> threading.Thread:
+    with ExitStack() as opened:
+        source = opened.enter_context(open(read_end, "rb"))
+        target = opened.enter_context(open(os.dup(_STDERR), "wb"))
+        reader = threading.Thread(target=_pass_on, args=(source, target, held), daemon=True)
+        reader.start()
+        # The thread closes them.
+        opened.pop_all()
+    return reader
+
+
+def _pass_on(source: IO[bytes], target: IO[bytes], held: HeldBack) -> None:
+    """Write what is not held back to `target` when nobody writes into `source` any more."""
+    with source, target:
+        target.writelines(
+            [line for line in source if not held.keeps(line.decode(errors="surrogateescape"))]
+        )
