@@ -20,11 +20,42 @@ _SLIVER = 1e-12
 def nondegenerate_faces(mesh: trimesh.Trimesh) -> tuple[NDArray[np.intp], NDArray]:
     """Return ids (f,) and vertex indices (f, 3) of the faces that have an area."""
     faces = np.asarray(mesh.faces)
-    a, b, c = np.moveaxis(np.asarray(mesh.vertices)[faces], 1, 0)
-    longest = np.max([_length(b - a), _length(c - b), _length(a - c)], axis=0)
-    doubled_area = _length(np.cross(b - a, c - a))
+    a, b, c = corners_by_axis(np.asarray(mesh.vertices), faces)
+    longest = np.sqrt(longest_squared(a, b, c))
+    doubled_area = np.sqrt(squared(cross(b - a, c - a)))
     ids = np.flatnonzero(doubled_area > _SLIVER * longest**2)
     return ids, faces[ids]
+
+
+def corners_by_axis(vertices: Floats, faces: NDArray) -> tuple[Floats, Floats, Floats]:
+    """First, second and third corners of faces, (3, f) each: arithmetic runs along its rows."""
+    by_axis = np.ascontiguousarray(vertices.T)
+    a, b, c = (by_axis[:, faces[:, i]] for i in range(3))
+    return a, b, c
+
+
+def longest_squared(a: Floats, b: Floats, c: Floats) -> Floats:
+    """Squares of the longest edges of triangles by their corners (3, f), (f,)."""
+    return np.maximum(np.maximum(squared(b - a), squared(c - b)), squared(a - c))
+
+
+def squared(vectors: Floats) -> Floats:
+    """Squared lengths (n,) of vectors (3, n)."""
+    return dot(vectors, vectors)
+
+
+def dot(u: Floats, v: Floats) -> Floats:
+    """Scalar products (n,) of vectors (3, n)."""
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+
+
+def cross(u: Floats, v: Floats) -> Floats:
+    """Vector products (3, n) of vectors (3, n)."""
+    product = np.empty_like(u)
+    for axis in range(3):
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        product[axis] = u[i] * v[j] - u[j] * v[i]
+    return product
 
 
 def nondegenerate_vertices(mesh: trimesh.Trimesh) -> Floats:
@@ -100,7 +131,3 @@ def in_unit_cube(vertices: Floats) -> Floats:
     """Vertices moved and scaled to coordinates from 0 to 1."""
     low = vertices.min(axis=0)
     return (vertices - low) / (vertices - low).max()
-
-
-def _length(vectors: Floats) -> Floats:
-    return np.linalg.norm(vectors, axis=-1)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._util.validation import Floats
+from .meshes import corners_by_axis, longest_squared, squared
 
 # Rounding error of an intersection over the largest coordinate of its triangle: some 16 of float32.
 ROUNDING = 1e-6
@@ -44,19 +45,15 @@ class Resolution:
         that stands on it, however far it reaches.
         """
         low = vertices.min(axis=0)
-        a, b, c = (vertices[faces[:, i]] - low for i in range(3))
-        square = np.maximum(np.maximum(_square(b - a), _square(c - b)), _square(a - c))
-        weight = square.min() / square
+        a, b, c = corners_by_axis(vertices - low, faces)
+        longest = longest_squared(a, b, c)
+        weight = longest.min() / longest
         weight /= weight.sum()
-        origin = weight @ (a + b + c) / 3.0
-        distance = (_square(a - origin) + _square(b - origin) + _square(c - origin)) / 3.0
+        origin = (a + b + c) @ weight / 3.0
+        distance = sum(squared(corner - origin[:, np.newaxis]) for corner in (a, b, c)) / 3.0
         return cls(low + origin, float(np.sqrt(weight @ distance)))
 
     def at(self, position: Floats) -> Floats:
         """Return the distance, m, that is resolved at positions (..., 3)."""
         distance = np.abs(position - self.origin).max(axis=-1)
         return ROUNDING * MAX_SPREAD * np.maximum(distance, self.radius)
-
-
-def _square(vectors: Floats) -> Floats:
-    return np.einsum("ij,ij->i", vectors, vectors)

@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._util.validation import Floats
-from ..scene.meshes import face_bounds, face_normals
+from ..scene.meshes import (
+    corners_by_axis,
+    cross,
+    dot,
+    face_bounds,
+    face_normals,
+    squared,
+    vertices_of,
+)
 from ..scene.resolution import ROUNDING, Resolution
 from ..spatial.kdtree import KDTree
 
@@ -143,12 +151,13 @@ def _overlapping(
     inside = np.zeros(len(faces), dtype=bool)
     if transparent.all() or not transparent.any():
         return inside
-    low, high = face_bounds(vertices, faces)
-    for kind in (transparent, ~transparent):
-        corner = low[~kind].min(axis=0), high[~kind].max(axis=0)
-        margin = _GAP * resolution.at(np.array(corner)).max()
-        reach = (low <= corner[1] + margin) & (high >= corner[0] - margin)
-        inside[kind] = reach[kind].all(axis=1)
+    for kind in sorted((transparent, ~transparent), key=np.count_nonzero):
+        others = vertices[vertices_of(faces[~kind], len(vertices))]
+        low, high = others.min(axis=0), others.max(axis=0)
+        margin = _GAP * resolution.at(np.array([low, high])).max()
+        inside[kind] = _meet(*face_bounds(vertices, faces[kind]), low - margin, high + margin)
+        if not inside[kind].any():
+            break
     return inside
 
 
@@ -175,16 +184,20 @@ def _move(vertices: Floats, movable: NDArray, faces: NDArray, offsets: Floats) -
 
 
 def warn_of_thin_objects(
-    corners: Floats, object_id: NDArray[np.int32], labels: Sequence[str], resolution: Resolution
+    vertices: Floats,
+    faces: NDArray,
+    object_id: NDArray[np.int32],
+    labels: Sequence[str],
+    resolution: Resolution,
 ) -> None:
     """Warn of transparent objects that are thinner than rays resolve.
 
     Parameters
     ----------
-    corners : (f, 3, 3)
-        Of the faces of transparent objects, m.
-    object_id : (f,)
-        The object of each face, ascending.
+    vertices : (v, 3)
+        m.
+    faces, object_id : (f, 3), (f,)
+        Of transparent objects; ids ascend.
     labels : sequence of str
         Of all objects, for the message.
     resolution : Resolution
@@ -193,14 +206,15 @@ def warn_of_thin_objects(
     first = np.flatnonzero(np.diff(object_id, prepend=-1))
     n_faces = np.diff(first, append=len(object_id))
     ids, of_face = object_id[first], np.repeat(np.arange(len(first)), n_faces)
-    a, b, c = (corners[:, i] for i in range(3))
-    normal = np.cross(b - a, c - a)
-    height = np.einsum("ij,ij->i", a - corners[first, 0][of_face], normal)
+    a, b, c = corners_by_axis(vertices, faces)
+    normal = cross(b - a, c - a)
+    height = dot(a - a[:, first][:, of_face], normal)
     volume = np.abs(np.bincount(of_face, height)) / 6.0
-    area = np.bincount(of_face, np.sqrt(np.einsum("ij,ij->i", normal, normal))) / 2.0
+    area = np.bincount(of_face, np.sqrt(squared(normal))) / 2.0
     # Of a plate; open sheets have no volume, and none of a thickness of their own.
     thickness = 2.0 * volume / area
-    reach = np.abs(corners - resolution.origin).max(axis=(1, 2))
+    distance = np.abs(vertices - resolution.origin).max(axis=1)
+    reach = np.maximum.reduce([distance[faces[:, i]] for i in range(3)])
     least = _MIN_THICKNESS * ROUNDING * np.maximum.reduceat(reach, first)
     for i in np.flatnonzero((thickness < least) & (volume > area**1.5 * np.finfo(float).eps)):
         warnings.warn(

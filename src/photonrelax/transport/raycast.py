@@ -117,7 +117,8 @@ class RayCaster:
         transparent = np.array([item.material.has_inside for item in objects])
         of_glass = transparent[whole.faces[:, 3]]
         warn_of_thin_objects(
-            vertices[faces[of_glass]],
+            vertices,
+            faces[of_glass],
             whole.faces[of_glass, 3],
             [object_label(i, item) for i, item in enumerate(objects)],
             self.resolution,
