@@ -64,6 +64,15 @@ def test_trees_know_of_coincident_points():
             assert pr.KDTree(pair, n_threads=1 + seed % 2).kernel.may_coincide
 
 
+def test_trees_know_of_points_at_one_position_that_differ_a_little_on_range_axes():
+    position = unit_square(5000, "random")
+    for pair in range(20):
+        points = np.column_stack([position, position])
+        points[pair + 1, :2] = points[pair, :2]
+        points[pair + 1, 2:] = points[pair, 2:] + 1e-6
+        assert pr.KDTree(points, n_metric=2).kernel.may_coincide
+
+
 @pytest.mark.parametrize("photons", [random, curved, on_a_line, of_two_emitters])
 @pytest.mark.parametrize("method", EVERY_METHOD)
 def test_parts_of_photons_are_whole_photons(photons, method):

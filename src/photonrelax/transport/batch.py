@@ -112,14 +112,37 @@ class TraceContext:
         try:
             return self._free_list.pop()
         except IndexError:
-            return _kernel.Paths(
-                self.materials,
-                self.caster.frame,
-                self.caster.triangles,
-                self.size,
-                path_filter=PATHS.index(self.settings.paths),
-                max_bounces=self.settings.max_bounces,
-            )
+            return self.new_paths(self.size, self.settings.paths)
+
+    def new_paths(self, size: int, deposits: str) -> _kernel.Paths:
+        """Paths of which up to `size` are traced together; `deposits` is one of `PATHS`."""
+        return _kernel.Paths(
+            self.materials,
+            self.caster.frame,
+            self.caster.triangles,
+            size,
+            path_filter=PATHS.index(deposits),
+            max_bounces=self.settings.max_bounces,
+        )
+
+    def start(
+        self, paths: _kernel.Paths, region_id: int, candidates: NDArray[np.int64]
+    ) -> tuple[Floats, NDArray[np.int64]]:
+        """Emit candidates (n,) of a region into paths, which fill the arrays returned.
+
+        These are flux (blocks, outcomes, 3) and number (outcomes,) of the ends of paths.
+        """
+        energy = np.zeros((-(-len(candidates) // _kernel.LEDGER_BLOCK), len(PATH_OUTCOMES), 3))
+        ends = np.zeros(len(PATH_OUTCOMES), dtype=np.int64)
+        paths.start(
+            self.emissions[region_id],
+            candidates,
+            media=self.media[self.plan.aimed[region_id].emitter_id],
+            luminance=LUMINANCE * self.flux[region_id],
+            ledger=energy,
+            ends=ends,
+        )
+        return energy, ends
 
     def release_paths(self, paths: _kernel.Paths) -> None:
         """Take back paths that have ended."""
@@ -147,22 +170,15 @@ def _unpickled_context(key: str, parts: bytes) -> TraceContext:
 def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
     """Trace some photons of one region to the ends of their paths."""
     region_id, photons = job
-    n, candidates = len(photons), context.plan.candidates_of(region_id, photons)
-    energy = np.zeros((-(-n // _kernel.LEDGER_BLOCK), len(PATH_OUTCOMES), 3))
-    ends = np.zeros(len(PATH_OUTCOMES), dtype=np.int64)
+    candidates = context.plan.candidates_of(region_id, photons)
     paths = context.acquire_paths()
-    paths.start(
-        context.emissions[region_id],
-        candidates,
-        media=context.media[context.plan.aimed[region_id].emitter_id],
-        luminance=LUMINANCE * context.flux[region_id],
-        ledger=energy,
-        ends=ends,
-    )
+    energy, ends = context.start(paths, region_id, candidates)
     while paths.n_live:
         paths.advance(context.caster.find_paths(paths))
     deposits, coords, density = paths.take_deposits()
-    ledger = BatchLedger(region_id, n, energy, ends, paths.n_met_specular, paths.n_overflows)
+    ledger = BatchLedger(
+        region_id, len(photons), energy, ends, paths.n_met_specular, paths.n_overflows
+    )
     context.release_paths(paths)
     path, rows = _spectrum_rows(context, region_id, candidates, deposits)
     return TracedBatch(deposits, coords, density, ledger, candidates[path], rows)

@@ -159,8 +159,7 @@ class RayCaster:
     def find_paths(self, paths: Paths) -> EmbreeHits:
         """Embree's hits of the live rays of a batch of paths."""
         if len(self._cubes) > 1:
-            rays = paths.live_rays()
-            origins, directions = (np.ascontiguousarray(rays[:, i : i + 3]) for i in (1, 4))
+            _, origins, directions = paths.live_rays()
             self._start_near(origins, directions, *paths.rays)
         return self.find(*paths.rays)
 

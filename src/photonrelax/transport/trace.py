@@ -224,13 +224,7 @@ def _spectra(
     progress: Progress | None,
 ) -> Floats:
     """Return the column of spectra, NaN for photons that were not selected."""
-    tracer = SpectrumTracer(
-        context.scene,
-        context.plan,
-        context.caster,
-        max_bounces=context.settings.max_bounces,
-        n_threads=n_threads,
-    )
+    tracer = SpectrumTracer(context, n_threads)
     out = np.full((n_stored, 3), np.nan)
     report = Reporter(progress, "spectra", sum(len(some.rows) for some in selected))
     for some in batches_by_region(selected):

@@ -24,7 +24,8 @@ cdef class Tree:
     cdef readonly double[:, :, ::1] coords
     # Ids, the caller's row of each point, in tree order.
     cdef readonly int64_t[::1] ids
-    # False if no two points have the same coordinates on all axes; true if some may.
+    # False if no two points have the same coordinates on all axes; true if some may, or if two of a
+    # block have on the metric axes.
     cdef readonly bint may_coincide
     # First group of each kept level, and the end of the last.
     cdef Py_ssize_t[::1] first_group

@@ -64,9 +64,11 @@ cdef bint comes_after(const double[:, ::1] points, int64_t a, int64_t b) noexcep
     return a > b
 
 
-cdef bint coincide(const double[:, ::1] points, int64_t a, int64_t b) noexcept nogil:
+cdef bint coincide(
+    const double[:, ::1] points, Py_ssize_t n_axes, int64_t a, int64_t b
+) noexcept nogil:
     cdef Py_ssize_t axis
-    for axis in range(points.shape[1]):
+    for axis in range(n_axes):
         if points[a, axis] != points[b, axis]:
             return False
     return True
@@ -87,7 +89,7 @@ cdef void sort_block(Tree tree, const double[:, ::1] points, Py_ssize_t block) n
             tree.ids[hole] = tree.ids[hole - 1]
             hole -= 1
         tree.ids[hole] = own
-        if hole > first and coincide(points, tree.ids[hole - 1], own):
+        if hole > first and coincide(points, tree.n_metric, tree.ids[hole - 1], own):
             tree.may_coincide = True
 
 

@@ -184,15 +184,18 @@ cdef class Paths:
         return arrays
 
     def live_rays(self):
-        """Path, origin and direction of the live rays, (n_live, 7)."""
+        """Paths (n_live,), origins and directions (n_live, 3) of the live rays."""
         cdef Py_ssize_t i, c
-        cdef double[:, ::1] rows = np.empty((self.n_live, 7))
+        path = np.empty(self.n_live, dtype=np.intp)
+        origin, direction = np.empty((self.n_live, 3)), np.empty((self.n_live, 3))
+        cdef Py_ssize_t[::1] paths = path
+        cdef double[:, ::1] origins = origin, directions = direction
         for i in range(self.n_live):
-            rows[i, 0] = self.ray[i].path
+            paths[i] = self.ray[i].path
             for c in range(3):
-                rows[i, 1 + c] = self.ray[i].origin[c]
-                rows[i, 4 + c] = self.ray[i].direction[c]
-        return np.asarray(rows)
+                origins[i, c] = self.ray[i].origin[c]
+                directions[i, c] = self.ray[i].direction[c]
+        return path, origin, direction
 
     cdef void emit(self, Emission emission, Py_ssize_t path, uint64_t index) noexcept nogil:
         cdef Ray* ray = &self.ray[path]

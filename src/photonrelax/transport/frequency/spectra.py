@@ -22,18 +22,12 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._ext.transport import trace as _kernel
-from ..._ext.transport.materials import Materials
 from ..._util.validation import Floats
 from ...photons.axes import MIN_NORMAL_COSINE
-from ...photons.energy_ledger import PATH_OUTCOMES
 from ...scene.emission_region import EmissionRegion
-from ...scene.scene import Scene
-from ..aim import LUMINANCE
-from ..emission import PATHS, EmissionPlan
+from ..batch import TraceContext
 from ..frequency import operators
-from ..media import MediaFinder
-from ..raycast import Intersections, RayCaster, empty_intersections
+from ..raycast import Intersections, empty_intersections
 from .paraxial import ParaxialRays, emitted_rays
 from .path_replay import PathEvents, PathReplayer, ReplayHits
 
@@ -95,38 +89,20 @@ def _region_of(batch: ReplayBatch) -> int:
 class SpectrumTracer:
     """A scene and its emission, prepared for the spectra of its photons."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        plan: EmissionPlan,
-        caster: RayCaster,
-        *,
-        max_bounces: int,
-        n_threads: int | None = None,
-    ) -> None:
-        self._plan = plan
-        self._materials = Materials(scene.material_table())
-        self._caster = caster
-        self._media = MediaFinder(scene, caster, self._materials).at_emitters()
-        self._paths = _kernel.Paths(
-            self._materials,
-            caster.frame,
-            caster.triangles,
-            BATCH_SIZE,
-            path_filter=PATHS.index("caustic"),
-            max_bounces=max_bounces,
-        )
-        self._replayer = PathReplayer(scene, caster, n_threads)
-        self._point_size = _SOURCE_SIZE * scene.scale
+    def __init__(self, context: TraceContext, n_threads: int | None = None) -> None:
+        self._context = context
+        self._paths = context.new_paths(BATCH_SIZE, "caustic")
+        self._replayer = PathReplayer(context.scene, context.caster, n_threads)
+        self._point_size = _SOURCE_SIZE * context.scene.scale
 
     def spectra(self, batch: ReplayBatch) -> Floats:
         """(e, b, c) of up to `BATCH_SIZE` photons at their receivers, (n, 3).
 
         NaN for photons whose replay leaves the path.
         """
-        emitter_id, _, region, _ = self._plan.aimed[batch.region_id]
+        emitter_id, _, region, _ = self._context.plan.aimed[batch.region_id]
         events, origin, direction = self._trace_events(batch.region_id, batch.photons)
-        bundle = _Bundle(region, origin, direction, self._media[emitter_id])
+        bundle = _Bundle(region, origin, direction, self._context.media[emitter_id])
         hits = self._replayer.replay(bundle.rays(), events)
         distance = occlusion_distance(self._replayer, bundle, events, hits)
         light = self._emitted(region, distance)
@@ -150,34 +126,21 @@ class SpectrumTracer:
         self, region_id: int, photons: NDArray[np.int64]
     ) -> tuple[PathEvents, Floats, Floats]:
         """Trace photons again; return their events and their primal rays, two of (n, 3)."""
-        n = len(photons)
         steps: list[_Step] = []
-        self._paths.start(
-            self._plan.emission(region_id),
-            photons,
-            media=self._media[self._plan.aimed[region_id].emitter_id],
-            luminance=LUMINANCE * self._plan.flux_per_photon[region_id],
-            ledger=np.zeros((-(-n // _kernel.LEDGER_BLOCK), len(PATH_OUTCOMES), 3)),
-            ends=np.zeros(len(PATH_OUTCOMES), dtype=np.int64),
-        )
-        _, origin, direction = self._live_rays()
+        self._context.start(self._paths, region_id, photons)
+        _, origin, direction = self._paths.live_rays()
         while self._paths.n_live:
             steps.append(self._step())
-        return _path_events(steps, n, self._materials.diffuse), origin, direction
-
-    def _live_rays(self) -> tuple[NDArray[np.intp], Floats, Floats]:
-        """Paths (n,), origins and directions (n, 3) of the live rays."""
-        rows = self._paths.live_rays()
-        return rows[:, 0].astype(np.intp), np.ascontiguousarray(rows[:, 1:4]), rows[:, 4:].copy()
+        return _path_events(steps, len(photons), self._context.materials.diffuse), origin, direction
 
     def _step(self) -> _Step:
         """Advance the live paths by one event."""
-        path, origin, direction = self._live_rays()
+        path, origin, direction = self._paths.live_rays()
         hits = empty_intersections(len(path))
-        found = self._caster.find_paths(self._paths)
-        self._caster.triangles.refine_hits(origin, direction, found, hits)
+        found = self._context.caster.find_paths(self._paths)
+        self._context.caster.triangles.refine_hits(origin, direction, found, hits)
         self._paths.advance(found)
-        live, _, outgoing = self._live_rays()
+        live, _, outgoing = self._paths.live_rays()
         row = np.searchsorted(path, live)
         normal = hits.geometric_normal[row]
         height_in = np.einsum("ni,ni->n", direction[row], normal)
