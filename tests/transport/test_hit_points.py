@@ -252,11 +252,77 @@ def test_bands_of_rows_and_threads_do_not_change_a_bit():
     pixel = np.concatenate([b[0].pixel for b in bands])
     again = np.argsort(pixel, kind="stable")
     np.testing.assert_array_equal(pixel[again], whole.pixel[order])
-    for name in ("position", "normal", "weight", "object_id"):
+    for name in ("position", "normal", "weight", "object_id", "footprint"):
         concatenated = np.concatenate([getattr(b[0], name) for b in bands])
         np.testing.assert_array_equal(
             concatenated[again], getattr(whole, name)[order], err_msg=name
         )
+
+
+def narrow_camera(origin, target, *, orthographic=False):
+    """A camera of 3 x 3 pixels, so small that their images are those of a linear map."""
+    height = 1e-5 if orthographic else None
+    return pr.Camera(
+        *(origin, target, (0, 1, 0.2)),
+        width=3,
+        height=3,
+        vertical_fov=1e-4,
+        orthographic_height=height,
+    )
+
+
+def differences(points):
+    """Edges of the middle pixel by the positions of those around it, by path, (n, 2, 3)."""
+    grid = points.position.reshape(-1, 3, 3, 3)
+    return np.stack([grid[:, 1, 2] - grid[:, 1, 0], grid[:, 2, 1] - grid[:, 0, 1]], axis=1) / 2
+
+
+def assert_footprints_are_derivatives(objects, camera, n_paths, rtol=1e-4):
+    points, _ = trace_view(objects, camera)
+    assert len(points) >= 9 * n_paths
+    by_path = np.arange(len(points)).reshape(-1, 9)
+    np.testing.assert_array_equal(points.pixel, np.tile(np.arange(9), len(by_path)))
+    edges, expected = points.footprint[by_path[:, 4]], differences(points)
+    size = np.linalg.norm(expected, axis=2, keepdims=True)
+    np.testing.assert_allclose(edges / size, expected / size, atol=rtol)
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_footprints_seen_directly_are_the_edges_of_pixels(orthographic):
+    camera = narrow_camera((1.0, -3.0, 2.0), (0.3, 0.2, 0.0), orthographic=orthographic)
+    assert_footprints_are_derivatives([plane()], camera, 1)
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+@pytest.mark.parametrize("smooth", [False, True])
+@pytest.mark.parametrize("material", [pr.Mirror(), pr.Dielectric(1.5)])
+def test_footprints_follow_mirrors_and_glass(material, smooth, orthographic, monkeypatch):
+    """By way of a ball, flat or smooth: through its interior and off it."""
+    trace_weights_from(0.02, monkeypatch)
+    mesh = trimesh.creation.icosphere(subdivisions=2)
+    ball = pr.SceneObject(mesh, material, smooth=smooth)
+    camera = narrow_camera((3.0, 0.4, 4.0), (0.2, 0.33, 0.1), orthographic=orthographic)
+    room = box((-6, -6, -6), (6, 6, 6), pr.Diffuse())
+    n_paths = 1 if isinstance(material, pr.Mirror) else 2
+    assert_footprints_are_derivatives([room, ball], camera, n_paths, rtol=1e-3)
+
+
+def test_footprints_of_samples_cover_their_pixel():
+    camera = pr.Camera((0, 0, 9), (0, 0, 0), (0, 1, 0), width=4, height=2, orthographic_height=3)
+    points, _ = trace_view([plane()], camera, supersampling=3)
+    np.testing.assert_allclose(
+        points.footprint, np.tile([[0.5, 0, 0], [0, -0.5, 0]], (len(points), 1, 1)), atol=1e-12
+    )
+
+
+def test_edges_of_footprints_are_no_longer_than_the_scene():
+    """At the grazing rays of a horizon and at the critical angle they would be infinite."""
+    camera = pr.Camera((0, -40, 0.035), (0, 0, 0.035), width=32, height=20, vertical_fov=1)
+    points, _ = trace_view([plane()], camera)
+    length = np.linalg.norm(points.footprint, axis=2)
+    assert np.isfinite(length).all()
+    assert length.max() <= np.linalg.norm([100, 100]) * (1 + 1e-12)
+    assert length.max() > 141
 
 
 def test_an_empty_view_gives_no_points():

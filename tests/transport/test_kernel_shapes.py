@@ -7,7 +7,6 @@ from photonrelax._ext.transport.deposits import DEPOSIT, Columns
 from photonrelax import gallery
 from photonrelax._ext.transport import emission as emission_kernel
 from photonrelax._ext.transport import hit_points, trace
-from photonrelax.scene.camera import pixel_rays
 from photonrelax.transport.batch import TraceContext, TraceSettings
 from photonrelax.transport.emission import plan_emission
 
@@ -89,14 +88,28 @@ def test_emitted_rays_have_a_row_for_each_candidate(context, odd):
 
 
 @pytest.mark.parametrize(
-    "odd", [{"direction": (5, 3)}, {"weight": (16, 2)}, {"out_direction": (31, 3)}]
+    "odd", [{"origin": (15, 3)}, {"direction": (16, 2)}, {"pixel": 17}, {"film_change": (3, 3)}]
 )
-def test_split_rays_have_two_rows_for_each(context, odd):
-    origins, directions, _ = pixel_rays(context.scene.camera, range(4), 1)
-    hits = context.caster.intersect(origins, directions)
-    shapes = dict.fromkeys(("direction", "weight"), (16, 3))
-    shapes |= dict.fromkeys(("out_direction", "out_weight"), (32, 3)) | odd
+def test_camera_rays_have_a_row_each(context, odd):
+    shapes = {"origin": (16, 3), "direction": (16, 3), "pixel": 16, "axis": 3}
+    shapes |= {"origin_change": (2, 3), "film_change": (2, 3)} | odd
     given = {name: np.ones(shape) for name, shape in shapes.items()}
-    given |= {"media": np.zeros(16, np.uint64), "out_media": np.zeros(32, np.uint64)}
+    given["pixel"] = given["pixel"].astype(np.int64)
     with pytest.raises(ValueError, match="do not fit one another"):
-        hit_points.split(context.materials, hits, **given, n_threads=1)
+        camera_paths(context).start(**given)
+
+
+def test_hits_of_camera_rays_are_those_of_its_live_rays(context):
+    paths = camera_paths(context)
+    found = context.caster.find(*(np.ones((3, 3), np.float32),) * 2)
+    for process in (paths.advance, lambda hits: paths.first_surfaces(hits, np.ones(3), 1)):
+        with pytest.raises(ValueError, match="found should be of 0 rays, but is of 3"):
+            process(found)
+
+
+def camera_paths(context):
+    return hit_points.CameraPaths(
+        *(context.materials, context.caster.frame, context.caster.triangles),
+        least_weight=1e-3,
+        longest_edge=1.0,
+    )

@@ -122,6 +122,25 @@ def pixel_rays(
     return *_film_rays(camera, x[:, None], y[:, None]), pixel
 
 
+def sample_changes(camera: Camera, supersampling: int) -> tuple[Floats, Floats]:
+    """Changes (2, 3) over the width and the height of a sample, to the right and down.
+
+    Of the origins of rays, and of the points where they cross a film at a distance of 1 m.
+    """
+    right, up, _ = camera.axes()
+    changes = 2.0 / (camera.height * supersampling) * np.array([right, -up])
+    if camera.orthographic_height is not None:
+        return 0.5 * camera.orthographic_height * changes, np.zeros((2, 3))
+    return np.zeros((2, 3)), np.tan(np.radians(0.5 * camera.vertical_fov)) * changes
+
+
+def film_corners(camera: Camera) -> Floats:
+    """Origins (4, 3) of the rays at the corners of the image."""
+    x, y = np.meshgrid([-1.0, 1.0], [-1.0, 1.0])
+    x *= camera.width / camera.height
+    return _film_rays(camera, x.reshape(-1, 1), y.reshape(-1, 1))[0]
+
+
 def _film_rays(camera: Camera, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     right, up, forward = camera.axes()
     origin = np.asarray(camera.origin)

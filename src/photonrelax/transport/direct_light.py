@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._ext.transport.materials import Materials
-from .._util.parallel import thread_count
+from .._util.parallel import for_each_slice, thread_count
 from .._util.validation import Floats, float_array, unit_vectors
 from ..scene.scene import Scene
 from .media import MediaFinder
@@ -15,6 +15,8 @@ from .raycast import RayCaster
 
 # Clear channels of a medium absorb nothing over infinite distances either.
 _FARTHEST = np.finfo(np.float64).max
+# Points whose shadow rays are cast together.
+_CHUNK = 32768
 
 
 def direct_irradiance(
@@ -51,29 +53,45 @@ def direct_irradiance(
     TypeError, ValueError
         If shapes differ, values are not finite or a normal is zero.
     """
-    threads = thread_count(n_threads)
     position = float_array(position, "position", (None, 3))
     normal = unit_vectors(normal, "normal", (len(position), 3))
-    origin_offset = caster.resolution.at(position)[:, np.newaxis] * normal
     total = np.zeros_like(position)
-    materials = Materials(scene.material_table())
-    media = MediaFinder(scene, caster, materials).at_emitters()
-    for emitter, stack in zip(scene.emitters, media, strict=True):
-        offset = scene.emitter_offset(emitter)
-        direction, distance, facing = emitter.direct(position, offset)
-        cosine = np.maximum(np.einsum("ij,ij->i", direction, normal), 0.0)
-        irradiance = facing * cosine[:, None]
-        lit = np.flatnonzero(irradiance.any(axis=1))
-        occluded = caster.occluded(
-            position[lit],
-            direction[lit],
-            distance[lit] - offset,
-            origin_offset=origin_offset[lit],
-            n_threads=threads,
-        )
-        # No surface lies between: all of the way is in the medium at the emitter.
-        absorption = materials.absorption_in(stack)
-        if absorption.any():
-            irradiance[lit] *= beer_lambert(absorption, np.minimum(distance[lit], _FARTHEST))
-        total[lit] += np.where(occluded[:, None], 0.0, irradiance[lit])
+    light = _DirectLight(scene, caster)
+
+    def add(rows: slice) -> None:
+        light.add(total[rows], position[rows], normal[rows])
+
+    for_each_slice(add, len(position), _CHUNK, thread_count(n_threads))
     return total
+
+
+class _DirectLight:
+    """A scene prepared for the direct light of its emitters."""
+
+    def __init__(self, scene: Scene, caster: RayCaster) -> None:
+        self._caster = caster
+        materials = Materials(scene.material_table())
+        media = MediaFinder(scene, caster, materials).at_emitters()
+        self._emitters = [
+            (emitter, scene.emitter_offset(emitter), materials.absorption_in(stack))
+            for emitter, stack in zip(scene.emitters, media, strict=True)
+        ]
+
+    def add(self, total: Floats, position: Floats, normal: Floats) -> None:
+        """Add the irradiance (m, 3) at points to `total`."""
+        origin_offset = self._caster.resolution.at(position)[:, np.newaxis] * normal
+        for emitter, offset, absorption in self._emitters:
+            direction, distance, facing = emitter.direct(position, offset)
+            cosine = np.maximum(np.einsum("ij,ij->i", direction, normal), 0.0)
+            irradiance = facing * cosine[:, None]
+            lit = np.flatnonzero(irradiance.any(axis=1))
+            occluded = self._caster.occluded(
+                position[lit],
+                direction[lit],
+                distance[lit] - offset,
+                origin_offset=origin_offset[lit],
+            )
+            # No surface lies between: all of the way is in the medium at the emitter.
+            if absorption.any():
+                irradiance[lit] *= beer_lambert(absorption, np.minimum(distance[lit], _FARTHEST))
+            total[lit] += np.where(occluded[:, None], 0.0, irradiance[lit])

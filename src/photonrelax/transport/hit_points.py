@@ -6,26 +6,27 @@ surface.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._ext.transport.hit_points import split
+from .._ext.transport.hit_points import CameraPaths
 from .._ext.transport.materials import Materials
-from .._util.parallel import thread_count
-from .._util.validation import Floats, count
-from ..scene.camera import Camera, pixel_rays
+from .._util.parallel import ordered_map, thread_count, thread_executor
+from .._util.validation import MAX_REPEATS, Floats, count
+from ..scene.camera import Camera, film_corners, pixel_rays, sample_changes
 from ..scene.scene import Scene
-from .media import Media, MediaFinder, warn_of_overflows
-from .optics import from_behind
+from .media import MediaFinder, warn_of_overflows
 from .raycast import Intersections, RayCaster
 
 # Between parallel mirrors without loss rays never end.
 MAX_DEPTH = 10_000
 # Rays of less weight than this in every channel are not traced.
 _MIN_WEIGHT = 1e-3
+# Camera rays followed together, at least a row of the image.
+_BATCH = 16384
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,9 @@ class HitPoints:
         division by the number of samples per pixel.
     object_id : (m,) int32
         The object the point is on.
+    footprint : (m, 2, 3), optional
+        Edges of the part of the surface that the point stands for, m: the changes of its position
+        over the width and the height of a sample, by ray differentials (Igehy 1999).
     """
 
     pixel: NDArray[np.int64]
@@ -55,6 +59,7 @@ class HitPoints:
     albedo: Floats
     weight: Floats
     object_id: NDArray[np.int32]
+    footprint: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.pixel)
@@ -75,21 +80,6 @@ class FirstSurfaces:
 
     normal: Floats
     depth: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class _Rays:
-    """Segments of camera paths."""
-
-    origin: Floats
-    direction: Floats
-    origin_offset: Floats  # `Intersections.offset` of where the ray starts, NaN at the camera
-    weight: Floats  # without the division by the number of samples
-    media: Media
-    pixel: NDArray[np.int64]
-
-    def __getitem__(self, rows: NDArray) -> _Rays:
-        return _Rays(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
 
 def trace_hit_points(
@@ -136,127 +126,103 @@ def trace_hit_points(
     """
     threads = thread_count(n_threads)
     count(max_depth, "max_depth", low=0, high=MAX_DEPTH)
-    rays = _camera_rays(*pixel_rays(camera, rows, supersampling, offset=offset))
-    found = _camera_hits(caster, rays, threads)
-    materials = Materials(scene.material_table())
-    finder = MediaFinder(scene, caster, materials)
-    rays = replace(rays, media=finder.along(rays.origin, rays.direction, found))
-    points = []
-    for segments, hits in _levels(caster, rays, found, materials, n_threads=threads):
-        diffuse = materials.diffuse[hits.object_id]
-        points.append(_hit_points(segments[diffuse], hits[diffuse], materials, supersampling**2))
-        if len(points) > max_depth:
-            break
-    return _concatenate_points(points), _first_surfaces(camera, rays, found)
-
-
-def _levels(
-    caster: RayCaster,
-    rays: _Rays,
-    found: Intersections,
-    materials: Materials,
-    *,
-    n_threads: int,
-) -> Iterator[tuple[_Rays, Intersections]]:
-    """Yield rays and their hits, without misses: from the camera, then after each split."""
-    while True:
-        rays, found = rays[found.hit], found[found.hit]
-        rays = _absorb(rays, found, materials)
-        yield rays, found
-        specular = ~materials.diffuse[found.object_id]
-        if not specular.any():
-            return
-        rays = _split(rays[specular], found[specular], materials, n_threads)
-        found = caster.intersect(
-            rays.origin, rays.direction, origin_offset=rays.origin_offset, n_threads=n_threads
-        )
-
-
-def _camera_rays(origins: Floats, directions: Floats, pixel: NDArray[np.int64]) -> _Rays:
-    return _Rays(
-        origins,
-        directions,
-        origin_offset=np.full_like(origins, np.nan),
-        weight=np.ones_like(origins),
-        media=np.zeros(len(origins), dtype=np.uint64),
-        pixel=pixel,
+    count(supersampling, "supersampling", high=MAX_REPEATS)
+    tracer = _CameraTracer(
+        *(scene, caster, camera), supersampling=supersampling, offset=offset, max_depth=max_depth
     )
+    per_batch = max(_BATCH // (camera.width * supersampling**2), 1)
+    batches = [rows[i : i + per_batch] for i in range(0, len(rows), per_batch)] or [rows]
+    with thread_executor(min(threads, len(batches))) as executor:
+        done = list(ordered_map(tracer.trace, batches, executor))
+    warn_of_overflows(sum(batch.n_overflows for batch in done), tracer.materials)
+    first = FirstSurfaces(
+        np.concatenate([batch.first.normal for batch in done]),
+        np.concatenate([batch.first.depth for batch in done]),
+    )
+    return _hit_points([batch.seen for batch in done], tracer.materials), first
 
 
-def _camera_hits(caster: RayCaster, rays: _Rays, n_threads: int) -> Intersections:
+class _Batch(NamedTuple):
+    # Columns of `HitPoints`, but for the albedo.
+    seen: dict[str, NDArray]
+    first: FirstSurfaces
+    n_overflows: int
+
+
+class _CameraTracer:
+    """A scene and a camera, prepared for tracing rows of the image from several threads at once."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        caster: RayCaster,
+        camera: Camera,
+        *,
+        supersampling: int,
+        offset: tuple[float, float],
+        max_depth: int,
+    ) -> None:
+        self.materials = Materials(scene.material_table())
+        self._caster, self._camera = caster, camera
+        self._supersampling, self._offset = supersampling, offset
+        self._max_depth = max_depth
+        self._media = MediaFinder(scene, caster, self.materials)
+        self._may_be_inside = self._media.may_be_inside(film_corners(camera))
+        self._changes = sample_changes(camera, supersampling)
+        self._axis = camera.axes()[2]
+        self._extent = scene.scale
+
+    def trace(self, rows: range) -> _Batch:
+        """Trace the rays of some rows of the image."""
+        paths = CameraPaths(
+            self.materials,
+            self._caster.frame,
+            self._caster.triangles,
+            least_weight=_MIN_WEIGHT,
+            longest_edge=self._extent,
+        )
+        first = self._start(paths, rows)
+        for _ in range(self._max_depth + 1):
+            if not paths.n_live:
+                break
+            paths.advance(self._caster.find_paths(paths))
+        seen = paths.seen_points()
+        seen["weight"] /= self._supersampling**2
+        return _Batch(seen, first, paths.n_overflows)
+
+    def _start(self, paths: CameraPaths, rows: range) -> FirstSurfaces:
+        """Start the rays of some rows, in their media and off the surfaces that they start on."""
+        s = self._supersampling
+        origin, direction, pixel = pixel_rays(self._camera, rows, s, offset=self._offset)
+        origin_change, film_change = self._changes
+        paths.start(
+            *(origin, direction, pixel),
+            axis=self._axis,
+            origin_change=origin_change,
+            film_change=film_change,
+        )
+        if self._may_be_inside:
+            hits = _first_hits(self._caster, origin, direction)
+            paths.set_media(self._media.along(origin, direction, hits))
+        found = self._caster.find_paths(paths)
+        normal, depth, n_moved = paths.first_surfaces(found, self._axis, s * s)
+        if n_moved:
+            found = self._caster.find_paths(paths)
+            normal, depth, _ = paths.first_surfaces(found, self._axis, s * s)
+        shape = len(rows), self._camera.width
+        return FirstSurfaces(normal.reshape(*shape, 3), depth.reshape(shape))
+
+
+def _hit_points(batches: list[dict[str, NDArray]], materials: Materials) -> HitPoints:
+    columns = {name: np.concatenate([some[name] for some in batches]) for name in batches[0]}
+    return HitPoints(**columns, albedo=materials.table.reflectance[columns["object_id"]])
+
+
+def _first_hits(caster: RayCaster, origin: Floats, direction: Floats) -> Intersections:
     """Hits of the camera's rays, but not on surfaces that the camera lies on."""
-    found = caster.intersect(rays.origin, rays.direction, n_threads=n_threads)
-    height = found.distance * np.abs(np.einsum("ij,ij->i", rays.direction, found.geometric_normal))
+    found = caster.intersect(origin, direction)
+    height = found.distance * np.abs(np.einsum("ij,ij->i", direction, found.geometric_normal))
     if not (height <= found.step).any():
         return found
     offset = np.where((height <= found.step)[:, np.newaxis], found.offset, np.nan)
-    return caster.intersect(rays.origin, rays.direction, origin_offset=offset, n_threads=n_threads)
-
-
-def _first_surfaces(camera: Camera, rays: _Rays, found: Intersections) -> FirstSurfaces:
-    samples = (-1, camera.width, np.count_nonzero(rays.pixel == rays.pixel[0]))
-    depth = found.distance * (rays.direction @ camera.axes()[2])
-    normal = np.where(found.hit[:, None], _seen_normal(rays, found), 0.0)
-    return FirstSurfaces(
-        normal=normal.reshape(*samples, 3).mean(axis=2), depth=depth.reshape(samples).min(axis=2)
-    )
-
-
-def _seen_normal(rays: _Rays, found: Intersections) -> Floats:
-    """Shading normals on the side of the face that the ray comes from."""
-    behind = from_behind(rays.direction, found.geometric_normal)
-    return np.where(behind, -1.0, 1.0)[:, None] * found.shading_normal
-
-
-def _absorb(rays: _Rays, found: Intersections, materials: Materials) -> _Rays:
-    """Apply Beer–Lambert on the way to the hits."""
-    media, transmitted = materials.arrive(rays.direction, found, rays.media)
-    return replace(rays, media=media, weight=rays.weight * transmitted)
-
-
-def _split(rays: _Rays, found: Intersections, materials: Materials, n_threads: int) -> _Rays:
-    """Reflections and refractions of rays at specular surfaces, without the faint ones."""
-    n = len(found)
-    direction, weight = np.empty((2 * n, 3)), np.empty((2 * n, 3))
-    media = np.empty(2 * n, dtype=np.uint64)
-    overflows = split(
-        materials,
-        found,
-        direction=rays.direction,
-        weight=rays.weight,
-        media=rays.media,
-        out_direction=direction,
-        out_weight=weight,
-        out_media=media,
-        n_threads=n_threads,
-    )
-    warn_of_overflows(overflows, materials)
-    kept = np.flatnonzero(weight.max(axis=1) >= _MIN_WEIGHT)
-    parent = kept // 2
-    return _Rays(
-        origin=found.position[parent],
-        direction=direction[kept],
-        origin_offset=found.offset[parent],
-        weight=weight[kept],
-        media=media[kept],
-        pixel=rays.pixel[parent],
-    )
-
-
-def _hit_points(
-    rays: _Rays, found: Intersections, materials: Materials, n_samples: int
-) -> HitPoints:
-    return HitPoints(
-        pixel=rays.pixel,
-        position=found.position,
-        normal=_seen_normal(rays, found),
-        albedo=materials.table.reflectance[found.object_id],
-        weight=rays.weight / n_samples,
-        object_id=found.object_id,
-    )
-
-
-def _concatenate_points(parts: list[HitPoints]) -> HitPoints:
-    return HitPoints(
-        **{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(HitPoints)}
-    )
+    return caster.intersect(origin, direction, origin_offset=offset)

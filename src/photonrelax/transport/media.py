@@ -59,11 +59,21 @@ class MediaFinder:
         ]
         return np.array([r.origin + r.start_distance * r.frame[2] for r in regions])
 
+    def may_be_inside(self, origin: Floats) -> bool:
+        """False if no dielectric has any of the points (n, 3) in its bounding box."""
+        return bool(self._near(origin).any())
+
+    def _near(self, origin: Floats) -> NDArray[np.bool_]:
+        """Mask of the dielectrics whose bounding boxes meet that of points (n, 3)."""
+        near: NDArray[np.bool_] = np.all(
+            (self._low <= origin.max(axis=0)) & (self._high >= origin.min(axis=0)), axis=1
+        )
+        return near
+
     def along(self, origin: Floats, direction: Floats, found: Intersections) -> Media:
         """Media at the origins of rays (n, 3), by their first hits and those beyond, (n,)."""
         media = np.zeros(len(origin), dtype=np.uint64)
-        near = (self._low <= origin.max(axis=0)) & (self._high >= origin.min(axis=0))
-        near = near.all(axis=1)
+        near = self._near(origin)
         if not near.any():
             return media
         box = self._low[near].min(axis=0), self._high[near].max(axis=0)

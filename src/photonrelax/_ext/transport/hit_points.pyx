@@ -1,71 +1,469 @@
-"""Camera rays at specular surfaces: each splits into its reflection and its refraction.
+"""Camera rays, followed through specular surfaces to the diffuse points that they see.
 
-Every loop body writes only rows 2i and 2i + 1.
+A pass takes every ray of a batch from embree's hit to its continuations: a ray splits in two at a
+dielectric. Rays carry the changes of their origins and directions over the width and the height of
+a sample (ray differentials, Igehy 1999), which are the edges of the sample on the surface it sees.
 """
 
-from cython.parallel cimport prange
-from libc.stdint cimport int32_t, uint64_t
+cimport cython
+from libc.math cimport INFINITY, fabs, isfinite, sqrt
+from libc.stdint cimport int32_t, int64_t, uint64_t
 
-from ..common.threads cimport ELEMENTS, team_size
+import numpy as np
+
 from ..common.vec3 cimport copy, dot
-from .materials cimport Arrival, Interface, Materials, interface_at
+from .curvature cimport change_along, normal_derivative
+from .materials cimport (
+    Arrival, Interface, Materials, interface_at, is_absorbing, is_diffuse, media_at, transmittance,
+)
+from .optics cimport reflection_change, refraction_change
+from .raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
+
+cdef struct SeenPoint:
+    double[3] position
+    double[3] normal
+    double[3] weight
+    double[2][3] footprint
+    int64_t pixel
+    int32_t object_id
 
 
-def split(
-    Materials materials, hits, *, const double[:, ::1] direction, const double[:, ::1] weight,
-    const uint64_t[::1] media, double[:, ::1] out_direction, double[:, ::1] out_weight,
-    uint64_t[::1] out_media, int n_threads,
-):
-    """Write the two continuations of ray i to rows 2i (reflected) and 2i + 1 (refracted).
+cdef struct CameraRay:
+    double[3] origin
+    double[3] direction
+    double[3] weight
+    # Changes over the width and the height of a sample.
+    double[2][3] origin_change
+    double[2][3] direction_change
+    uint64_t media
+    int64_t pixel
 
-    Directions are unit vectors; `media` are those up to the hits. A continuation that does not
-    exist has weight 0. Returns the number of rays whose refraction loses its outermost medium.
+
+cdef struct Meeting:
+    # One ray at one surface. `inside` is true if it meets the back of the face.
+    CameraRay ray
+    Hit hit
+    int32_t triangle
+    bint inside
+
+
+@cython.final
+cdef class CameraPaths:
+    """Camera rays that are followed together, one batch after another.
+
+    Parameters
+    ----------
+    materials, frame, triangles : Materials, EmbreeFrame, Triangles
+        Of the scene.
+    least_weight : float
+        Rays of less weight in every channel are not followed.
+    longest_edge : float
+        Limit of the edges of footprints, m: at grazing angles they have none.
     """
-    cdef const int32_t[::1] object_id = hits.object_id
-    cdef const double[:, ::1] geometric = hits.geometric_normal
-    cdef const double[:, ::1] shading = hits.shading_normal
-    cdef Py_ssize_t i, n = direction.shape[0], n_overflows = 0
-    if not (
-        n == weight.shape[0] == media.shape[0]
-        == object_id.shape[0] == geometric.shape[0] == shading.shape[0]
-        and 2 * n == out_direction.shape[0] == out_weight.shape[0] == out_media.shape[0]
-        and 3 == direction.shape[1] == weight.shape[1] == geometric.shape[1] == shading.shape[1]
-        == out_direction.shape[1] == out_weight.shape[1]
+
+    cdef Materials materials
+    cdef EmbreeFrame frame
+    cdef Triangles triangles
+    cdef double least_weight, longest_edge
+    # Rays of this level and of the next, (n, sizeof(CameraRay)).
+    cdef unsigned char[::1] memory, next_memory
+    cdef CameraRay* ray
+    cdef CameraRay* next_ray
+    cdef object origin_array, direction_array
+    cdef float[:, ::1] origins, directions
+    # (n, sizeof(SeenPoint))
+    cdef unsigned char[::1] seen_memory
+    cdef SeenPoint* seen
+    cdef Py_ssize_t n_seen
+    cdef bint finite
+    cdef readonly Py_ssize_t n_live
+    cdef readonly int64_t n_overflows
+
+    def __init__(
+        self, Materials materials, EmbreeFrame frame, Triangles triangles, *, double least_weight,
+        double longest_edge,
     ):
-        raise ValueError("rays, hits and continuations do not fit one another")
-    for i in prange(
-        n, nogil=True, schedule="static", num_threads=team_size(n_threads, n, ELEMENTS)
+        self.materials, self.frame, self.triangles = materials, frame, triangles
+        self.least_weight, self.longest_edge = least_weight, longest_edge
+        self.memory = self.next_memory = np.empty(0, np.uint8)
+        self.origins = np.empty((0, 3), np.float32)
+        self.seen_memory = np.empty(0, np.uint8)
+
+    @property
+    def rays(self):
+        """Origins and directions (n_live, 3) of the live rays in embree's frame."""
+        return self.origin_array[: self.n_live], self.direction_array[: self.n_live]
+
+    def live_rays(self):
+        """Pixels (n_live,), origins and directions (n_live, 3) of the live rays."""
+        cdef Py_ssize_t i
+        pixel = np.empty(self.n_live, np.int64)
+        origin, direction = np.empty((self.n_live, 3)), np.empty((self.n_live, 3))
+        cdef int64_t[::1] pixels = pixel
+        cdef double[:, ::1] origins = origin, directions = direction
+        for i in range(self.n_live):
+            pixels[i] = self.ray[i].pixel
+            copy(&origins[i, 0], self.ray[i].origin)
+            copy(&directions[i, 0], self.ray[i].direction)
+        return pixel, origin, direction
+
+    def start(
+        self, const double[:, ::1] origin, const double[:, ::1] direction, const int64_t[::1] pixel,
+        *, const double[::1] axis, const double[:, ::1] origin_change,
+        const double[:, ::1] film_change,
     ):
-        out_media[2 * i] = media[i]
-        n_overflows += split_ray(
-            &out_direction[2 * i, 0], &out_weight[2 * i, 0], &out_media[2 * i + 1], materials,
-            Arrival(
-                &direction[i, 0], &geometric[i, 0], &shading[i, 0], object_id[i],
-                dot(&direction[i, 0], &geometric[i, 0]) > 0.0, media[i],
-            ),
-            &weight[i, 0],
+        """Start the rays of a batch, outside of all media.
+
+        Parameters
+        ----------
+        origin, direction, pixel : (n, 3), (n, 3), (n,)
+            Unit directions.
+        axis : (3,)
+            Viewing axis of the camera, a unit vector.
+        origin_change, film_change : (2, 3)
+            Changes over the width and the height of a sample: of origins, and of the points where
+            rays cross a film at a distance of 1 along the axis.
+        """
+        cdef Py_ssize_t i, n = origin.shape[0]
+        if not (
+            direction.shape[0] == pixel.shape[0] == n
+            and origin.shape[1] == direction.shape[1] == axis.shape[0] == 3
+            and origin_change.shape[0] == film_change.shape[0] == 2
+            and origin_change.shape[1] == film_change.shape[1] == 3
+        ):
+            raise ValueError("camera rays and their changes do not fit one another")
+        self.n_seen = self.n_overflows = 0
+        self.reserve(n)
+        self.ray, self.next_ray = self.next_ray, self.ray
+        self.memory, self.next_memory = self.next_memory, self.memory
+        self.finite = True
+        with nogil:
+            for i in range(n):
+                start_ray(
+                    &self.ray[i], &origin[i, 0], &direction[i, 0], &axis[0],
+                    &origin_change[0, 0], &film_change[0, 0],
+                )
+                self.ray[i].pixel = pixel[i]
+                self.to_embree(&self.ray[i], i, NULL)
+        self.n_live = n
+        self.check_finite()
+
+    def set_media(self, const uint64_t[::1] media):
+        """Set the media (n_live,) that the live rays start in."""
+        cdef Py_ssize_t i
+        if media.shape[0] != self.n_live:
+            raise ValueError(f"media should be of {self.n_live} rays, but are {media.shape[0]}")
+        for i in range(self.n_live):
+            self.ray[i].media = media[i]
+
+    def first_surfaces(self, EmbreeHits found, const double[::1] axis, Py_ssize_t n_samples):
+        """Surfaces that pixels of `n_samples` live rays each see first.
+
+        Rays that start on a surface are moved off it: `found` has to be found again for them.
+
+        Returns
+        -------
+        normal : (n, 3)
+            Means of the shading normals on the side of the rays, zero for rays that hit nothing.
+        depth : (n,)
+            Least distances along an axis, m; infinite where nothing is hit.
+        n_moved : int
+            Number of rays that start on a surface.
+        """
+        cdef Py_ssize_t i, pixel, c, n_moved = 0, n = self.n_live // n_samples
+        cdef double[:, ::1] normal = np.zeros((n, 3))
+        cdef double[::1] depth = np.full(n, INFINITY)
+        cdef double[3] own
+        cdef Hit hit
+        if axis.shape[0] != 3 or n * n_samples != self.n_live:
+            raise ValueError("axis and samples do not fit the rays")
+        self.check_hits(found)
+        with nogil:
+            for i in range(self.n_live):
+                if not self.refine(&hit, found, i):
+                    continue
+                pixel = i // n_samples
+                seen_normal(own, self.ray[i].direction, &hit)
+                for c in range(3):
+                    normal[pixel, c] += own[c]
+                depth[pixel] = min(
+                    depth[pixel], hit.distance * dot(self.ray[i].direction, &axis[0])
+                )
+                n_moved += self.leave_surface(i, &hit)
+            for pixel in range(n):
+                for c in range(3):
+                    normal[pixel, c] /= n_samples
+        return normal.base, depth.base, n_moved
+
+    def advance(self, EmbreeHits found):
+        """Process the hit of every live ray; return the number of their continuations."""
+        cdef Py_ssize_t i, live = 0
+        self.check_hits(found)
+        self.reserve(2 * self.n_live)
+        with nogil:
+            for i in range(self.n_live):
+                live = self.process(found, i, live)
+        self.ray, self.next_ray = self.next_ray, self.ray
+        self.memory, self.next_memory = self.next_memory, self.memory
+        self.n_live = live
+        self.check_finite()
+        return live
+
+    def seen_points(self):
+        """Columns of the points seen by the batch, (m, …), in the order of the passes."""
+        cdef Py_ssize_t i, m = self.n_seen
+        cdef int64_t[::1] pixel = np.empty(m, np.int64)
+        cdef int32_t[::1] object_id = np.empty(m, np.int32)
+        cdef double[:, ::1] position = np.empty((m, 3)), normal = np.empty((m, 3))
+        cdef double[:, ::1] weight = np.empty((m, 3))
+        cdef double[:, :, ::1] footprint = np.empty((m, 2, 3))
+        with nogil:
+            for i in range(m):
+                pixel[i], object_id[i] = self.seen[i].pixel, self.seen[i].object_id
+                copy(&position[i, 0], self.seen[i].position)
+                copy(&normal[i, 0], self.seen[i].normal)
+                copy(&weight[i, 0], self.seen[i].weight)
+                copy(&footprint[i, 0, 0], self.seen[i].footprint[0])
+                copy(&footprint[i, 1, 0], self.seen[i].footprint[1])
+        return {
+            "pixel": pixel.base,
+            "position": position.base,
+            "normal": normal.base,
+            "weight": weight.base,
+            "object_id": object_id.base,
+            "footprint": footprint.base,
+        }
+
+    cdef check_hits(self, EmbreeHits found):
+        if found.n_rays != self.n_live:
+            raise ValueError(f"found should be of {self.n_live} rays, but is of {found.n_rays}")
+
+    cdef check_finite(self):
+        if not self.finite:
+            raise ValueError("rays should be finite, but the camera or the scene leads some away")
+
+    cdef reserve(self, Py_ssize_t n):
+        """Make room for n rays of the next level, and for as many points more."""
+        cdef unsigned char[::1] larger
+        cdef Py_ssize_t seen = (self.n_seen + n) * sizeof(SeenPoint)
+        if self.next_memory.shape[0] < n * <Py_ssize_t> sizeof(CameraRay):
+            self.next_memory = np.empty(n * sizeof(CameraRay), np.uint8)
+        if n:
+            self.next_ray = <CameraRay*> &self.next_memory[0]
+        if self.origins.shape[0] < n:
+            self.origins = self.origin_array = np.empty((n, 3), np.float32)
+            self.directions = self.direction_array = np.empty((n, 3), np.float32)
+        if self.seen_memory.shape[0] < seen:
+            larger = np.empty(max(seen, 2 * self.seen_memory.shape[0]), np.uint8)
+            larger[: self.seen_memory.shape[0]] = self.seen_memory
+            self.seen_memory = larger
+            self.seen = <SeenPoint*> &self.seen_memory[0]
+
+    cdef bint refine(self, Hit* hit, EmbreeHits found, Py_ssize_t i) noexcept nogil:
+        """Write the hit of a live ray; false for a miss."""
+        self.triangles.prefetch(found, i)
+        return self.triangles.refine_hit(
+            found, i, self.ray[i].origin, self.ray[i].direction, hit
         )
-    return n_overflows
+
+    cdef bint leave_surface(self, Py_ssize_t i, const Hit* hit) noexcept nogil:
+        """Move a live ray off the surface that it hits if it starts on that."""
+        cdef double[3] offset
+        cdef int c
+        if hit.distance * fabs(dot(self.ray[i].direction, hit.geometric)) > hit.step:
+            return False
+        for c in range(3):
+            offset[c] = hit.step * hit.geometric[c]
+        self.to_embree(&self.ray[i], i, offset)
+        return True
+
+    cdef void to_embree(
+        self, const CameraRay* ray, Py_ssize_t row, const double* offset
+    ) noexcept nogil:
+        cdef double skipped = self.frame.ray_to_embree(
+            ray.origin, ray.direction, offset, &self.origins[row, 0], &self.directions[row, 0]
+        )
+        if not isfinite(skipped):
+            self.finite = False
+
+    cdef Py_ssize_t process(
+        self, EmbreeHits found, Py_ssize_t row, Py_ssize_t target
+    ) noexcept nogil:
+        """Record a diffuse point, or write the continuations from row `target`; return the end."""
+        cdef Meeting at
+        cdef double[3] transmitted
+        cdef int c
+        if not self.refine(&at.hit, found, row):
+            return target
+        at.ray = self.ray[row]
+        at.triangle = found.triangle[row]
+        at.inside = dot(at.ray.direction, at.hit.geometric) > 0.0
+        transfer(&at)
+        at.ray.media = media_at(self.materials, at.hit.object_id, at.inside, at.ray.media)
+        if is_absorbing(self.materials, at.ray.media):
+            transmittance(transmitted, self.materials, at.ray.media, at.hit.distance)
+            for c in range(3):
+                at.ray.weight[c] *= transmitted[c]
+        if is_diffuse(self.materials, at.hit.object_id):
+            self.record(&at)
+            return target
+        return self.split(&at, target)
+
+    cdef void record(self, const Meeting* at) noexcept nogil:
+        cdef SeenPoint* point = &self.seen[self.n_seen]
+        cdef int side
+        self.n_seen += 1
+        point.pixel = at.ray.pixel
+        point.object_id = at.hit.object_id
+        copy(point.position, at.hit.position)
+        seen_normal(point.normal, at.ray.direction, &at.hit)
+        copy(point.weight, at.ray.weight)
+        for side in range(2):
+            self.write_edge(point.footprint[side], at.ray.origin_change[side])
+
+    cdef void write_edge(self, double* edge, const double* change) noexcept nogil:
+        """Write an edge of a footprint: no longer than the limit, and zero if not finite."""
+        cdef double length = sqrt(dot(change, change))
+        cdef double scale = 0.0
+        cdef int c
+        if isfinite(length):
+            scale = 1.0 if length <= self.longest_edge else self.longest_edge / length
+        for c in range(3):
+            edge[c] = scale * change[c] if scale > 0.0 else 0.0
+
+    cdef Py_ssize_t split(self, Meeting* at, Py_ssize_t target) noexcept nogil:
+        """Write the reflection and the refraction of a ray, unless faint; return the end."""
+        cdef Arrival arrival = Arrival(
+            &at.ray.direction[0], &at.hit.geometric[0], &at.hit.shading[0], at.hit.object_id,
+            at.inside, at.ray.media,
+        )
+        cdef Interface to
+        cdef double[2][3] normal_change
+        cdef double[3] weight
+        cdef int c
+        interface_at(&to, self.materials, &arrival)
+        self.change_normal(normal_change, at, to.to.is_shading)
+        for c in range(3):
+            weight[c] = (
+                at.ray.weight[c] * to.reflected * self.materials.reflectance[at.hit.object_id, c]
+            )
+        if self.is_followed(weight):
+            self.follow(at, target, to.to.reflection, weight, at.ray.media)
+            for c in range(2):
+                reflection_change(
+                    self.next_ray[target].direction_change[c], at.ray.direction, to.to.normal,
+                    at.ray.direction_change[c], normal_change[c],
+                )
+            target += 1
+        if to.reflected == 1.0:
+            return target
+        for c in range(3):
+            # Radiance over the square of the index is constant across an interface.
+            weight[c] = at.ray.weight[c] * (1.0 - to.reflected) * (to.n1 / to.n2) ** 2
+        self.n_overflows += to.overflows
+        if self.is_followed(weight):
+            self.follow(at, target, to.to.refraction, weight, to.beyond)
+            for c in range(2):
+                refraction_change(
+                    self.next_ray[target].direction_change[c], at.ray.direction, to.to.normal,
+                    at.ray.direction_change[c], normal_change[c], to.n1, to.n2,
+                )
+            target += 1
+        return target
+
+    cdef bint is_followed(self, const double* weight) noexcept nogil:
+        return max(weight[0], max(weight[1], weight[2])) >= self.least_weight
+
+    cdef void follow(
+        self, const Meeting* at, Py_ssize_t target, const double* direction, const double* weight,
+        uint64_t media,
+    ) noexcept nogil:
+        """Write a ray that leaves a surface, but for the changes of its direction."""
+        cdef CameraRay* ray = &self.next_ray[target]
+        cdef double[3] offset
+        cdef int c
+        copy(ray.origin, at.hit.position)
+        copy(ray.direction, direction)
+        copy(ray.weight, weight)
+        copy(ray.origin_change[0], at.ray.origin_change[0])
+        copy(ray.origin_change[1], at.ray.origin_change[1])
+        ray.media = media
+        ray.pixel = at.ray.pixel
+        for c in range(3):
+            offset[c] = at.hit.step * at.hit.geometric[c]
+        self.to_embree(ray, target, offset)
+
+    cdef void change_normal(
+        self, double[3]* out, const Meeting* at, bint is_shading
+    ) noexcept nogil:
+        """Write the changes of the normal over the edges on the surface, on the ray's side."""
+        cdef double[9] derivative
+        cdef double side = -1.0 if at.inside else 1.0
+        cdef int edge, c
+        for edge in range(2):
+            for c in range(3):
+                out[edge][c] = 0.0
+        if not (is_shading and self.triangles.smooth[at.hit.object_id]):
+            return
+        self.derivative(derivative, at)
+        for edge in range(2):
+            change_along(out[edge], derivative, at.ray.origin_change[edge])
+            for c in range(3):
+                out[edge][c] *= side
+
+    cdef void derivative(self, double* out, const Meeting* at) noexcept nogil:
+        cdef const double* a = &self.triangles.corners[self.triangles.faces[at.triangle, 0], 0]
+        cdef const double* b = &self.triangles.corners[self.triangles.faces[at.triangle, 1], 0]
+        cdef const double* c = &self.triangles.corners[self.triangles.faces[at.triangle, 2], 0]
+        cdef double[3] position
+        cdef int axis
+        for axis in range(3):
+            position[axis] = at.hit.position[axis] - self.frame.origin[axis]
+        normal_derivative(out, position, a, b, c, a + 3, b + 3, c + 3)
 
 
-cdef bint split_ray(
-    double* out_direction, double* out_weight, uint64_t* out_beyond, Materials materials,
-    Arrival arrival, const double* weight,
+cdef void start_ray(
+    CameraRay* ray, const double* origin, const double* direction, const double* axis,
+    const double* origin_change, const double* film_change,
 ) noexcept nogil:
-    """Write two rows, 6 numbers of direction and 6 of weight, and the media of the second.
+    """Write a ray of weight one outside of all media.
 
-    True if a refracted ray loses its outermost medium.
+    A change of where a ray crosses the film changes its direction by what is perpendicular to it,
+    over the distance to the film.
     """
-    cdef Interface at
-    cdef int c
-    interface_at(&at, materials, &arrival)
-    copy(out_direction, at.to.reflection)
-    copy(out_direction + 3, arrival.direction)
-    if at.reflected < 1.0:
-        copy(out_direction + 3, at.to.refraction)
+    cdef double along, per_distance = dot(direction, axis)
+    cdef int edge, c
+    copy(ray.origin, origin)
+    copy(ray.direction, direction)
+    ray.media = 0
     for c in range(3):
-        out_weight[c] = weight[c] * at.reflected * materials.reflectance[arrival.object_id, c]
-        # Radiance over the square of the index is constant across an interface.
-        out_weight[3 + c] = weight[c] * (1.0 - at.reflected) * (at.n1 / at.n2) ** 2
-    out_beyond[0] = at.beyond
-    return at.overflows and at.reflected < 1.0
+        ray.weight[c] = 1.0
+    for edge in range(2):
+        copy(ray.origin_change[edge], origin_change + 3 * edge)
+        along = dot(direction, film_change + 3 * edge)
+        for c in range(3):
+            ray.direction_change[edge][c] = per_distance * (
+                film_change[3 * edge + c] - along * direction[c]
+            )
+
+
+cdef void transfer(Meeting* at) noexcept nogil:
+    """Carry the changes of the ray's origin to its hit, along the face."""
+    cdef double* change
+    cdef double along, facing = dot(at.ray.direction, at.hit.geometric)
+    cdef int edge, c
+    for edge in range(2):
+        change = at.ray.origin_change[edge]
+        for c in range(3):
+            change[c] += at.hit.distance * at.ray.direction_change[edge][c]
+        along = dot(change, at.hit.geometric) / facing
+        for c in range(3):
+            change[c] -= along * at.ray.direction[c]
+
+
+cdef void seen_normal(double* out, const double* direction, const Hit* hit) noexcept nogil:
+    """Write the shading normal on the side of the face that the ray comes from."""
+    cdef double side = -1.0 if dot(direction, hit.geometric) > 0.0 else 1.0
+    cdef int c
+    for c in range(3):
+        out[c] = side * hit.shading[c]

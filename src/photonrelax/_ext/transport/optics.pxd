@@ -104,3 +104,33 @@ cdef inline void deflect(
             out.normal[c] = side * geometric[c]
         reflect_into(out.reflection, d, out.normal)
         refract_into(out.refraction, d, out.normal, n1, n2)
+
+
+cdef inline void reflection_change(
+    double* out, const double* d, const double* n, const double* d_change, const double* n_change
+) noexcept nogil:
+    """Write the change of a reflected direction by those of the ray and the normal (Igehy 1999)."""
+    cdef double along = dot(d, n)
+    cdef double along_change = dot(d_change, n) + dot(d, n_change)
+    cdef int c
+    for c in range(3):
+        out[c] = d_change[c] - 2.0 * (along * n_change[c] + along_change * n[c])
+
+
+cdef inline void refraction_change(
+    double* out, const double* d, const double* n, const double* d_change, const double* n_change,
+    double n1, double n2
+) noexcept nogil:
+    """Write the change of a refracted direction by those of the ray and the normal (Igehy 1999).
+
+    It is not finite where the ray leaves along the surface.
+    """
+    cdef double ratio = n1 / n2
+    cdef double cos_i = -dot(d, n)
+    cdef double cos_change = -(dot(d_change, n) + dot(d, n_change))
+    cdef double cos_t = sqrt(max(cos_refracted_squared(cos_i, n1, n2), 0.0))
+    cdef double along = ratio * cos_i - cos_t
+    cdef double along_change = ratio * (1.0 - ratio * cos_i / cos_t) * cos_change
+    cdef int c
+    for c in range(3):
+        out[c] = ratio * d_change[c] + along * n_change[c] + along_change * n[c]

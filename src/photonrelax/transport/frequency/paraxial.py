@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from ..._ext.transport.materials import Materials
 from ..._util.validation import Floats
 from ...scene.scene import Scene
+from ..curvature import NormalDerivatives
 from ..frequency import operators
 from ..media import Media
 from ..optics import from_behind, reflect, refract
 from ..raycast import Intersections
-from .curvature import NormalDerivatives
 
 # Sines of incidence below this leave the plane of incidence undefined: any will do.
 _MIN_SINE = 1e-12
