@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import photonrelax as pr
+from photonrelax.transport import batch
 from photonrelax.transport.emission import emit, plan_emission
 from tests.helpers.tracing_scenes import (
     DOWN,
@@ -30,6 +31,15 @@ def test_threads_and_batches_change_no_bit(scene, paths):
             scene, 10_000, paths=paths, n_threads=n_threads, batch_size=batch_size
         )
         assert_same_bytes(one, other)
+
+
+@each_scene
+@each_kind
+def test_nor_does_the_order_of_rays(scene, paths, monkeypatch):
+    """Rays of scenes with many faces follow a curve over the emitter."""
+    in_order = pr.trace_photons(scene, 10_000, paths=paths, batch_size=3000)
+    monkeypatch.setattr(batch, "_MANY_FACES", 0)
+    assert_same_bytes(in_order, pr.trace_photons(scene, 10_000, paths=paths, batch_size=3000))
 
 
 def assert_same_bytes(one, other):

@@ -24,6 +24,9 @@ from .raycast import RayCaster
 
 Job = tuple[int, range]
 """A region of an emission plan and the indices of some of its photons."""
+# Faces of a scene from which on rays near to one another in sequence save more time than it takes
+# to put them so.
+_MANY_FACES = 30_000
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,7 @@ class TraceContext:
         self.caster = caster or RayCaster(scene.objects)
         self.media = MediaFinder(scene, self.caster, self.materials).at_emitters()
         self.flux = plan.flux_per_photon
+        self._along_curve = sum(len(item.mesh.faces) for item in scene.objects) > _MANY_FACES
         self.emissions = [plan.emission(region) for region in range(len(plan.aimed))]
         self._free_list: list[_kernel.Paths] = []
         self._pickled: tuple[str, bytes] | None = None
@@ -126,11 +130,17 @@ class TraceContext:
         )
 
     def start(
-        self, paths: _kernel.Paths, region_id: int, candidates: NDArray[np.int64]
+        self,
+        paths: _kernel.Paths,
+        region_id: int,
+        candidates: NDArray[np.int64],
+        *,
+        in_order: bool = False,
     ) -> tuple[Floats, NDArray[np.int64]]:
         """Emit candidates (n,) of a region into paths, which fill the arrays returned.
 
-        These are flux (blocks, outcomes, 3) and number (outcomes,) of the ends of paths.
+        These are flux (blocks, outcomes, 3) and number (outcomes,) of the ends of paths. Live rays
+        stay `in_order` of the candidates, or may follow a curve over the emitter.
         """
         energy = np.zeros((-(-len(candidates) // _kernel.LEDGER_BLOCK), len(PATH_OUTCOMES), 3))
         ends = np.zeros(len(PATH_OUTCOMES), dtype=np.int64)
@@ -141,6 +151,7 @@ class TraceContext:
             luminance=LUMINANCE * self.flux[region_id],
             ledger=energy,
             ends=ends,
+            along_curve=self._along_curve and not in_order,
         )
         return energy, ends
 

@@ -1,13 +1,14 @@
 """Events of paths where their rays hit surfaces: one pass over all live rays, without the GIL.
 
 A pass takes every ray from embree's hit to the next ray for embree: the intersection in float64,
-the event there, and the ray that leaves it. Live rays stay in the order of their paths, so every
-sum is taken in the order of the photons however they are split into batches.
+the event there, and the ray that leaves it. Rays of a batch follow a curve over the emitter, as
+embree and memory are faster with rays close to one another in sequence; still every sum is taken in
+the order of the photons, however they are split into batches.
 """
 
 cimport cython
-from libc.math cimport isfinite
-from libc.stdint cimport int16_t, int32_t, int64_t, uint64_t
+from libc.math cimport INFINITY, isfinite
+from libc.stdint cimport int16_t, int32_t, int64_t, uint32_t, uint64_t
 
 import numpy as np
 
@@ -56,6 +57,11 @@ cdef enum:
 
 LEDGER_BLOCK = PER_BLOCK
 
+# Bits of a Morton code, from two axes, and number of codes.
+cdef enum:
+    AXIS_BITS = 7
+    N_CODES = 1 << (2 * AXIS_BITS)
+
 
 cdef struct Ray:
     # Next segment of a live path. `path` is its index in the batch; `media` is a stack.
@@ -66,6 +72,17 @@ cdef struct Ray:
     uint64_t key, signature, media
     int32_t path
     int16_t n_specular, n_diffuse
+
+
+cdef struct Loss:
+    # Flux of a path that ends or changes, relative to that of a photon.
+    double[3] amount
+    int32_t path, outcome
+
+
+# Losses of a ray in a pass, at most: in the medium, at the surface, and its end.
+cdef enum:
+    MAX_LOSSES = 3
 
 
 cdef struct Event:
@@ -103,6 +120,37 @@ cdef void sample_cosine(double* out, const Event* event) noexcept nogil:
         out[c] = local[0] * u[c] + local[1] * v[c] + local[2] * event.facing[c]
 
 
+cdef void write_codes(int32_t[::1] code, const double[:, ::1] coords) noexcept nogil:
+    """Write Morton codes of coordinates (n, 3), over the two axes that they span most."""
+    cdef double[3] low, high
+    cdef double[2] scale
+    cdef int[2] axes
+    cdef Py_ssize_t i
+    cdef int axis, k
+    for axis in range(3):
+        low[axis], high[axis] = INFINITY, -INFINITY
+        for i in range(code.shape[0]):
+            low[axis] = min(low[axis], coords[i, axis])
+            high[axis] = max(high[axis], coords[i, axis])
+        high[axis] -= low[axis]
+    axis = 0 if high[0] <= min(high[1], high[2]) else 1 if high[1] <= high[2] else 2
+    axes[0], axes[1] = (axis + 1) % 3, (axis + 2) % 3
+    for k in range(2):
+        scale[k] = ((1 << AXIS_BITS) - 0.5) / high[axes[k]] if high[axes[k]] > 0.0 else 0.0
+    for i in range(code.shape[0]):
+        code[i] = (
+            spread_bits(<uint32_t> ((coords[i, axes[0]] - low[axes[0]]) * scale[0]))
+            | spread_bits(<uint32_t> ((coords[i, axes[1]] - low[axes[1]]) * scale[1])) << 1
+        )
+
+
+cdef uint32_t spread_bits(uint32_t cell) noexcept nogil:
+    """Bits of a number below 256, with a zero above each."""
+    cell = (cell | cell << 4) & 0x0F0F
+    cell = (cell | cell << 2) & 0x3333
+    return (cell | cell << 1) & 0x5555
+
+
 cdef void append_signature(Ray* ray, int32_t object_id, int kind) noexcept nogil:
     cdef uint64_t step = 4 * <uint64_t>object_id + kind + 1
     ray.signature = mix(ray.signature + step * <uint64_t>0x9E3779B97F4A7C15)
@@ -112,15 +160,20 @@ cdef void append_signature(Ray* ray, int32_t object_id, int kind) noexcept nogil
 cdef class Paths:
     """State of a batch of up to `size` paths of one emitter; reused for one batch after another.
 
-    Live rays are packed at the front, in the order of their paths. Ledger rows belong to blocks
-    of `LEDGER_BLOCK` photons, counted from the emitter's first.
+    Live rays are packed at the front. Ledger rows belong to blocks of `LEDGER_BLOCK` photons,
+    counted from the emitter's first.
     """
 
     cdef Materials materials
     cdef EmbreeFrame frame
     cdef Triangles triangles
-    cdef unsigned char[::1] memory
+    cdef unsigned char[::1] memory, loss_memory
     cdef Ray* ray
+    cdef Ray* spare
+    cdef Loss* loss
+    cdef Py_ssize_t n_losses
+    # Row of the first loss of each path in a pass; empty while rays are in the order of paths.
+    cdef int32_t[::1] first_loss
     cdef object origin_array, direction_array
     cdef float[:, ::1] origins, directions
     cdef Deposits deposits
@@ -138,8 +191,11 @@ cdef class Paths:
     ):
         self.materials, self.frame, self.triangles = materials, frame, triangles
         self.size = size
-        self.memory = np.empty(size * sizeof(Ray), np.uint8)
+        self.memory = np.empty(2 * size * sizeof(Ray), np.uint8)
         self.ray = <Ray*> &self.memory[0]
+        self.spare = self.ray + size
+        self.loss_memory = np.empty(2 * MAX_LOSSES * size * sizeof(Loss), np.uint8)
+        self.loss = <Loss*> &self.loss_memory[0]
         self.origins = self.origin_array = np.empty((size, 3), np.float32)
         self.directions = self.direction_array = np.empty((size, 3), np.float32)
         self.deposits = Deposits(0)
@@ -152,9 +208,13 @@ cdef class Paths:
 
     def start(
         self, Emission emission, const int64_t[::1] photons, *, const double[::1] luminance,
-        double[:, :, ::1] ledger, int64_t[::1] ends, uint64_t media=0,
+        double[:, :, ::1] ledger, int64_t[::1] ends, uint64_t media=0, bint along_curve=False,
     ):
-        """Start paths with the primal rays of photons, given by their indices, within media."""
+        """Start paths with the primal rays of photons, given by their indices, within media.
+
+        Rays are in the order of the photons, or `along_curve` in Morton order of their emitter
+        coordinates.
+        """
         cdef Py_ssize_t i, c, n = photons.shape[0]
         if n > self.size:
             raise ValueError(f"photons should be at most {self.size}, but are {n}")
@@ -174,6 +234,14 @@ cdef class Paths:
             for i in range(n):
                 self.emit(emission, i, photons[i])
                 self.ray[i].media = media
+        self.n_losses = 0
+        self.first_loss = np.empty(0, np.int32)
+        if along_curve:
+            self.first_loss = np.empty(n + 1, np.int32)
+            self.follow_curve(n)
+        with nogil:
+            for i in range(n):
+                self.to_embree(i, NULL)
         self.n_live = n
         self.check_finite()
 
@@ -212,7 +280,24 @@ cdef class Paths:
         self.deposits.density[path] = emission.ray(
             index, ray.origin, ray.direction, &self.deposits.coords[path, 0]
         )
-        self.to_embree(path, NULL)
+
+    cdef follow_curve(self, Py_ssize_t n):
+        """Put the rays in Morton order of the cells of their emitter coordinates."""
+        cdef const double[:, ::1] coords = self.deposits.coords
+        cdef int32_t[::1] code = np.empty(n, np.int32)
+        cdef int32_t[::1] first = np.zeros(N_CODES + 1, np.int32)
+        cdef Ray* ordered = self.spare
+        cdef Py_ssize_t i
+        with nogil:
+            write_codes(code, coords)
+            for i in range(n):
+                first[code[i] + 1] += 1
+            for i in range(N_CODES):
+                first[i + 1] += first[i]
+            for i in range(n):
+                ordered[first[code[i]]] = self.ray[i]
+                first[code[i]] += 1
+        self.ray, self.spare = self.spare, self.ray
 
     def advance(self, EmbreeHits found):
         """Process the hit of every live ray; return the number of rays still live."""
@@ -225,6 +310,7 @@ cdef class Paths:
                 self.triangles.prefetch(found, i)
                 # Row `live` is never beyond row i, so the rays pack in place.
                 live += self.intersect(found, i, live)
+            self.settle()
         self.n_live = live
         self.check_finite()
         return live
@@ -366,6 +452,7 @@ cdef class Paths:
         """
         cdef Ray* ray = event.ray
         cdef double before = 0.0, after = 0.0, kept
+        cdef double[3] lost
         cdef int c
         for c in range(3):
             before += self.luminance[c] * ray.throughput[c]
@@ -374,14 +461,47 @@ cdef class Paths:
             return False
         for c in range(3):
             kept = ray.throughput[c] * factor[c] * (before / after)
-            self.ledger[ray.path // PER_BLOCK, outcome, c] += ray.throughput[c] - kept
+            lost[c] = ray.throughput[c] - kept
             ray.throughput[c] = kept
+        self.lose(ray.path, outcome, lost)
         return True
 
     cdef bint terminate(self, const Ray* ray, int outcome) noexcept nogil:
         """Add the throughput of a path to the ledger; always false: it does not continue."""
-        cdef int c
         self.ends[outcome] += 1
-        for c in range(3):
-            self.ledger[ray.path // PER_BLOCK, outcome, c] += ray.throughput[c]
+        self.lose(ray.path, outcome, ray.throughput)
         return False
+
+    cdef void lose(self, int32_t path, int outcome, const double* amount) noexcept nogil:
+        cdef Loss* loss = &self.loss[self.n_losses]
+        self.n_losses += 1
+        loss.path, loss.outcome = path, outcome
+        copy(loss.amount, amount)
+
+    cdef void settle(self) noexcept nogil:
+        """Add the losses of a pass to the ledger, in the order of the paths."""
+        cdef Py_ssize_t i
+        cdef int c
+        cdef const Loss* loss = self.loss
+        if self.first_loss.shape[0]:
+            loss = self.losses_by_path()
+        for i in range(self.n_losses):
+            for c in range(3):
+                self.ledger[loss[i].path // PER_BLOCK, loss[i].outcome, c] += loss[i].amount[c]
+        self.n_losses = 0
+
+    cdef const Loss* losses_by_path(self) noexcept nogil:
+        """Sort losses by their paths; those of a path keep their order."""
+        cdef Loss* target = self.loss + MAX_LOSSES * self.size
+        cdef Py_ssize_t i
+        cdef int32_t path
+        self.first_loss[:] = 0
+        for i in range(self.n_losses):
+            self.first_loss[self.loss[i].path + 1] += 1
+        for i in range(1, self.first_loss.shape[0]):
+            self.first_loss[i] += self.first_loss[i - 1]
+        for i in range(self.n_losses):
+            path = self.loss[i].path
+            target[self.first_loss[path]] = self.loss[i]
+            self.first_loss[path] += 1
+        return target
