@@ -33,23 +33,24 @@ class MetalRing:
         """
         position, height, flux = self._lit_wall(n_samples)
         slope = np.tan(self.elevation)
-        heading = np.tile([1.0, 0.0], (len(flux), 1))
+        # Of the floor as the complex plane.
+        heading = np.ones(len(flux), dtype=complex)
         landed = np.zeros_like(position)
         going = np.arange(len(flux))
         while len(going):
-            normal = position[going] / self.radius
-            across = (normal * heading[going]).sum(1, keepdims=True)
-            heading[going] -= 2 * across * normal
+            normal = position / self.radius
+            across = normal.real * heading.real + normal.imag * heading.imag
+            heading -= 2 * across * normal
             flux[going] *= self.reflectance
             # The reflected ray leaves the wall at the angle it came, over the chord 2R cos i.
-            chord = 2 * self.radius * np.abs(across[:, 0])
-            meets_wall = height[going] - slope * chord > self.gap
-            run = np.where(meets_wall, chord, height[going] / slope)
-            position[going] += run[:, None] * heading[going]
-            height[going] -= slope * run
-            landed[going[~meets_wall]] = position[going[~meets_wall]]
-            going = going[meets_wall]
-        return landed, flux
+            chord = 2 * self.radius * np.abs(across)
+            meets_wall = height - slope * chord > self.gap
+            run = np.where(meets_wall, chord, height / slope)
+            position = position + run * heading
+            landed[going[~meets_wall]] = position[~meets_wall]
+            going, position, heading = (each[meets_wall] for each in (going, position, heading))
+            height = (height - slope * run)[meets_wall]
+        return landed.view(float).reshape(-1, 2), flux
 
     def pixel_irradiance(self, edges: Floats, n_samples: int = 4_000_000) -> Floats:
         """Return the mean irradiance of square pixels, W/m², indexed [x, y].
@@ -107,7 +108,7 @@ class MetalRing:
         return float(per_azimuth.mean() * np.pi * self.radius)
 
     def _lit_wall(self, n_samples: int) -> tuple[Floats, Floats, Floats]:
-        """Return positions (m, 2), heights (m,) and incident fluxes (m,) over the lit wall."""
+        """Return positions (m,) in the complex plane, heights and incident fluxes, of the lit wall."""
         first, second = _even_points(n_samples)
         azimuth = (first - 0.5) * np.pi
         height = self.gap + second * self.height
@@ -115,8 +116,8 @@ class MetalRing:
         flux = per_area * np.pi * self.radius * self.height / n_samples
         clearance = 2 * self.radius * np.cos(azimuth) * np.tan(self.elevation)
         lit = height + clearance > self.gap + self.height
-        position = self.radius * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
-        return position[lit], height[lit], flux[lit]
+        position = self.radius * np.exp(1j * azimuth[lit])
+        return position, height[lit], flux[lit]
 
 
 def _even_points(n: int) -> tuple[Floats, Floats]:

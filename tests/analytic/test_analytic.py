@@ -103,16 +103,21 @@ def test_ring_lights_the_floor_evenly_across_its_axis():
     np.testing.assert_allclose(image[:, ::-1].sum(0), image.sum(0), rtol=2e-3)
 
 
+@pytest.fixture(scope="module")
+def high_ring():
+    ring = MetalRing(height=1.2, elevation=np.radians(30), irradiance=2.0)
+    return ring, *ring.deposits(4_000_000)
+
+
 @pytest.mark.parametrize("run", [0.3, 0.75, 1.0, 1.5])
-def test_ring_on_its_axis_equals_the_mirror_equation(run):
+def test_ring_on_its_axis_equals_the_mirror_equation(run, high_ring):
     # Light that ran s from the wall at azimuth a has E₀ sin e / |1 - 2s / (R cos a)|. A point on
     # the axis sees a = 0 and, beyond the cusp at R/2, also the azimuths ±a with cos a = R / 2x.
-    ring = MetalRing(height=1.2, elevation=np.radians(30), irradiance=2.0)
+    ring, landed, flux = high_ring
     x = ring.radius - run
     expected = 1 / abs(1 - 2 * run)
     if x > 0.5:
         expected += 2 / abs(1 - (2 * x) ** 2)
-    landed, flux = ring.deposits(4_000_000)
     near = (np.abs(landed - [x, 0.0]) < 0.01).all(axis=1)
     assert flux[near].sum() / 0.02**2 == pytest.approx(2.0 * 0.5 * expected, rel=0.02)
 
