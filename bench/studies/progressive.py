@@ -62,11 +62,11 @@ class Errors:
 @cache
 def sphere() -> Case:
     """Circles between the bright spot and the fold of the glass sphere's caustic."""
-    distance = np.repeat(np.linspace(0.25, 0.45, 9), 64)
-    turn = np.tile(2 * np.pi * np.arange(64) / 64, 9)
-    points = np.column_stack([distance * np.cos(turn), distance * np.sin(turn), 0 * turn])
+    distance = np.linspace(0.25, 0.45, 9)
     exact = GlassSphere(gap=0.2, irradiance=0.8).irradiance_at(distance, orders=range(-1, 12))
-    return Case(gallery.scene("sphere"), points, exact, 0.08)
+    distance, turn = np.repeat(distance, 64), np.tile(2 * np.pi * np.arange(64) / 64, 9)
+    points = np.column_stack([distance * np.cos(turn), distance * np.sin(turn), 0 * turn])
+    return Case(gallery.scene("sphere"), points, np.repeat(exact, 64), 0.08)
 
 
 @cache

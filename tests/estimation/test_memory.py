@@ -75,7 +75,7 @@ def test_gathering_many_takes_room_for_one_search_a_thread(photons, n_axes):
 
 @pytest.mark.parametrize("left_over", [0, 5, 16, 17])
 def test_photons_are_projected_some_at_a_time(left_over, monkeypatch):
-    scene = gallery.scene("sphere")
+    scene = gallery.scene("sphere", subdivisions=4)
     photons = pr.trace_photons(scene, 3000).subset(slice(0, 20 * 64 + left_over))
     structure = pr.detect_structure(photons)
     settings = pr.RelaxSettings(n_iterations=(1, 1))
