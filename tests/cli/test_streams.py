@@ -79,36 +79,64 @@ def test_closed_streams_are_no_error(closed, tmp_path):
 # --- names ----------------------------------------------------------------------------------------
 
 NAMES = {"text": "ä日本🔆a\nb", "no text": "\udcff"}
-ENCODINGS = {
-    "ascii": {"PYTHONIOENCODING": "ascii"},
-    "strict": {"PYTHONIOENCODING": "ascii:strict", "LANG": "C"},
-    "C": {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
-    "latin-1": {"PYTHONIOENCODING": "latin-1:surrogateescape"},
-    "utf-8": {"PYTHONIOENCODING": "utf-8:strict"},
-}
+ENCODINGS = {"ascii": "strict", "latin-1": "surrogateescape", "utf-8": "strict"}
+
+
+@pytest.fixture
+def streams(monkeypatch):
+    """Standard streams of an encoding, as `PYTHONIOENCODING` makes them: a function of it."""
+
+    def replaced(encoding):
+        out, err = io.BytesIO(), io.BytesIO()
+        for name, stream, errors in (
+            ("stdout", out, ENCODINGS[encoding]),
+            ("stderr", err, "backslashreplace"),
+        ):
+            monkeypatch.setattr(sys, name, io.TextIOWrapper(stream, encoding, errors))
+        return out, err
+
+    return replaced
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("name", NAMES)
-def test_names_that_cannot_be_printed_are_no_error(name, encoding, tmp_path):
-    image, environment = tmp_path / f"{NAMES[name]}.exr", ENCODINGS[encoding]
-    done = process(*RENDER, "-o", image, env=environment)
-    assert (done.returncode, done.stderr) == (0, b"")
-    assert b"wrote" in done.stdout
-    assert sorted(tmp_path.iterdir()) == sorted([image, image.with_suffix(".png")])
-    assert read_exr(image).layers["radiance"].shape == (8, 12, 3)
-    image.write_bytes(b"v/1\x01")
-    done = process("info", image, env=environment)
-    assert done.returncode == 1
-    assert done.stderr.startswith(b"photonrelax: error: ")
-    assert done.stderr.count(b"\n") == 1
+def test_names_that_cannot_be_printed_are_no_error(name, encoding, streams, tmp_path):
+    def run(*arguments):
+        out, err = streams(encoding)
+        code = commands.main([*map(str, arguments)])
+        return code, out.getvalue(), err.getvalue()
+
+    check_names(run, tmp_path, name)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_names_of_all_other_files_are_no_error(name, tmp_path):
+def test_nor_are_they_where_names_of_files_are_ascii(name, tmp_path):
+    def run(*arguments):
+        environment = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+        done = process(*arguments, env=environment)
+        return done.returncode, done.stdout, done.stderr
+
+    check_names(run, tmp_path, name)
+
+
+def check_names(run, folder, name):
+    image = folder / f"{NAMES[name]}.exr"
+    code, out, err = run(*RENDER, "-o", image)
+    assert (code, err) == (0, b"")
+    assert b"wrote" in out
+    assert sorted(folder.iterdir()) == sorted([image, image.with_suffix(".png")])
+    assert read_exr(image).layers["radiance"].shape == (8, 12, 3)
+    image.write_bytes(b"v/1\x01")
+    code, _, err = run("info", image)
+    assert code == 1
+    assert err.startswith(b"photonrelax: error: ")
+    assert err.count(b"\n") == 1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names_of_all_other_files_are_no_error(name, streams, tmp_path):
     folder = tmp_path / NAMES[name]
     folder.mkdir()
-    environment = ENCODINGS["strict"]
     photons, state, stats = (folder / f"{NAMES[name]}.{end}" for end in ("npz", "state", "json"))
     passes = ("render", "ring", "--method", "progressive", "--passes", "1", *SIZE)
     output = ("-o", folder / "a.exr")
@@ -117,14 +145,13 @@ def test_names_of_all_other_files_are_no_error(name, tmp_path):
         ("relax", photons, "-o", photons),
         ("info", photons),
         (*passes, *output, "--state", state, "--stats", stats),
+        (*passes[:-4], "--height", "12", *passes[-2:], *output),
         ("compare", "ring", "-o", folder / "out", "--reference", folder / "a.exr", *SIZE[:4],
          "--height", "12"),
     ):  # fmt: skip
-        if command[0] == "compare":
-            large = (*passes[:-4], "--height", "12", *passes[-2:], *output)
-            assert process(*large, env=environment).returncode == 0
-        done = process(*command, env=environment)
-        assert (done.returncode, b"Error" in done.stderr) == (0, False), done.stderr
+        _, err = streams("ascii")
+        code = commands.main([*map(str, command)])
+        assert (code, b"Error" in err.getvalue()) == (0, False), err.getvalue()
 
 
 @pytest.mark.parametrize("text", NAMES.values())
