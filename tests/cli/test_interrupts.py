@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -25,27 +26,33 @@ def run(*arguments):
     return commands.main([str(argument) for argument in arguments])
 
 
-def run_interrupted_at(stage, *arguments, signals=("SIGINT",)):
-    """Run in a process of its own that gets signals whenever `stage` reports progress."""
-    code = (
-        "import os, signal, sys\n"
-        "from photonrelax.cli import commands, progress_bar\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
-        "def report(bars, stage, done, total):\n"
-        f"    for name in {signals!r} if stage == {stage!r} else ():\n"
-        "        os.kill(os.getpid(), getattr(signal, name))\n"
-        "progress_bar.ProgressBars.__call__ = report\n"
-        f"sys.exit(commands.main({[str(argument) for argument in arguments]!r}))"
-    )
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+@pytest.fixture
+def run_interrupted_at(monkeypatch, capsys):
+    """Run and get signals whenever a stage reports progress: exit code and standard error."""
+    # Not those of whoever runs the tests, which the command line would leave alone.
+    defaults = {"SIGINT": signal.default_int_handler, "SIGTERM": signal.SIG_DFL,
+                "SIGHUP": signal.SIG_DFL}  # fmt: skip
+    before = [signal.signal(getattr(signal, name), to) for name, to in defaults.items()]
+
+    def interrupted(stage, *arguments, name="SIGINT"):
+        def report(bars, reported, done, total):
+            if reported == stage:
+                os.kill(os.getpid(), getattr(signal, name))
+
+        with monkeypatch.context() as patch:
+            patch.setattr(progress_bar.ProgressBars, "__call__", report)
+            return run(*arguments), capsys.readouterr().err
+
+    yield interrupted
+    for name, handler in zip(defaults, before, strict=True):
+        signal.signal(getattr(signal, name), handler)
 
 
 @pytest.mark.parametrize("stage", STAGES)
-def test_ctrl_c_leaves_no_file_and_returns_130(stage, tmp_path):
+def test_ctrl_c_leaves_no_file_and_returns_130(stage, run_interrupted_at, tmp_path):
     output = ("-o", tmp_path / "ring.exr", "--stats", tmp_path / "stats.json")
     done = run_interrupted_at(stage, "render", "ring", *output, *SMALL)
-    assert (done.returncode, done.stderr) == (130, "photonrelax: interrupted\n")
+    assert done == (130, "photonrelax: interrupted\n")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -60,11 +67,13 @@ ENDS = [("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up"), ("SIGINT", 1
         (*ENDS[0], ("--interval", "1e-9")),
     ],
 )
-def test_every_end_of_a_session_saves_the_passes_done(name, code, message, options, tmp_path):
+def test_every_end_of_a_session_saves_the_passes_done(
+    name, code, message, options, run_interrupted_at, tmp_path
+):
     command = ("render", "ring", "--method", "progressive", "--passes", 3, *SMALL, *options)
     state, output = ("--state", tmp_path / "run.npz"), tmp_path / "ring.exr"
-    done = run_interrupted_at("passes", *command, *state, "-o", output, signals=(name,))
-    assert (done.returncode, done.stderr) == (code, f"photonrelax: {message}\n")
+    done = run_interrupted_at("passes", *command, *state, "-o", output, name=name)
+    assert done == (code, f"photonrelax: {message}\n")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ring.exr", "ring.png", "run.npz"]
     assert np.load(tmp_path / "run.npz")["n_passes"] == 1
     assert run(*command, *state, "-o", output, "--quiet") == 0
@@ -74,8 +83,23 @@ def test_every_end_of_a_session_saves_the_passes_done(name, code, message, optio
 
 @pytest.mark.parametrize(("name", "code", "message"), ENDS)
 def test_every_end_of_a_session_leaves_no_half_file(name, code, message, tmp_path):
+    """In a process of its own."""
     command = ("trace", "ring", "-o", tmp_path / "map.npz", "--photons", 3000)
-    done = run_interrupted_at("trace", *command, signals=(name,))
+    script = (
+        "import os, signal, sys\n"
+        "from photonrelax.cli import commands, progress_bar\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
+        f"def report(*_): os.kill(os.getpid(), signal.{name})\n"
+        "progress_bar.ProgressBars.__call__ = report\n"
+        "sys.exit(commands.main(sys.argv[1:]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, *map(str, command)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
     assert (done.returncode, done.stderr) == (code, f"photonrelax: {message}\n")
     assert list(tmp_path.iterdir()) == []
 
@@ -116,10 +140,10 @@ def test_handlers_of_the_caller_stay():
         signal.signal(signal.SIGTERM, before[1])
 
 
-def test_ctrl_c_leaves_an_older_image_as_it_was(tmp_path):
+def test_ctrl_c_leaves_an_older_image_as_it_was(run_interrupted_at, tmp_path):
     output = tmp_path / "ring.exr"
     output.write_bytes(b"older")
-    assert run_interrupted_at("render", "render", "ring", "-o", output, *SMALL).returncode == 130
+    assert run_interrupted_at("render", "render", "ring", "-o", output, *SMALL)[0] == 130
     assert output.read_bytes() == b"older"
 
 
