@@ -108,7 +108,7 @@ class MetalRing:
         return float(per_azimuth.mean() * np.pi * self.radius)
 
     def _lit_wall(self, n_samples: int) -> tuple[Floats, Floats, Floats]:
-        """Return positions (m,) in the complex plane, heights and incident fluxes, of the lit wall."""
+        """Return complex positions (m,), heights and incident fluxes over the lit wall."""
         first, second = _even_points(n_samples)
         azimuth = (first - 0.5) * np.pi
         height = self.gap + second * self.height

@@ -60,16 +60,11 @@ ENDS = [("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up"), ("SIGINT", 1
 
 
 @pytest.mark.parametrize(
-    ("name", "code", "message", "options"),
-    [
-        *((*end, ()) for end in ENDS),
-        (*ENDS[0], ("--stochastic",)),
-        (*ENDS[0], ("--interval", "1e-9")),
-    ],
+    ("end", "options"),
+    [*((end, ()) for end in ENDS), (ENDS[0], ("--stochastic",)), (ENDS[0], ("--interval", "1e-9"))],
 )
-def test_every_end_of_a_session_saves_the_passes_done(
-    name, code, message, options, run_interrupted_at, tmp_path
-):
+def test_every_end_of_a_session_saves_the_passes_done(end, options, run_interrupted_at, tmp_path):
+    name, code, message = end
     command = ("render", "ring", "--method", "progressive", "--passes", 3, *SMALL, *options)
     state, output = ("--state", tmp_path / "run.npz"), tmp_path / "ring.exr"
     done = run_interrupted_at("passes", *command, *state, "-o", output, name=name)

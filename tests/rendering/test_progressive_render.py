@@ -202,19 +202,21 @@ PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload([__name__, "trimesh", "embreex", "OpenEXR"])
 
 
-def run_killed(state, stochastic, output, where, when, number):
+def run_killed(state, stochastic, output, kill):
     """A run that is killed at a call of a function, before or after its work."""
+    where, when, number = kill
     owner = {"trace_photons": progressive_render, "fsync": os, "replace": Path}[where]
     work, calls = getattr(owner, where), []
 
     def killed(*arguments, **more):
         calls.append(where)
-        if when == "after":
-            work(*arguments, **more)
-        if len(calls) == number:
+        last = len(calls) == number
+        if last and when == "before":
             os.kill(os.getpid(), signal.SIGKILL)
-        if when == "before":
-            return work(*arguments, **more)
+        result = work(*arguments, **more)
+        if last:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return result
 
     setattr(owner, where, killed)
     run_in_peace(state, stochastic, output)
@@ -258,7 +260,7 @@ def test_killing_it_at_any_moment_leaves_no_trace(ring, stochastic, tmp_path):
     state, output = tmp_path / "run.npz", tmp_path / "run.exr"
     passes_left, half_written = [], 0
     for kill in KILLS:
-        assert exit_code(run_killed, state, stochastic, output, *kill) == -signal.SIGKILL
+        assert exit_code(run_killed, state, stochastic, output, kill) == -signal.SIGKILL
         passes_left.append(int(np.load(state)["n_passes"]) if state.exists() else 0)
         half_written += any(path.suffix == ".part" for path in tmp_path.iterdir())
     assert passes_left == [0, 0, 1, 2, 3, 4]
