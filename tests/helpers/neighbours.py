@@ -6,22 +6,32 @@ import numpy as np
 def nearest(points, queries, k, n_metric=3, *, half_range=None, range_radius=None, excluded=None):
     """Ids and distances by definition: all points in range, sorted by squared distance, then id."""
     n, m = len(points), len(queries)
-    offsets = points - queries[:, np.newaxis]
-    # Sums in the order of the axes, as the kernel's, so that ties and bits agree.
-    squared = np.add.accumulate(offsets[..., :n_metric] ** 2, axis=-1)[..., -1]
+    squared = squared_distances(points[:, :n_metric], queries[:, :n_metric])
     allowed = np.ones((m, n), dtype=bool)
+    others, own = points[:, n_metric:], queries[:, n_metric:]
     if half_range is not None:
-        widths = np.broadcast_to(half_range, (m, points.shape[1] - n_metric))
-        allowed &= (np.abs(offsets[..., n_metric:]) <= widths[:, np.newaxis]).all(axis=-1)
+        widths = np.broadcast_to(half_range, own.shape)
+        for axis in range(own.shape[1]):
+            allowed &= np.abs(others[:, axis] - own[:, axis, None]) <= widths[:, axis, None]
     if range_radius is not None:
         radius = np.broadcast_to(range_radius, m)[:, np.newaxis]
-        ball = np.add.accumulate(offsets[..., n_metric:] ** 2, axis=-1)[..., -1]
-        allowed &= ball <= radius * radius
+        allowed &= squared_distances(others, own) <= radius * radius
     if excluded is not None:
         allowed[np.arange(m), excluded] = False
-    squared = np.where(allowed, squared, np.inf)
-    order = np.argsort(squared, axis=1, kind="stable")[:, :k]
-    distance = np.sqrt(np.take_along_axis(squared, order, axis=1))
-    ids = np.where(np.isfinite(distance), order, n)
-    empty = ((0, 0), (0, k - ids.shape[1]))
-    return np.pad(ids, empty, constant_values=n), np.pad(distance, empty, constant_values=np.inf)
+    squared[~allowed] = np.inf
+    distance, ids = np.full((m, k), np.inf), np.full((m, k), n)
+    last = min(k, n)
+    for query, row in enumerate(squared if last else ()):
+        # Sorted are those alone that are no farther than the k-th.
+        near = np.flatnonzero(row <= np.partition(row, last - 1)[last - 1])
+        first = near[np.argsort(row[near], kind="stable")[:last]]
+        distance[query, :last], ids[query, :last] = np.sqrt(row[first]), first
+    return np.where(np.isfinite(distance), ids, n), distance
+
+
+def squared_distances(points, queries):
+    """All (m, n); sums in the order of the axes, as the kernel's, so that ties and bits agree."""
+    squared = np.zeros((len(queries), len(points)))
+    for axis in range(points.shape[1]):
+        squared += (points[:, axis] - queries[:, axis, np.newaxis]) ** 2
+    return squared
