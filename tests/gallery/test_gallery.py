@@ -197,7 +197,7 @@ def test_ring_agrees_with_the_analytic_reflection_map():
     irradiance = counted[0] / (edges[1] - edges[0]) ** 2
     expected = MetalRing(
         height=0.4, gap=1e-3, elevation=np.radians(30), irradiance=2.0, reflectance=0.9
-    ).pixel_irradiance(edges)
+    ).pixel_irradiance(edges, 1_000_000)
     farther = np.maximum(np.abs(edges[:-1]), np.abs(edges[1:]))
     inside = np.hypot(*np.meshgrid(farther, farther)) < 1.0
     difference = np.abs(irradiance - expected)[inside].sum()
