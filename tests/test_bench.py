@@ -3,6 +3,7 @@
 import argparse
 import os
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,16 @@ from photonrelax.evaluation import gallery_subject
 from photonrelax.evaluation.reference import ReferenceSettings
 
 K = 7
+
+
+@cache
+def coarse_scene(pixels=600):
+    return gallery.scene("prism", pixels=pixels, subdivisions=4)
+
+
+@pytest.fixture(autouse=True)
+def scene_built_in_no_time(monkeypatch):
+    monkeypatch.setattr(inputs, "scene", coarse_scene)
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import warnings
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import trimesh
@@ -75,6 +76,7 @@ def beside_wide_floor(n_emitted: int, half_width: float, rotation: Rotation) -> 
     return wide / narrow
 
 
+@cache
 def near_ball(n_emitted: int, half_width: float, rotation: Rotation) -> float:
     """Flux stored within 1 m of a hollow ball with walls of 2 mm, W."""
     outer, inner = (trimesh.creation.icosphere(4, radius) for radius in (0.05, 0.048))

@@ -133,7 +133,8 @@ def test_ripples_refuses_waves_deeper_than_the_slab():
 
 
 def test_prism_has_about_the_volume_of_a_triangular_prism():
-    mesh = specular(gallery.scene("prism", inradius=0.4, height=1.4, bevel=0.004)).mesh
+    sizes = {"inradius": 0.4, "height": 1.4, "bevel": 0.004, "subdivisions": 5}
+    mesh = specular(gallery.scene("prism", **sizes)).mesh
     assert mesh.volume == pytest.approx(3 * np.sqrt(3) * 0.4**2 * 1.4, rel=0.02)
 
 
@@ -156,7 +157,7 @@ ORDERS = range(-1, 12)
 
 @pytest.fixture(scope="module")
 def sphere_photons():
-    return pr.trace_photons(gallery.scene("sphere", irradiance=3.0), 500_000)
+    return pr.trace_photons(gallery.scene("sphere", irradiance=3.0, subdivisions=6), 500_000)
 
 
 def test_sphere_flux_agrees_with_quadrature(sphere_photons):
