@@ -10,6 +10,7 @@ import pytest
 from bench import __main__ as bench
 
 import photonrelax as pr
+from photonrelax import gallery
 from photonrelax.cli import arguments
 from photonrelax.estimation.methods import METHODS
 from photonrelax.rendering.layers import LAYERS
@@ -58,6 +59,17 @@ def anchors(page):
     return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
+@pytest.fixture
+def coarse_scenes(monkeypatch):
+    """Built-in scenes of fewer faces, so that examples take no longer than they must."""
+    build, coarser = gallery.scene, {"subdivisions": 5}
+    sizes = {"prism": coarser, "sphere": coarser}
+    monkeypatch.setattr(
+        gallery, "scene", lambda name, **given: build(name, **sizes.get(name, {}) | given)
+    )
+
+
+@pytest.mark.usefixtures("coarse_scenes")
 def test_the_example_of_the_readme_runs():
     (example,) = blocks(README, "python")
     names = {}
@@ -69,6 +81,7 @@ def test_the_example_of_the_readme_runs():
 EXAMPLES = [page for page in PAGES[1:] if blocks(page, "python")]
 
 
+@pytest.mark.usefixtures("coarse_scenes")
 @pytest.mark.parametrize("page", EXAMPLES, ids=lambda page: page.stem)
 def test_examples_run_in_order(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
