@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -42,8 +43,13 @@ def parts_of(path):
     return path.relative_to(PACKAGE).with_suffix("").parts
 
 
+@cache
 def imports(path):
-    """Yield the dotted names that a file imports, also in functions, but not for types alone."""
+    """The dotted names that a file imports, also in functions, but not for types alone."""
+    return tuple(_imports(path))
+
+
+def _imports(path):
     tree = ast.parse(path.read_text())
     for_types = {
         id(child)
