@@ -24,6 +24,8 @@ from ..raycast import Intersections
 
 # Sines of incidence below this leave the plane of incidence undefined: any will do.
 _MIN_SINE = 1e-12
+# The axes that follow each.
+_NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,11 +146,11 @@ class _Incidence:
     @classmethod
     def of(cls, rays: ParaxialRays, normal: Floats) -> _Incidence:
         """Rotate the frames across rays into their planes of incidence."""
-        sagittal = np.cross(rays.direction, normal)
+        sagittal = _cross(rays.direction, normal)
         sine = np.linalg.norm(sagittal, axis=1, keepdims=True)
         upright = sine < _MIN_SINE
         sagittal = np.where(upright, rays.across[:, 1], sagittal / np.where(upright, 1.0, sine))
-        tangent = np.cross(normal, sagittal)
+        tangent = _cross(normal, sagittal)
         cosine = -_dot(rays.direction, normal)
         first = cosine[:, np.newaxis] * tangent + sine * normal
         rotation = np.stack([first, sagittal], axis=1) @ np.swapaxes(rays.across, 1, 2)
@@ -191,3 +193,10 @@ def _side(direction: Floats, hits: Intersections) -> Floats:
 def _dot(a: Floats, b: Floats) -> Floats:
     dots: Floats = np.einsum("ni,ni->n", a, b)
     return dots
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Vector products (n, 3); for few vectors `np.cross` takes several times as long."""
+    product: Floats = np.take(a, _NEXT, axis=1) * np.take(b, _AFTER, axis=1)
+    product -= np.take(a, _AFTER, axis=1) * np.take(b, _NEXT, axis=1)
+    return product
