@@ -77,25 +77,12 @@ def test_every_end_of_a_session_saves_the_passes_done(end, options, run_interrup
 
 
 @pytest.mark.parametrize(("name", "code", "message"), ENDS)
-def test_every_end_of_a_session_leaves_no_half_file(name, code, message, tmp_path):
-    """In a process of its own."""
+def test_every_end_of_a_session_leaves_no_half_file(
+    name, code, message, run_interrupted_at, tmp_path
+):
     command = ("trace", "ring", "-o", tmp_path / "map.npz", "--photons", 3000)
-    script = (
-        "import os, signal, sys\n"
-        "from photonrelax.cli import commands, progress_bar\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
-        f"def report(*_): os.kill(os.getpid(), signal.{name})\n"
-        "progress_bar.ProgressBars.__call__ = report\n"
-        "sys.exit(commands.main(sys.argv[1:]))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script, *map(str, command)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert (done.returncode, done.stderr) == (code, f"photonrelax: {message}\n")
+    done = run_interrupted_at("trace", *command, name=name)
+    assert done == (code, f"photonrelax: {message}\n")
     assert list(tmp_path.iterdir()) == []
 
 
