@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._ext.estimation import footprint as _footprint
 from .._ext.estimation import nearest as _nearest
 from .._ext.estimation import refinement as _refinement
 from .._util import validation
@@ -19,6 +20,7 @@ from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
 from ..relaxation.structure import Structure
 from .field import Densities, Points, TreeField
+from .footprint import RIM_SHARE, kernel_integrals, number_within
 from .kernels import KERNELS, WELL_SPACED_BIAS, automatic_gather_radius, well_spaced_mean
 from .refinement import REFINEMENTS
 
@@ -133,30 +135,60 @@ class IrradianceField(TreeField):
         self.settings = settings
         self.used = {"gather": asdict(settings), **(used or {})}
 
+    @property
+    def has_footprints(self) -> bool:
+        """Whether there are means over footprints: without a refinement."""
+        return self.settings.refinement == "none"
+
     def _fill(self, out: Floats, values: Densities, points: Points) -> None:
-        settings, well_spaced = self.settings, self.photons.well_spaced
-        tree = self._trees.tree(points.part)[0]
-        radius = settings.gather_radius
-        where = tree.kernel, values.laid_out(points.part), points.queries, points.rows, out
+        laid_out, tree = values.laid_out(points.part), self._trees.tree(points.part)[0]
+        where = tree.kernel, laid_out.blocks, points.queries, points.rows, out
+        radius = self.settings.gather_radius
         options: dict[str, Any] = {
-            "k": settings.k,
-            "kernel": KERNELS[settings.kernel],
             "radius": np.inf if radius is None else radius,
             "range_radius": normal_range(tree),
             "n_threads": self._n_threads,
         }
-        if settings.refinement == "none":
-            mean = well_spaced_mean(settings.k, settings.kernel) if well_spaced else 1.0
-            _nearest.gather(*where, kth_scale=1.0 / mean, **options)
+        if points.footprint is not None:
+            options.update(normals=points.normals, sums=laid_out.node_sums)
+            _footprint.gather(*where, footprint=points.footprint, **self._rule, **options)
+        elif self.settings.refinement == "none":
+            _nearest.gather(*where, **self._kernel, **self._near_rim, **options)
         else:
-            _refinement.gather(
-                *where,
-                flux=self._flux_of(points.part),
-                k_min=settings.k_min,
-                rule=REFINEMENTS[settings.refinement],
-                bias=WELL_SPACED_BIAS[settings.kernel] if well_spaced else (0.0, 0.0),
-                **options,
-            )
+            flux = self._flux_of(points.part)
+            _refinement.gather(*where, flux=flux, **self._kernel, **self._refined, **options)
+
+    @property
+    def _kernel(self) -> dict[str, Any]:
+        return {"k": self.settings.k, "kernel": KERNELS[self.settings.kernel]}
+
+    @property
+    def _near_rim(self) -> dict[str, float]:
+        """How the photon counts whose distance is the bandwidth."""
+        settings, well_spaced = self.settings, self.photons.well_spaced
+        if settings.kernel == "gaussian":
+            return {"kth_scale": 1.0, "rim_share": RIM_SHARE[well_spaced]}
+        mean = well_spaced_mean(settings.k, settings.kernel) if well_spaced else 1.0
+        return {"kth_scale": 1.0 / mean, "rim_share": 0.0}
+
+    @property
+    def _refined(self) -> dict[str, Any]:
+        """Rule that chooses numbers of photons."""
+        settings, well_spaced = self.settings, self.photons.well_spaced
+        return {
+            "k_min": settings.k_min,
+            "rule": REFINEMENTS[settings.refinement],
+            "bias": WELL_SPACED_BIAS[settings.kernel] if well_spaced else (0.0, 0.0),
+        }
+
+    @property
+    def _rule(self) -> dict[str, Any]:
+        """Rule of means over footprints."""
+        return {
+            "number": number_within(self.settings.k),
+            "integrals": kernel_integrals(),
+            "rim_share": RIM_SHARE[self.photons.well_spaced],
+        }
 
     def _flux_of(self, part: int) -> Floats:
         """Mean flux of the photons of a tree, in its order and in a unit near the largest."""

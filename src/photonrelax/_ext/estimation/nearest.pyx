@@ -5,16 +5,18 @@ from libc.math cimport M_PI
 
 from ..common.prefetch cimport prefetch_row
 from ..spatial.batch cimport Batch, Query
+from ..spatial.radius cimport weight_of
 from ..spatial.query_loop cimport BatchWork, search_queries
 from ..spatial.simd.kernels cimport (
-    CONE_WEIGHTS, CONSTANT_WEIGHTS, EPANECHNIKOV_WEIGHTS, OUTSIDE_KEY, Weights,
-    farthest_candidate,
+    BLOCK, CONE_WEIGHTS, CONSTANT_WEIGHTS, EPANECHNIKOV_WEIGHTS, GAUSSIAN_WEIGHTS, OUTSIDE_KEY,
+    Weights, candidate_place, farthest_candidate,
 )
 from ..spatial.tree cimport Tree
 
 CONSTANT = CONSTANT_WEIGHTS
 CONE = CONE_WEIGHTS
 EPANECHNIKOV = EPANECHNIKOV_WEIGHTS
+GAUSSIAN = GAUSSIAN_WEIGHTS
 
 
 @final
@@ -25,6 +27,8 @@ cdef class NearestGather(BatchWork):
     cdef const double[:, :, ::1] values
     cdef int kernel
     cdef double kth_scale
+    # Share of its weight that the photon counts with whose distance is the bandwidth.
+    cdef double rim_share
     cdef const Py_ssize_t[::1] rows
     cdef double[:, ::1] out
 
@@ -39,12 +43,12 @@ cdef class NearestGather(BatchWork):
     cdef void write_densities(self, Query* query, double* out) noexcept nogil:
         """Write the densities at one query from its neighbours.
 
-        With k photons within the radius the bandwidth is the distance to the k-th, whose own
-        weight is zero: the estimate is unbiased for independent photons, as the mean of 1/r² is
+        With k photons within the radius the bandwidth is the distance to the k-th, which does not
+        count itself: the estimate is unbiased for independent photons, as the mean of 1/r² is
         π ρ/(k − 1). With fewer, or k at the query itself, the bandwidth is the radius and all
         neighbours count: of coincident photons no more than k are found, however many there are.
         """
-        cdef Py_ssize_t farthest, channel, n_channels = self.values.shape[1]
+        cdef Py_ssize_t farthest = -1, channel, n_channels = self.values.shape[1]
         cdef double scale = 1.0
         cdef Weights weights
         weights.shape = self.kernel
@@ -58,14 +62,23 @@ cdef class NearestGather(BatchWork):
             &self.tree.coords[0, 0, 0], &query.bounds, &query.candidates, &weights,
             &self.values[0, 0, 0], n_channels, out
         )
+        if farthest >= 0 and self.rim_share > 0.0:
+            self.add_rim(candidate_place(&query.candidates, farthest), out)
         for channel in range(n_channels):
             out[channel] *= scale / (M_PI * weights.squared_bandwidth)
+
+    cdef void add_rim(self, Py_ssize_t place, double* out) noexcept nogil:
+        """Add the share of the photon whose distance is the bandwidth."""
+        cdef Py_ssize_t channel
+        cdef double weight = self.rim_share * weight_of(self.kernel, 1.0)
+        for channel in range(self.values.shape[1]):
+            out[channel] += weight * self.values[place // BLOCK, channel, place % BLOCK]
 
 
 def gather(
     Tree tree, const double[:, :, ::1] values, const double[:, ::1] queries,
     const Py_ssize_t[::1] rows, double[:, ::1] out, *, Py_ssize_t k, int kernel, double radius,
-    double range_radius, double kth_scale, int n_threads
+    double range_radius, double kth_scale, double rim_share, int n_threads
 ):
     """Write densities around the queries named by `rows`, close ones in sequence, to `out`.
 
@@ -80,13 +93,15 @@ def gather(
         Rows of these queries are written.
     k : int
     kernel : int
-        CONSTANT, CONE or EPANECHNIKOV.
+        CONSTANT, CONE, EPANECHNIKOV or GAUSSIAN.
     radius : float
         Largest distance of a photon; may be infinite.
     range_radius : float
         Radius of the ball over the tree's range axes; negative for none.
     kth_scale : float
         Factor of estimates whose bandwidth is the distance to the k-th photon.
+    rim_share : float
+        Share of its weight that this photon counts with.
     """
     if not (
         queries.shape[0] == out.shape[0] and queries.shape[1] >= tree.n_axes
@@ -97,6 +112,7 @@ def gather(
     work.values = values
     work.kernel = kernel
     work.kth_scale = kth_scale
+    work.rim_share = rim_share
     work.rows = rows
     work.out = out
     search_queries(work, queries, rows, n_threads)
