@@ -28,9 +28,8 @@ from .._ext.estimation.footprint import DEVIATION
 from .._util import validation
 from .._util.validation import Floats
 
-# Share of its weight that the photon counts with whose distance is r. Of independent photons those
-# within r are a fair sample without it. Evenly spaced ones number half a photon more.
-RIM_SHARE = {False: 0.0, True: 0.5}
+# Rate at which the bias of evenly spaced photons falls with the sides over r.
+BIAS_DECAY = 3.6
 # Intervals of the table of integrals along an axis, and nodes of their quadrature: interpolated
 # values are within 1e-10.
 _INTERVALS = 64

@@ -20,7 +20,7 @@ from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
 from ..relaxation.structure import Structure
 from .field import Densities, Points, TreeField
-from .footprint import RIM_SHARE, kernel_integrals, number_within
+from .footprint import BIAS_DECAY, kernel_integrals, number_within
 from .kernels import KERNELS, WELL_SPACED_BIAS, automatic_gather_radius, well_spaced_mean
 from .refinement import REFINEMENTS
 
@@ -153,7 +153,8 @@ class IrradianceField(TreeField):
             options.update(normals=points.normals, sums=laid_out.node_sums)
             _footprint.gather(*where, footprint=points.footprint, **self._rule, **options)
         elif self.settings.refinement == "none":
-            _nearest.gather(*where, **self._kernel, **self._near_rim, **options)
+            scale = 1.0 / self._uniform_mean
+            _nearest.gather(*where, kth_scale=scale, **self._kernel, **options)
         else:
             flux = self._flux_of(points.part)
             _refinement.gather(*where, flux=flux, **self._kernel, **self._refined, **options)
@@ -163,13 +164,10 @@ class IrradianceField(TreeField):
         return {"k": self.settings.k, "kernel": KERNELS[self.settings.kernel]}
 
     @property
-    def _near_rim(self) -> dict[str, float]:
-        """How the photon counts whose distance is the bandwidth."""
-        settings, well_spaced = self.settings, self.photons.well_spaced
-        if settings.kernel == "gaussian":
-            return {"kth_scale": 1.0, "rim_share": RIM_SHARE[well_spaced]}
-        mean = well_spaced_mean(settings.k, settings.kernel) if well_spaced else 1.0
-        return {"kth_scale": 1.0 / mean, "rim_share": 0.0}
+    def _uniform_mean(self) -> float:
+        """Mean estimate of a uniform field, over its value."""
+        settings = self.settings
+        return well_spaced_mean(settings.k, settings.kernel) if self.photons.well_spaced else 1.0
 
     @property
     def _refined(self) -> dict[str, Any]:
@@ -183,11 +181,13 @@ class IrradianceField(TreeField):
 
     @property
     def _rule(self) -> dict[str, Any]:
-        """Rule of means over footprints."""
+        """Rule of means over footprints, whose kernel is the Gaussian whatever that at points is."""
+        k, well_spaced = self.settings.k, self.photons.well_spaced
+        mean = well_spaced_mean(k, "gaussian") if well_spaced else 1.0
         return {
-            "number": number_within(self.settings.k),
+            "number": number_within(k),
             "integrals": kernel_integrals(),
-            "rim_share": RIM_SHARE[self.photons.well_spaced],
+            "bias": (1.0 - mean, BIAS_DECAY),
         }
 
     def _flux_of(self, part: int) -> Floats:

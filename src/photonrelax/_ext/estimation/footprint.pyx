@@ -5,7 +5,7 @@ The rule and its symbols are those of `photonrelax.estimation.footprint`.
 
 from cython cimport final
 from cython.parallel cimport prange, threadid
-from libc.math cimport INFINITY, M_PI, fabs, fmax, fmin, isfinite, sqrt
+from libc.math cimport INFINITY, M_PI, exp, fabs, fmax, fmin, isfinite, nextafter, sqrt
 from libc.stdint cimport int32_t, int64_t
 
 import numpy as np
@@ -64,8 +64,9 @@ cdef struct Scratch:
     double* band
     # Squared radius of the last query.
     double squared_guess
-    # Whether a photon is at the radius.
+    # Whether a photon is at the radius, and whether the radius is the largest allowed.
     bint at_photon
+    bint is_limited
     # Photons that were looked at one by one.
     int64_t n_single
 
@@ -88,7 +89,9 @@ cdef class FootprintGather:
     cdef double number
     cdef double squared_gather_radius
     cdef double squared_range
-    cdef double rim_share
+    # Mean of estimates from the photons of a uniform field, over its value: 1 - bias at points.
+    cdef double bias
+    cdef double bias_decay
     # Bound on the error of distances of boxes.
     cdef double slack
     # Rows per thread.
@@ -100,7 +103,7 @@ cdef class FootprintGather:
 
 def gather(
     Tree tree, values, queries, rows, out, *, normals, sums, footprint, integrals, double number,
-    double radius, double range_radius, double rim_share, int n_threads
+    bias, double radius, double range_radius, int n_threads
 ):
     """Write densities over the footprints named by `rows`, close ones in sequence, to `out`.
 
@@ -123,12 +126,12 @@ def gather(
         Integral of the kernel at evenly spaced s / (s + r) of both sides.
     number : float
         Photons that a disc has to hold at the mean density within its radius of the footprint.
+    bias : (float, float)
+        a, b: estimates are divided by 1 - a exp(-b x), x the mean of the sides in radii.
     radius : float
         Largest radius; may be infinite.
     range_radius : float
         Radius of the ball over the tree's range axes; negative for none.
-    rim_share : float
-        Share of its weight that a photon counts with whose distance is the radius.
 
     Returns
     -------
@@ -157,7 +160,7 @@ def gather(
     work.number = number
     work.squared_gather_radius = radius * radius
     work.squared_range = range_radius * range_radius if range_radius >= 0.0 else -1.0
-    work.rim_share = rim_share
+    work.bias, work.bias_decay = bias
     work.slack = 1e-14 * np.abs([tree.low[:3], tree.high[:3]]).max()
     work.blocks = np.empty((n_threads, tree.n_blocks + BLOCK), dtype=np.int32)
     work.band = np.empty((n_threads, BAND_STRIDE))
@@ -398,7 +401,7 @@ cdef double find_squared_radius(
     cdef double low = LOW * scratch.squared_guess, high = HIGH * scratch.squared_guess
     cdef int64_t n_low, n_band
     scratch.squared_listed = -1.0
-    scratch.at_photon = False
+    scratch.at_photon = scratch.is_limited = False
     if not high < largest:
         high = largest
     low = fmin(low, 0.5 * high)
@@ -406,9 +409,7 @@ cdef double find_squared_radius(
         n_band = find_band(work, footprint, scratch, low, high, &n_low)
         if squared_root(work, footprint, n_low + n_band) > high:
             if high == largest:
-                return fmin(
-                    squared_root(work, footprint, n_low + n_band), work.squared_gather_radius
-                )
+                return limited_radius(work, footprint, scratch, n_low + n_band)
             below = low = high
             high = squared_expected(work, footprint, high, n_low + n_band)
             high = fmin(fmin(fmax(fmin(HIGH * high, 16.0 * low), 1.5 * low), above), largest)
@@ -424,6 +425,15 @@ cdef double find_squared_radius(
                 scratch.at_photon = True
                 return high
             high = 0.5 * (low + high)
+
+
+cdef double limited_radius(
+    FootprintGather work, const Footprint* footprint, Scratch* scratch, int64_t n
+) noexcept nogil:
+    """Squared radius where the n photons within reach are too few for a smaller one."""
+    cdef double root = squared_root(work, footprint, n)
+    scratch.is_limited = not root <= work.squared_gather_radius
+    return fmin(root, work.squared_gather_radius)
 
 
 cdef double radius_in_band(
@@ -575,6 +585,7 @@ cdef void write_densities(
     if squared == 0.0:
         # All photons that are asked for are at the point itself, as in nearest.pyx.
         scratch.at_photon = False
+        scratch.is_limited = True
         squared = work.squared_gather_radius
     for channel in range(work.out.shape[1]):
         out[channel] = scratch.deep[channel] = 0.0
@@ -583,6 +594,8 @@ cdef void write_densities(
     scratch.squared_guess = squared
     list_for_sums(work, footprint, scratch, squared)
     scale = set_weights(work, footprint, squared, scratch.at_photon, &weights)
+    if not scratch.is_limited:
+        scale /= uniform_mean(work, footprint, squared)
     scratch.n_single += BLOCK * scratch.n_blocks
     work.tree.simd.rectangle_sum(
         &work.tree.coords[0, 0, 0], scratch.blocks, scratch.n_blocks, &footprint.rectangle,
@@ -609,14 +622,16 @@ cdef double set_weights(
     FootprintGather work, const Footprint* footprint, double squared, bint at_photon,
     RectangleWeights* weights
 ) noexcept nogil:
-    """Set the weights for a squared radius; return their factor."""
+    """Set the weights for a squared radius; return their factor.
+
+    The photon whose distance is the radius does not count itself, as in nearest.pyx.
+    """
     cdef double radius = sqrt(squared)
     cdef double deviation = GAUSSIAN_DEVIATION * radius
     cdef double scale = 1.0 / kernel_integral(work.integrals, footprint, radius)
     cdef int side
-    weights.squared_radius = squared
+    weights.squared_radius = nextafter(squared, 0.0) if at_photon else squared
     weights.inverse_deviation = 1.0 / deviation
-    weights.rim_share = work.rim_share if at_photon else 1.0
     for side in range(2):
         weights.is_narrow[side] = footprint.sides[side] < NARROW * deviation
         if weights.is_narrow[side]:
@@ -625,6 +640,14 @@ cdef double set_weights(
         else:
             scale /= footprint.sides[side]
     return scale
+
+
+cdef inline double uniform_mean(
+    FootprintGather work, const Footprint* footprint, double squared
+) noexcept nogil:
+    """Mean of estimates of a uniform field, over its value, where k photons set the radius."""
+    cdef double sides = 0.5 * (footprint.sides[0] + footprint.sides[1])
+    return 1.0 - work.bias * exp(-work.bias_decay * sides / sqrt(squared))
 
 
 cdef inline void set_series(double side, double* series) noexcept nogil:

@@ -5,11 +5,10 @@ from libc.math cimport M_PI
 
 from ..common.prefetch cimport prefetch_row
 from ..spatial.batch cimport Batch, Query
-from ..spatial.radius cimport weight_of
 from ..spatial.query_loop cimport BatchWork, search_queries
 from ..spatial.simd.kernels cimport (
-    BLOCK, CONE_WEIGHTS, CONSTANT_WEIGHTS, EPANECHNIKOV_WEIGHTS, GAUSSIAN_WEIGHTS, OUTSIDE_KEY,
-    Weights, candidate_place, farthest_candidate,
+    CONE_WEIGHTS, CONSTANT_WEIGHTS, EPANECHNIKOV_WEIGHTS, GAUSSIAN_WEIGHTS, OUTSIDE_KEY, Weights,
+    farthest_candidate,
 )
 from ..spatial.tree cimport Tree
 
@@ -27,8 +26,6 @@ cdef class NearestGather(BatchWork):
     cdef const double[:, :, ::1] values
     cdef int kernel
     cdef double kth_scale
-    # Share of its weight that the photon counts with whose distance is the bandwidth.
-    cdef double rim_share
     cdef const Py_ssize_t[::1] rows
     cdef double[:, ::1] out
 
@@ -48,7 +45,7 @@ cdef class NearestGather(BatchWork):
         π ρ/(k − 1). With fewer, or k at the query itself, the bandwidth is the radius and all
         neighbours count: of coincident photons no more than k are found, however many there are.
         """
-        cdef Py_ssize_t farthest = -1, channel, n_channels = self.values.shape[1]
+        cdef Py_ssize_t farthest, channel, n_channels = self.values.shape[1]
         cdef double scale = 1.0
         cdef Weights weights
         weights.shape = self.kernel
@@ -62,23 +59,14 @@ cdef class NearestGather(BatchWork):
             &self.tree.coords[0, 0, 0], &query.bounds, &query.candidates, &weights,
             &self.values[0, 0, 0], n_channels, out
         )
-        if farthest >= 0 and self.rim_share > 0.0:
-            self.add_rim(candidate_place(&query.candidates, farthest), out)
         for channel in range(n_channels):
             out[channel] *= scale / (M_PI * weights.squared_bandwidth)
-
-    cdef void add_rim(self, Py_ssize_t place, double* out) noexcept nogil:
-        """Add the share of the photon whose distance is the bandwidth."""
-        cdef Py_ssize_t channel
-        cdef double weight = self.rim_share * weight_of(self.kernel, 1.0)
-        for channel in range(self.values.shape[1]):
-            out[channel] += weight * self.values[place // BLOCK, channel, place % BLOCK]
 
 
 def gather(
     Tree tree, const double[:, :, ::1] values, const double[:, ::1] queries,
     const Py_ssize_t[::1] rows, double[:, ::1] out, *, Py_ssize_t k, int kernel, double radius,
-    double range_radius, double kth_scale, double rim_share, int n_threads
+    double range_radius, double kth_scale, int n_threads
 ):
     """Write densities around the queries named by `rows`, close ones in sequence, to `out`.
 
@@ -100,8 +88,6 @@ def gather(
         Radius of the ball over the tree's range axes; negative for none.
     kth_scale : float
         Factor of estimates whose bandwidth is the distance to the k-th photon.
-    rim_share : float
-        Share of its weight that this photon counts with.
     """
     if not (
         queries.shape[0] == out.shape[0] and queries.shape[1] >= tree.n_axes
@@ -112,7 +98,6 @@ def gather(
     work.values = values
     work.kernel = kernel
     work.kth_scale = kth_scale
-    work.rim_share = rim_share
     work.rows = rows
     work.out = out
     search_queries(work, queries, rows, n_threads)

@@ -848,8 +848,6 @@ INLINE void rectangle_channels(const double *coords, const int32_t *blocks, int6
             inside = mask8_and(inside, f64x8_le(squared, radius));
             if (!mask8_bits(inside)) continue;
             weight = rectangle_weight(along, rectangle, weights);
-            weight = f64x8_select(f64x8_le(radius, squared),
-                                  f64x8_mul(weight, f64x8_set1(weights->rim_share)), weight);
             weight = f64x8_select(inside, weight, zero);
             for (int channel = 0; channel < n; ++channel)
                 sum[channel] = f64x8_add(sum[channel],

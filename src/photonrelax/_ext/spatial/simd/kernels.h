@@ -116,8 +116,6 @@ typedef struct {
     double squared_radius, inverse_deviation;
     int64_t is_narrow[2];
     double series[2][4];
-    /* Factor of the weight of points at the squared radius itself. */
-    double rim_share;
 } RectangleWeights;
 
 /* Kernels of one instruction set. `blocks` with `bits` are those of 16 blocks whose bits are set. */

@@ -75,7 +75,6 @@ cdef extern from "kernels.h" nogil:
         double inverse_deviation
         int64_t[2] is_narrow
         double[2][4] series
-        double rim_share
 
     ctypedef struct SimdKernels:
         const char* name
@@ -140,7 +139,6 @@ cdef extern from "kernels.h" nogil:
             const double*, int64_t, double*
         ) noexcept nogil
 
-    int64_t candidate_place(const Candidates* found, int64_t candidate)
     int64_t farthest_candidate(const Candidates* found, const int64_t* ids)
     int lowest_bit(unsigned int bits)
     int count_bits(unsigned int bits)
