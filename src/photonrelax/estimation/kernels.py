@@ -31,7 +31,7 @@ WELL_SPACED_BIAS = {
     "constant": (0.43, -1.0),
     "cone": (0.45, -1.5),
     "epanechnikov": (0.57, -1.5),
-    "gaussian": (0.29, -1.3),
+    "gaussian": (0.32, -1.35),
 }
 # Largest number of photons, and two quantiles, that the automatic gather radius is taken from.
 _SAMPLE = 10_000

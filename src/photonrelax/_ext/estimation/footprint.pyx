@@ -419,12 +419,28 @@ cdef double find_squared_radius(
             low = fmax(low, below)
         elif n_band <= BAND:
             return radius_in_band(work, footprint, scratch, n_low, n_band, high)
-        else:
+        elif low < 0.5 * (low + high) < high:
             above = high
-            if not low < 0.5 * (low + high) < high:
-                scratch.at_photon = True
-                return high
-            high = 0.5 * (low + high)
+            narrow(
+                squared_root(work, footprint, n_low + n_band),
+                squared_root(work, footprint, n_low), &low, &high
+            )
+        else:
+            scratch.at_photon = True
+            return high
+
+
+cdef inline void narrow(
+    double least_root, double largest_root, double* low, double* high
+) noexcept nogil:
+    """Narrow a bracket by the roots of the numbers of photons at its ends, at least to a half."""
+    cdef double above = fmax(low[0], (1.0 - 1e-12) * least_root)
+    cdef double below = fmin(high[0], (1.0 + 1e-12) * largest_root)
+    if below - above > 0.5 * (high[0] - low[0]):
+        high[0] = 0.5 * (low[0] + high[0])
+        return
+    low[0] = above
+    high[0] = below
 
 
 cdef double limited_radius(
