@@ -69,7 +69,7 @@ def check_footprint(footprint: ArrayLike | None, n_points: int) -> Floats | None
 
 @cache
 def kernel_integrals() -> Floats:
-    """Integral of the kernel over the plane, at evenly spaced s / (s + r) from 0 to 1 of both sides.
+    """Integral of the kernel over the plane, at evenly spaced s / (s + r) of both sides.
 
     It is smooth in these: 1 - exp(-½ / 0.41²) = .95 for points, 1 for wide rectangles.
     """

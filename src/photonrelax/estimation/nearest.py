@@ -34,9 +34,10 @@ class GatherSettings:
     k : int
         Photons gathered (K = 15, SJ13 §5); the bandwidth is the distance to the k-th. With a
         refinement it is their largest number, and has to be given: 200, say.
-    kernel : {"epanechnikov", "cone", "constant"}
-        Each normalised so that a uniform field returns its own value; from well-spaced photons
-        within 0.3 % for k of 15 and more.
+    kernel : {"epanechnikov", "cone", "constant", "gaussian"}
+        Profile of estimates at points; those over footprints have the Gaussian's. Each is
+        normalised so that a uniform field returns its own value; from well-spaced photons within
+        0.3 % for k of 15 and more.
     gather_radius : float, optional
         Largest distance, m, from which photons are gathered. Where it holds fewer than k it is the
         bandwidth, so that black regions stay black. Photons at the same point that face the same
@@ -181,7 +182,7 @@ class IrradianceField(TreeField):
 
     @property
     def _rule(self) -> dict[str, Any]:
-        """Rule of means over footprints, whose kernel is the Gaussian whatever that at points is."""
+        """Rule of means over footprints: its kernel is the Gaussian, whatever that at points is."""
         k, well_spaced = self.settings.k, self.photons.well_spaced
         mean = well_spaced_mean(k, "gaussian") if well_spaced else 1.0
         return {

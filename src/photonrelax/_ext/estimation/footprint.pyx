@@ -89,7 +89,7 @@ cdef class FootprintGather:
     cdef double number
     cdef double squared_gather_radius
     cdef double squared_range
-    # Mean of estimates from the photons of a uniform field, over its value: 1 - bias at points.
+    # Estimates of a uniform field are too low by this at points, and by less over footprints.
     cdef double bias
     cdef double bias_decay
     # Bound on the error of distances of boxes.
@@ -191,7 +191,7 @@ cdef void gather_chunk(FootprintGather work, Py_ssize_t first, int thread) noexc
     scratch.blocks = &work.blocks[thread, 0]
     scratch.band = &work.band[thread, 0]
     scratch.deep = &work.deep[thread, 0]
-    scratch.n_single = 0
+    scratch.n_single = scratch.n_blocks = scratch.n_deep = 0
     scratch.squared_guess = spacing_near(work.tree, &work.queries[work.rows[first], 0])
     scratch.squared_guess *= work.number
     for i in range(first, end):
@@ -402,7 +402,7 @@ cdef double find_squared_radius(
     cdef int64_t n_low, n_band
     scratch.squared_listed = -1.0
     scratch.at_photon = scratch.is_limited = False
-    if not high < largest:
+    if not 0.0 < high < largest:
         high = largest
     low = fmin(low, 0.5 * high)
     while True:
