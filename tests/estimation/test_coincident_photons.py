@@ -13,7 +13,10 @@ POINTS = plane(RNG.uniform(0.15, 0.85, (300, 2)))
 EVERYWHERE = ("standard", "parameterised", "relaxation", "diffusion", "isotropic-diffusion")
 EVERY_METHOD = (*EVERYWHERE, "progressive")
 GATHERS = [
-    *(pr.GatherSettings(kernel=kernel) for kernel in ("constant", "cone", "epanechnikov")),
+    *(
+        pr.GatherSettings(kernel=kernel)
+        for kernel in ("constant", "cone", "epanechnikov", "gaussian")
+    ),
     pr.GatherSettings(k=100, refinement="bias-compensation"),
     pr.GatherSettings(k=100, refinement="differential-checking"),
 ]

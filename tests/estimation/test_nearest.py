@@ -8,10 +8,13 @@ import pytest
 import photonrelax as pr
 from tests.helpers.photon_maps import flat_map, plane, uniform_map, unit_square
 
+# A Gaussian's height where it is cut off, over that in its middle.
+RIM = np.exp(-0.5 / 0.41**2)
 KERNELS = {
     "constant": lambda t: np.ones_like(t),
     "cone": lambda t: 3 * (1 - t),
     "epanechnikov": lambda t: 2 * (1 - t**2),
+    "gaussian": lambda t: np.exp(-0.5 * (t / 0.41) ** 2) / (2 * 0.41**2 * (1 - RIM)),
 }
 
 

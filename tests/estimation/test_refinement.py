@@ -8,10 +8,13 @@ from tests.helpers.photon_maps import flat_map, plane, uniform_map, unit_square
 
 REFINEMENTS = ("differential-checking", "bias-compensation")
 K_MIN, K = 15, 200
+# Mean of the Gaussian over the disc it is cut off at.
+MEAN = 2 * 0.41**2 * (1 - np.exp(-0.5 / 0.41**2))
 KERNELS = {
     "constant": lambda ratio: np.ones_like(ratio),
     "cone": lambda ratio: 3 * (1 - np.sqrt(ratio)),
     "epanechnikov": lambda ratio: 2 * (1 - ratio),
+    "gaussian": lambda ratio: np.exp(-0.5 * ratio / 0.41**2) / MEAN,
 }
 
 

@@ -7,10 +7,13 @@ from photonrelax._ext.spatial.radius import RadiusGather
 from photonrelax.estimation.kernels import KERNELS
 from photonrelax.spatial.kdtree import KDTree
 
+# Mean of the Gaussian over the disc it is cut off at.
+MEAN = 2 * 0.41**2 * (1 - np.exp(-0.5 / 0.41**2))
 WEIGHTS = {
     "constant": lambda ratio: np.ones_like(ratio),
     "cone": lambda ratio: 3.0 * (1.0 - ratio),
     "epanechnikov": lambda ratio: 2.0 * (1.0 - ratio**2),
+    "gaussian": lambda ratio: np.exp(-0.5 * (ratio / 0.41) ** 2) / MEAN,
 }
 
 

@@ -216,9 +216,10 @@ class DiffusionField(TreeField):
 
     def _fill(self, out: Floats, values: Densities, points: Points) -> None:
         around = self._evaluation_points(points)
-        photons, laid_out = self._photons_with_gradients(points.part), values.laid_out(points.part)
+        photons = self._photons_with_gradients(points.part)
+        blocks = values.laid_out(points.part).blocks
         shape = self._kernel_shape()
-        _diffusion.densities(photons, laid_out, around, shape, out, n_threads=self._n_threads)
+        _diffusion.densities(photons, blocks, around, shape, out, n_threads=self._n_threads)
 
     def _with_bandwidth(self, settings: DiffusionSettings) -> DiffusionSettings:
         """Settings with the k and the largest bandwidth of the map, if that is left open."""

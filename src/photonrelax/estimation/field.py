@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._ext.spatial.blocks import to_soa_blocks
+from .._ext.spatial.node_sums import node_sums
 from .._util import validation
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees, morton_order
 from ..relaxation.structure import Structure
+from ..spatial.kdtree import KDTree
+from .footprint import check_footprint
 
 Rows = NDArray[np.intp]
 
@@ -34,12 +37,15 @@ class Points(NamedTuple):
         All normals, of any length.
     rows : (r,) intp array
         Rows of the points of the chunk, those close to one another in sequence.
+    footprint : (m, 2, 3) or (m,) float array, optional
+        Footprints of all points, edge vectors or sides of squares; None for estimates at points.
     """
 
     part: int
     queries: Floats
     normals: Floats
     rows: Rows
+    footprint: Floats | None = None
 
 
 class Field(ABC):
@@ -62,14 +68,23 @@ class Field(ABC):
     _n_threads: int
 
     def __call__(
-        self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
+        self,
+        points: ArrayLike,
+        normals: ArrayLike,
+        *,
+        footprint: ArrayLike | None = None,
+        progress: Progress | None = None,
     ) -> Floats:
-        """Irradiance at points on surfaces.
+        """Irradiance at points on surfaces, or its means over footprints around them.
 
         Parameters
         ----------
         points, normals : (m, 3) array_like
             m, and directions of any length.
+        footprint : (m, 2, 3) or (m,) array_like, optional
+            Of each point the two edge vectors, m, of the parallelogram on the surface whose mean
+            is wanted, a pixel or a texel say, with the point in its middle; or the side of a
+            square in the tangent plane. By default estimates are at the points.
         progress : callable, optional
             Called as ``progress("estimate", done, m)``.
 
@@ -81,10 +96,11 @@ class Field(ABC):
         Raises
         ------
         TypeError, ValueError
-            If a shape is wrong, a value is not finite or a normal is zero.
+            If a shape is wrong, a value is not finite or a normal is zero; with a footprint, if
+            the method has estimates at points only.
         """
         irradiance = Densities(self, self.flux, self._laid_out_flux)
-        return irradiance(points, normals, progress=progress)
+        return irradiance(points, normals, footprint=footprint, progress=progress)
 
     def densities(self, values: ArrayLike) -> Densities:
         """Estimator of the densities, per m², of any other values of the elements.
@@ -115,6 +131,11 @@ class Field(ABC):
     def layers(self) -> dict[str, Floats]:
         """Attributes (n, 1) or (n, 3) of the elements, by the image layer of their mean."""
         return {}
+
+    @property
+    def has_footprints(self) -> bool:
+        """Whether there are means over footprints, or estimates at points only."""
+        return False
 
     @abstractmethod
     def _lay_out(self, values: Floats, part: int) -> Any:
@@ -198,11 +219,32 @@ class TreeField(PhotonField):
     def _parts(self, points: Floats, normals: Floats) -> Iterator[tuple[int, Floats, Rows]]:
         return self._trees.parts(points, normals)
 
-    def _lay_out(self, values: Floats, part: int) -> Floats:
-        """Values in tree order, as blocks (n_blocks, c, 16)."""
-        rows = self._trees.tree(part)[1]
-        blocks: Floats = to_soa_blocks(self._trees.sums(values, part), rows, self._n_threads)
-        return blocks
+    def _lay_out(self, values: Floats, part: int) -> TreeValues:
+        """Values in tree order."""
+        tree, rows = self._trees.tree(part)
+        blocks = to_soa_blocks(self._trees.sums(values, part), rows, self._n_threads)
+        return TreeValues(tree, blocks, self._n_threads)
+
+
+class TreeValues:
+    """Values of the photons of a tree, in its order.
+
+    Attributes
+    ----------
+    blocks : (n_blocks, c, 16) float array
+        Values of the photons, zero in lanes without one.
+    """
+
+    def __init__(self, tree: KDTree, blocks: Floats, n_threads: int) -> None:
+        self.blocks = blocks
+        self._tree = tree
+        self._n_threads = n_threads
+
+    @cached_property
+    def node_sums(self) -> Floats:
+        """Sums (groups, c, 16) of the values over the nodes of the tree."""
+        sums: Floats = node_sums(self._tree.kernel, self.blocks, self._n_threads)
+        return sums
 
 
 class Densities:
@@ -225,14 +267,26 @@ class Densities:
         self._laid_out = {} if laid_out is None else laid_out
 
     def __call__(
-        self, points: ArrayLike, normals: ArrayLike, *, progress: Progress | None = None
+        self,
+        points: ArrayLike,
+        normals: ArrayLike,
+        *,
+        footprint: ArrayLike | None = None,
+        progress: Progress | None = None,
     ) -> Floats:
         """Densities (m, c) at points (m, 3) on surfaces; arguments and errors as of `Field`."""
         points, normals = check_points(points, normals)
+        footprint = check_footprint(footprint, len(points))
+        if footprint is not None and not self._field.has_footprints:
+            raise ValueError(
+                f"a {type(self._field).__name__} with these settings has estimates at points only, "
+                "but a footprint was given: leave it out, or take the means of a method that "
+                "gathers the k nearest photons, without refinement"
+            )
         out = np.zeros((len(points), self.n_channels))
         report = Reporter(progress, "estimate", len(points))
         for chunk in self._field._chunks(points, normals, report):
-            self._field._fill(out, self, chunk)
+            self._field._fill(out, self, chunk._replace(footprint=footprint))
         return out
 
     @property

@@ -25,8 +25,14 @@ KERNELS = {
     "constant": _nearest.CONSTANT,
     "cone": _nearest.CONE,
     "epanechnikov": _nearest.EPANECHNIKOV,
+    "gaussian": _nearest.GAUSSIAN,
 }
-WELL_SPACED_BIAS = {"constant": (0.43, -1.0), "cone": (0.45, -1.5), "epanechnikov": (0.57, -1.5)}
+WELL_SPACED_BIAS = {
+    "constant": (0.43, -1.0),
+    "cone": (0.45, -1.5),
+    "epanechnikov": (0.57, -1.5),
+    "gaussian": (0.32, -1.35),
+}
 # Largest number of photons, and two quantiles, that the automatic gather radius is taken from.
 _SAMPLE = 10_000
 _SHARE_OF_PHOTONS = 0.95

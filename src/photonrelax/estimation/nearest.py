@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._ext.estimation import footprint as _footprint
 from .._ext.estimation import nearest as _nearest
 from .._ext.estimation import refinement as _refinement
 from .._util import validation
@@ -19,6 +20,7 @@ from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
 from ..relaxation.structure import Structure
 from .field import Densities, Points, TreeField
+from .footprint import BIAS_DECAY, kernel_integrals, number_within
 from .kernels import KERNELS, WELL_SPACED_BIAS, automatic_gather_radius, well_spaced_mean
 from .refinement import REFINEMENTS
 
@@ -32,9 +34,10 @@ class GatherSettings:
     k : int
         Photons gathered (K = 15, SJ13 §5); the bandwidth is the distance to the k-th. With a
         refinement it is their largest number, and has to be given: 200, say.
-    kernel : {"epanechnikov", "cone", "constant"}
-        Each normalised so that a uniform field returns its own value; from well-spaced photons
-        within 0.3 % for k of 15 and more.
+    kernel : {"epanechnikov", "cone", "constant", "gaussian"}
+        Profile of estimates at points; those over footprints have the Gaussian's. Each is
+        normalised so that a uniform field returns its own value; from well-spaced photons within
+        0.3 % for k of 15 and more.
     gather_radius : float, optional
         Largest distance, m, from which photons are gathered. Where it holds fewer than k it is the
         bandwidth, so that black regions stay black. Photons at the same point that face the same
@@ -133,30 +136,60 @@ class IrradianceField(TreeField):
         self.settings = settings
         self.used = {"gather": asdict(settings), **(used or {})}
 
+    @property
+    def has_footprints(self) -> bool:
+        """Whether there are means over footprints: without a refinement."""
+        return self.settings.refinement == "none"
+
     def _fill(self, out: Floats, values: Densities, points: Points) -> None:
-        settings, well_spaced = self.settings, self.photons.well_spaced
-        tree = self._trees.tree(points.part)[0]
-        radius = settings.gather_radius
-        where = tree.kernel, values.laid_out(points.part), points.queries, points.rows, out
+        laid_out, tree = values.laid_out(points.part), self._trees.tree(points.part)[0]
+        where = tree.kernel, laid_out.blocks, points.queries, points.rows, out
+        radius = self.settings.gather_radius
         options: dict[str, Any] = {
-            "k": settings.k,
-            "kernel": KERNELS[settings.kernel],
             "radius": np.inf if radius is None else radius,
             "range_radius": normal_range(tree),
             "n_threads": self._n_threads,
         }
-        if settings.refinement == "none":
-            mean = well_spaced_mean(settings.k, settings.kernel) if well_spaced else 1.0
-            _nearest.gather(*where, kth_scale=1.0 / mean, **options)
+        if points.footprint is not None:
+            options.update(normals=points.normals, sums=laid_out.node_sums)
+            _footprint.gather(*where, footprint=points.footprint, **self._rule, **options)
+        elif self.settings.refinement == "none":
+            scale = 1.0 / self._uniform_mean
+            _nearest.gather(*where, kth_scale=scale, **self._kernel, **options)
         else:
-            _refinement.gather(
-                *where,
-                flux=self._flux_of(points.part),
-                k_min=settings.k_min,
-                rule=REFINEMENTS[settings.refinement],
-                bias=WELL_SPACED_BIAS[settings.kernel] if well_spaced else (0.0, 0.0),
-                **options,
-            )
+            flux = self._flux_of(points.part)
+            _refinement.gather(*where, flux=flux, **self._kernel, **self._refined, **options)
+
+    @property
+    def _kernel(self) -> dict[str, Any]:
+        return {"k": self.settings.k, "kernel": KERNELS[self.settings.kernel]}
+
+    @property
+    def _uniform_mean(self) -> float:
+        """Mean estimate of a uniform field, over its value."""
+        settings = self.settings
+        return well_spaced_mean(settings.k, settings.kernel) if self.photons.well_spaced else 1.0
+
+    @property
+    def _refined(self) -> dict[str, Any]:
+        """Rule that chooses numbers of photons."""
+        settings, well_spaced = self.settings, self.photons.well_spaced
+        return {
+            "k_min": settings.k_min,
+            "rule": REFINEMENTS[settings.refinement],
+            "bias": WELL_SPACED_BIAS[settings.kernel] if well_spaced else (0.0, 0.0),
+        }
+
+    @property
+    def _rule(self) -> dict[str, Any]:
+        """Rule of means over footprints: its kernel is the Gaussian, whatever that at points is."""
+        k, well_spaced = self.settings.k, self.photons.well_spaced
+        mean = well_spaced_mean(k, "gaussian") if well_spaced else 1.0
+        return {
+            "number": number_within(k),
+            "integrals": kernel_integrals(),
+            "bias": (1.0 - mean, BIAS_DECAY),
+        }
 
     def _flux_of(self, part: int) -> Floats:
         """Mean flux of the photons of a tree, in its order and in a unit near the largest."""

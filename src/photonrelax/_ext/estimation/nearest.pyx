@@ -7,7 +7,7 @@ from ..common.prefetch cimport prefetch_row
 from ..spatial.batch cimport Batch, Query
 from ..spatial.query_loop cimport BatchWork, search_queries
 from ..spatial.simd.kernels cimport (
-    CONE_WEIGHTS, CONSTANT_WEIGHTS, EPANECHNIKOV_WEIGHTS, OUTSIDE_KEY, Weights,
+    CONE_WEIGHTS, CONSTANT_WEIGHTS, EPANECHNIKOV_WEIGHTS, GAUSSIAN_WEIGHTS, OUTSIDE_KEY, Weights,
     farthest_candidate,
 )
 from ..spatial.tree cimport Tree
@@ -15,6 +15,7 @@ from ..spatial.tree cimport Tree
 CONSTANT = CONSTANT_WEIGHTS
 CONE = CONE_WEIGHTS
 EPANECHNIKOV = EPANECHNIKOV_WEIGHTS
+GAUSSIAN = GAUSSIAN_WEIGHTS
 
 
 @final
@@ -39,8 +40,8 @@ cdef class NearestGather(BatchWork):
     cdef void write_densities(self, Query* query, double* out) noexcept nogil:
         """Write the densities at one query from its neighbours.
 
-        With k photons within the radius the bandwidth is the distance to the k-th, whose own
-        weight is zero: the estimate is unbiased for independent photons, as the mean of 1/r² is
+        With k photons within the radius the bandwidth is the distance to the k-th, which does not
+        count itself: the estimate is unbiased for independent photons, as the mean of 1/r² is
         π ρ/(k − 1). With fewer, or k at the query itself, the bandwidth is the radius and all
         neighbours count: of coincident photons no more than k are found, however many there are.
         """
@@ -80,7 +81,7 @@ def gather(
         Rows of these queries are written.
     k : int
     kernel : int
-        CONSTANT, CONE or EPANECHNIKOV.
+        CONSTANT, CONE, EPANECHNIKOV or GAUSSIAN.
     radius : float
         Largest distance of a photon; may be infinite.
     range_radius : float

@@ -4,10 +4,13 @@
 their lanes.
 """
 
-from libc.math cimport sqrt
+from libc.math cimport exp, sqrt
 
 from .tree cimport Tree
-from .simd.kernels cimport CONE_WEIGHTS, EPANECHNIKOV_WEIGHTS, SearchBounds
+from .simd.kernels cimport (
+    CONE_WEIGHTS, EPANECHNIKOV_WEIGHTS, GAUSSIAN_EXPONENT, GAUSSIAN_PEAK, GAUSSIAN_WEIGHTS,
+    SearchBounds,
+)
 
 cdef enum:
     # Queries that a thread takes at a time, and after which it looks for signals.
@@ -43,4 +46,6 @@ cdef inline double weight_of(int shape, double ratio) noexcept nogil:
         return 2.0 * (1.0 - ratio)
     if shape == CONE_WEIGHTS:
         return 3.0 * (1.0 - sqrt(ratio))
+    if shape == GAUSSIAN_WEIGHTS:
+        return GAUSSIAN_PEAK * exp(-GAUSSIAN_EXPONENT * ratio)
     return 1.0

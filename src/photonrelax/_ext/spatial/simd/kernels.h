@@ -77,13 +77,46 @@ typedef struct {
     double *tie_squared, *scratch;
 } Candidates;
 
-/* Smoothing kernel: CONSTANT, CONE or EPANECHNIKOV, and its squared bandwidth. */
+/* Smoothing kernel: CONSTANT, CONE, EPANECHNIKOV or GAUSSIAN, and its squared bandwidth. */
 typedef struct {
     int64_t shape;
     double squared_bandwidth;
 } Weights;
 
-enum { CONSTANT_WEIGHTS = 0, CONE_WEIGHTS = 1, EPANECHNIKOV_WEIGHTS = 2 };
+enum {
+    CONSTANT_WEIGHTS = 0,
+    CONE_WEIGHTS = 1,
+    EPANECHNIKOV_WEIGHTS = 2,
+    GAUSSIAN_WEIGHTS = 3
+};
+
+/* Standard deviation of the Gaussian, in bandwidths. */
+#define GAUSSIAN_DEVIATION 0.41
+/* Half its inverse square; the Gaussian is exp(-GAUSSIAN_EXPONENT * ratio) of the ratio of squared
+ * distance to squared bandwidth, GAUSSIAN_PEAK times which integrates to pi over the unit disc. */
+#define GAUSSIAN_EXPONENT (0.5 / (GAUSSIAN_DEVIATION * GAUSSIAN_DEVIATION))
+#define GAUSSIAN_PEAK 3.134522134101892
+
+/* A rectangle around a point of three metric coordinates and the range coordinates behind them.
+ * Rows of `axes` are the directions of its two sides and its normal. Points within `half` of the
+ * point along each are on it: half its sides, and half the thickness of a slab. With a
+ * `squared_range` that is not negative the range axes are limited as those of SearchBounds. */
+typedef struct {
+    const double *at;
+    double axes[9], half[3];
+    double squared_range;
+    int64_t n_axes;
+} Rectangle;
+
+/* Weights of a rectangle convolved with a Gaussian, cut off at a squared radius, but for a factor.
+ * Along a side that is not much shorter than the Gaussian's deviation it is a difference of two
+ * normal distributions; along one that is, where `is_narrow`, the Gaussian times a polynomial in
+ * the squared offset, `series`. */
+typedef struct {
+    double squared_radius, inverse_deviation;
+    int64_t is_narrow[2];
+    double series[2][4];
+} RectangleWeights;
 
 /* Kernels of one instruction set. `blocks` with `bits` are those of 16 blocks whose bits are set. */
 typedef struct {
@@ -149,6 +182,20 @@ typedef struct {
     void (*weighted_sum)(const double *coords, const SearchBounds *bounds, const Candidates *found,
                          const Weights *weights, const double *values, int64_t n_channels,
                          double *out);
+    /* Bitmask of the 16 boxes that may hold a point within a squared distance of a rectangle, and
+     * of those that lie on it, `margin` inside its sides; of none, if that is negative. */
+    unsigned (*boxes_near_rectangle)(const double *boxes, const Rectangle *rectangle,
+                                     double squared_limit, double margin, unsigned *deep);
+    /* Append the squared distances from a rectangle, above `squared_low` and up to `squared_high`,
+     * of points of n blocks to `band`, which has room for `capacity` and LANES more. Returns their
+     * number, which may exceed the room, and adds the number of points up to `squared_low`. */
+    int64_t (*rectangle_band)(const double *coords, const int32_t *blocks, int64_t n,
+                              const Rectangle *rectangle, double squared_low, double squared_high,
+                              double *band, int64_t capacity, int64_t *n_low);
+    /* Weighted sums over the points of n blocks of `values`, which are stored like coordinates. */
+    void (*rectangle_sum)(const double *coords, const int32_t *blocks, int64_t n,
+                          const Rectangle *rectangle, const RectangleWeights *weights,
+                          const double *values, int64_t n_channels, double *out);
 } SimdKernels;
 
 static inline int lowest_bit(unsigned bits) { return __builtin_ctz(bits); }

@@ -16,6 +16,11 @@ cdef extern from "kernels.h" nogil:
         CONSTANT_WEIGHTS
         CONE_WEIGHTS
         EPANECHNIKOV_WEIGHTS
+        GAUSSIAN_WEIGHTS
+
+    const double GAUSSIAN_DEVIATION
+    const double GAUSSIAN_EXPONENT
+    const double GAUSSIAN_PEAK
 
     ctypedef struct SearchBounds:
         const double* low
@@ -57,6 +62,19 @@ cdef extern from "kernels.h" nogil:
     ctypedef struct Weights:
         int64_t shape
         double squared_bandwidth
+
+    ctypedef struct Rectangle:
+        const double* at
+        double[9] axes
+        double[3] half
+        double squared_range
+        int64_t n_axes
+
+    ctypedef struct RectangleWeights:
+        double squared_radius
+        double inverse_deviation
+        int64_t[2] is_narrow
+        double[2][4] series
 
     ctypedef struct SimdKernels:
         const char* name
@@ -108,6 +126,17 @@ cdef extern from "kernels.h" nogil:
         void (*weighted_sum)(
             const double*, const SearchBounds*, const Candidates*, const Weights*, const double*,
             int64_t, double*
+        ) noexcept nogil
+        unsigned int (*boxes_near_rectangle)(
+            const double*, const Rectangle*, double, double, unsigned int*
+        ) noexcept nogil
+        int64_t (*rectangle_band)(
+            const double*, const int32_t*, int64_t, const Rectangle*, double, double, double*,
+            int64_t, int64_t*
+        ) noexcept nogil
+        void (*rectangle_sum)(
+            const double*, const int32_t*, int64_t, const Rectangle*, const RectangleWeights*,
+            const double*, int64_t, double*
         ) noexcept nogil
 
     int64_t farthest_candidate(const Candidates* found, const int64_t* ids)

@@ -1,0 +1,720 @@
+"""Density estimates over footprints, from the k nearest photons or all that a footprint holds.
+
+The rule and its symbols are those of `photonrelax.estimation.footprint`.
+"""
+
+from cython cimport final
+from cython.parallel cimport prange, threadid
+from libc.math cimport INFINITY, M_PI, exp, fabs, fmax, fmin, isfinite, nextafter, sqrt
+from libc.stdint cimport int32_t, int64_t
+
+import numpy as np
+
+from ..common.prefetch cimport prefetch_row
+from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
+from ..common.vec3 cimport cross, dot, normalise, orthonormal_frame
+from ..spatial.simd.kernels cimport (
+    BLOCK, GAUSSIAN_DEVIATION, Rectangle, RectangleWeights, highest_bit, lowest_bit,
+)
+from ..spatial.tree cimport Tree, fan_out, first_block, last_kept
+
+DEVIATION = GAUSSIAN_DEVIATION
+
+cdef enum:
+    # Queries that a thread takes at a time; each starts its search from the radius of the last.
+    GRAIN = 64
+    # Distances that are sorted at once; more are divided first.
+    BAND = 128
+    BAND_STRIDE = BAND + BLOCK
+    # Depth-first traversal leaves at most 15 open groups per kept level, of which there are 7.
+    STACK_SIZE = 128
+    # Points of the polynomials that interpolate the table of integrals.
+    STENCIL = 6
+
+# Deviations inside the edge from which on a weight is one over the area, to 1e-9.
+cdef double DEEP = 6.0
+# Length of a side, in deviations, below which its profile is a series.
+cdef double NARROW = 0.25
+# Squared radii first searched between, as shares of a squared guess.
+cdef double LOW = 0.78
+cdef double HIGH = 1.3
+# Half the thickness of the slab of photons that are on a footprint, over half its diagonal: the
+# sagitta over the half chord of a cap whose normals turn by 60° at its rim, tan 30°.
+cdef double SAGITTA = 0.58
+# Ratio of its axes from which on a parallelogram's rectangle lies along them, not along its edges.
+cdef double ELONGATED = 1.5
+
+
+cdef struct Footprint:
+    Rectangle rectangle
+    double[2] sides
+    double area
+
+
+cdef struct Scratch:
+    # Blocks that may hold a photon within a squared radius, but for nodes deep inside; the margin
+    # that makes them so, or -1; their number of photons and the sums of their values.
+    int32_t* blocks
+    Py_ssize_t n_blocks
+    double squared_listed
+    double margin
+    int64_t n_deep
+    double* deep
+    # Squared distances.
+    double* band
+    # Squared radius of the last query.
+    double squared_guess
+    # Whether a photon is at the radius, and whether the radius is the largest allowed.
+    bint at_photon
+    bint is_limited
+    # Photons that were looked at one by one.
+    int64_t n_single
+
+
+@final
+cdef class FootprintGather:
+    """Photons, footprints and where their densities go; see `gather`."""
+
+    cdef Tree tree
+    cdef const double[:, :, ::1] values
+    cdef const double[:, :, ::1] sums
+    cdef const double[:, ::1] queries
+    cdef const double[:, ::1] normals
+    cdef const double[:, :, ::1] edges
+    cdef const double[::1] sides
+    cdef const Py_ssize_t[::1] rows
+    cdef double[:, ::1] out
+    cdef const double[:, ::1] integrals
+    # Least number of photons in a disc at the density of the footprint's surroundings.
+    cdef double number
+    cdef double squared_gather_radius
+    cdef double squared_range
+    # Estimates of a uniform field are too low by this at points, and by less over footprints.
+    cdef double bias
+    cdef double bias_decay
+    # Bound on the error of distances of boxes.
+    cdef double slack
+    # Rows per thread.
+    cdef int32_t[:, ::1] blocks
+    cdef double[:, ::1] band
+    cdef double[:, ::1] deep
+    cdef int64_t[::1] n_single
+
+
+def gather(
+    Tree tree, values, queries, rows, out, *, normals, sums, footprint, integrals, double number,
+    bias, double radius, double range_radius, int n_threads
+):
+    """Write densities over the footprints named by `rows`, close ones in sequence, to `out`.
+
+    Parameters
+    ----------
+    tree : Tree
+    values : (n_blocks, c, 16) float64 array
+        Values of the photons in tree order, zero in lanes without a photon.
+    queries : (m, axes) float64 array
+    rows : (r,) intp array
+    out : (m, c) float64 array
+        Rows of these queries are written.
+    normals : (m, 3) float64 array
+        Normals at the queries, of any length.
+    sums : (groups, c, 16) float64 array
+        Sums of the values over the nodes of the tree.
+    footprint : (m, 2, 3) or (m,) float64 array
+        Edge vectors, or sides of squares.
+    integrals : (g, g) float64 array
+        Integral of the kernel at evenly spaced s / (s + r) of both sides.
+    number : float
+        Photons that a disc has to hold at the mean density within its radius of the footprint.
+    bias : (float, float)
+        a, b: estimates are divided by 1 - a exp(-b x), x the mean of the sides in radii.
+    radius : float
+        Largest radius; may be infinite.
+    range_radius : float
+        Radius of the ball over the tree's range axes; negative for none.
+
+    Returns
+    -------
+    int
+        Number of photons that were looked at one by one.
+    """
+    cdef FootprintGather work = FootprintGather()
+    work.tree, work.values, work.sums = tree, values, sums
+    work.queries, work.normals, work.rows, work.out = queries, normals, rows, out
+    work.edges = footprint if footprint.ndim == 3 else None
+    work.sides = footprint if footprint.ndim == 1 else None
+    work.integrals = integrals
+    m = work.queries.shape[0]
+    if not (
+        m == work.out.shape[0] == work.normals.shape[0] == len(footprint)
+        and work.queries.shape[1] >= tree.n_axes and tree.n_metric == 3
+        and work.normals.shape[1] == 3 and footprint.shape[1:] in ((), (2, 3))
+        and work.values.shape[0] == tree.n_blocks
+        and work.values.shape[1] == work.sums.shape[1] == work.out.shape[1]
+        and work.integrals.shape[0] == work.integrals.shape[1] > STENCIL
+    ):
+        raise ValueError("queries, footprints, densities and photon values do not fit one another")
+    if tree.n_points == 0:
+        work.out[...] = 0.0
+        return 0
+    work.number = number
+    work.squared_gather_radius = radius * radius
+    work.squared_range = range_radius * range_radius if range_radius >= 0.0 else -1.0
+    work.bias, work.bias_decay = bias
+    work.slack = 1e-14 * np.abs([tree.low[:3], tree.high[:3]]).max()
+    work.blocks = np.empty((n_threads, tree.n_blocks + BLOCK), dtype=np.int32)
+    work.band = np.empty((n_threads, BAND_STRIDE))
+    work.deep = np.empty((n_threads, work.out.shape[1]))
+    work.n_single = np.zeros(n_threads, dtype=np.int64)
+    gather_all(work, n_threads)
+    return int(np.sum(work.n_single))
+
+
+cdef int gather_all(FootprintGather work, int n_threads) except -1:
+    cdef Py_ssize_t n_chunks = (work.rows.shape[0] + GRAIN - 1) // GRAIN
+    cdef Watch watch = open_watch()
+    cdef Py_ssize_t i
+    for i in prange(
+        n_chunks, nogil=True, schedule="dynamic",
+        num_threads=team_size(n_threads, n_chunks, 1)
+    ):
+        if goes_on(&watch, threadid() == 0):
+            gather_chunk(work, GRAIN * i, threadid())
+    return close_watch(&watch)
+
+
+cdef void gather_chunk(FootprintGather work, Py_ssize_t first, int thread) noexcept nogil:
+    """Write the densities over `first` of the footprints and those that follow, up to a grain."""
+    cdef Scratch scratch
+    cdef Footprint footprint
+    cdef Py_ssize_t i, end = min(first + GRAIN, work.rows.shape[0])
+    scratch.blocks = &work.blocks[thread, 0]
+    scratch.band = &work.band[thread, 0]
+    scratch.deep = &work.deep[thread, 0]
+    scratch.n_single = scratch.n_blocks = scratch.n_deep = 0
+    scratch.squared_guess = spacing_near(work.tree, &work.queries[work.rows[first], 0])
+    scratch.squared_guess *= work.number
+    for i in range(first, end):
+        if i + 1 < end:
+            prefetch_row(&work.queries[work.rows[i + 1], 0], 8 * work.queries.shape[1])
+        open_footprint(work, &footprint, work.rows[i])
+        write_densities(work, &footprint, &scratch, &work.out[work.rows[i], 0])
+    work.n_single[thread] += scratch.n_single
+
+
+cdef double spacing_near(Tree tree, const double* at) noexcept nogil:
+    """Guess of the squared radius that a photon near a point has to itself."""
+    cdef Py_ssize_t level, child, nearest = 0, group = 0, axis
+    cdef double least, squared, diagonal = 0.0
+    for level in range(last_kept(tree) + 1):
+        group = tree.first_group[level] + nearest
+        least = INFINITY
+        child = 0
+        for child in range(fan_out(tree, level)):
+            squared = squared_gap(tree, group, child, at)
+            if squared < least:
+                least = squared
+                nearest = (group - tree.first_group[level]) * fan_out(tree, level) + child
+    child = nearest % fan_out(tree, last_kept(tree))
+    for axis in range(3):
+        least = tree.boxes[group, 1, axis, child] - tree.boxes[group, 0, axis, child]
+        diagonal += least * least
+    # A square of 16 photons, whose diagonal this is, is 16 discs of this radius.
+    return diagonal / (2.0 * M_PI * BLOCK)
+
+
+cdef inline double squared_gap(
+    Tree tree, Py_ssize_t group, Py_ssize_t child, const double* at
+) noexcept nogil:
+    """Squared distance of a node's box, infinite for one without points."""
+    cdef double gap, squared = 0.0
+    cdef Py_ssize_t axis
+    for axis in range(3):
+        gap = fmax(
+            tree.boxes[group, 0, axis, child] - at[axis],
+            fmax(at[axis] - tree.boxes[group, 1, axis, child], 0.0)
+        )
+        squared += gap * gap
+    return squared
+
+
+# Footprints
+
+cdef void open_footprint(
+    FootprintGather work, Footprint* footprint, Py_ssize_t row
+) noexcept nogil:
+    """Set the rectangle of a footprint."""
+    cdef Rectangle* rectangle = &footprint.rectangle
+    cdef double* axes = rectangle.axes
+    cdef double diagonal
+    cdef int side
+    for side in range(3):
+        axes[6 + side] = work.normals[row, side]
+    normalise_safely(&axes[6])
+    orthonormal_frame(&axes[0], &axes[3], &axes[6])
+    if work.edges is None:
+        footprint.sides[0] = footprint.sides[1] = work.sides[row]
+    else:
+        fit_rectangle(footprint, &work.edges[row, 0, 0])
+    diagonal = sqrt(
+        footprint.sides[0] * footprint.sides[0] + footprint.sides[1] * footprint.sides[1]
+    )
+    footprint.area = footprint.sides[0] * footprint.sides[1]
+    rectangle.half[0] = 0.5 * footprint.sides[0]
+    rectangle.half[1] = 0.5 * footprint.sides[1]
+    rectangle.half[2] = 0.5 * SAGITTA * diagonal
+    rectangle.at = &work.queries[row, 0]
+    rectangle.squared_range = work.squared_range
+    rectangle.n_axes = work.tree.n_axes
+
+
+cdef inline void normalise_safely(double* a) noexcept nogil:
+    """Scale a vector to unit length, also where its square is beyond the range of floats."""
+    cdef double largest = fmax(fabs(a[0]), fmax(fabs(a[1]), fabs(a[2])))
+    cdef int axis
+    for axis in range(3):
+        a[axis] /= largest
+    normalise(a)
+
+
+cdef void fit_rectangle(Footprint* footprint, const double* edges) noexcept nogil:
+    """Set sides and axes from two edge vectors; the axes are a frame of the tangent plane before.
+
+    With the edges as rows of a matrix E in that frame, the sides are its singular values, and the
+    axes the eigenvectors of EᵀE. Where these hardly differ the eigenvectors mean nothing: the axes
+    then lie as near to both edges as they can, and the sides are the edges' lengths, scaled to the
+    same area.
+    """
+    cdef double* axes = footprint.rectangle.axes
+    cdef double[4] e
+    cdef double[2] direction
+    cdef double half_sum, half_difference, area, longer
+    cdef int edge
+    for edge in range(2):
+        e[2 * edge] = dot(&edges[3 * edge], &axes[0])
+        e[2 * edge + 1] = dot(&edges[3 * edge], &axes[3])
+    area = fabs(e[0] * e[3] - e[1] * e[2])
+    half_sum = 0.5 * (e[0] * e[0] + e[1] * e[1] + e[2] * e[2] + e[3] * e[3])
+    direction[0] = 0.5 * (e[0] * e[0] + e[2] * e[2] - e[1] * e[1] - e[3] * e[3])
+    direction[1] = e[0] * e[1] + e[2] * e[3]
+    half_difference = sqrt(direction[0] * direction[0] + direction[1] * direction[1])
+    longer = sqrt(half_sum + half_difference)
+    if longer == 0.0:
+        footprint.sides[0] = footprint.sides[1] = 0.0
+        return
+    if longer * longer > ELONGATED * area:
+        footprint.sides[0] = longer
+        footprint.sides[1] = area / longer
+        half_angle(direction)
+    else:
+        fit_to_edges(footprint, e, area, direction)
+    turn(axes, direction)
+
+
+cdef void half_angle(double* direction) noexcept nogil:
+    """Replace a vector by the unit vector at half its angle, which is zero for none."""
+    cdef double length = sqrt(direction[0] * direction[0] + direction[1] * direction[1])
+    cdef double cosine = direction[0] / length, sine = direction[1] / length
+    if cosine >= 0.0:
+        direction[0] = sqrt(0.5 * (1.0 + cosine))
+        direction[1] = 0.5 * sine / direction[0]
+    else:
+        direction[1] = sqrt(0.5 * (1.0 - cosine))
+        direction[0] = 0.5 * sine / direction[1]
+
+
+cdef void fit_to_edges(
+    Footprint* footprint, const double* e, double area, double* direction
+) noexcept nogil:
+    """Set sides, and the first's direction, from edges of similar length at a wide angle."""
+    cdef double first = sqrt(e[0] * e[0] + e[1] * e[1])
+    cdef double second = sqrt(e[2] * e[2] + e[3] * e[3])
+    cdef double scale = sqrt(area / (first * second)), length
+    # The second edge turned by 90° towards the first.
+    cdef double turned = 1.0 if e[0] * e[3] > e[1] * e[2] else -1.0
+    direction[0] = e[0] / first + turned * e[3] / second
+    direction[1] = e[1] / first - turned * e[2] / second
+    length = sqrt(direction[0] * direction[0] + direction[1] * direction[1])
+    direction[0] /= length
+    direction[1] /= length
+    footprint.sides[0] = first * scale
+    footprint.sides[1] = second * scale
+
+
+cdef void turn(double* axes, const double* direction) noexcept nogil:
+    """Turn the first two axes so that the first has a direction given in their frame."""
+    cdef int axis
+    for axis in range(3):
+        axes[axis] = direction[0] * axes[axis] + direction[1] * axes[3 + axis]
+    normalise(axes)
+    cross(&axes[3], &axes[6], axes)
+
+
+# The radius
+
+cdef inline double squared_root(
+    FootprintGather work, const Footprint* footprint, double n
+) noexcept nogil:
+    """Squared radius at which n photons are just enough; infinite where they never are."""
+    cdef double excess = M_PI * (n - work.number)
+    cdef double linear = work.number * (footprint.sides[0] + footprint.sides[1])
+    cdef double root
+    if excess <= 0.0:
+        return INFINITY
+    root = linear + sqrt(linear * linear + excess * work.number * footprint.area)
+    return (root / excess) * (root / excess)
+
+
+cdef inline double squared_expected(
+    FootprintGather work, const Footprint* footprint, double squared, double n
+) noexcept nogil:
+    """Squared radius to expect where n photons are within a squared radius."""
+    cdef double sides = 2.0 * (footprint.sides[0] + footprint.sides[1])
+    cdef double around = footprint.area + sides * sqrt(squared) + M_PI * squared
+    return work.number * around / (M_PI * n) if n > 0.0 else INFINITY
+
+
+cdef double squared_reach(Tree tree, const double* at) noexcept nogil:
+    """Squared radius around a point beyond which there is no photon."""
+    cdef double squared = 0.0, gap
+    cdef int axis
+    for axis in range(3):
+        gap = fmax(fabs(tree.high[axis] - at[axis]), fabs(at[axis] - tree.low[axis]))
+        squared += gap * gap
+    return squared * (1.0 + 1e-9)
+
+
+cdef double find_squared_radius(
+    FootprintGather work, const Footprint* footprint, Scratch* scratch
+) noexcept nogil:
+    """Squared radius of the rule: the least of max(distance to the n-th photon, root of n).
+
+    Distances grow with n and roots fall, so it is between any two radii of which the first is too
+    small and the second large enough: brackets are moved until they are such and hold few photons.
+    It depends on the photons alone, not on the brackets.
+    """
+    cdef double largest = fmin(
+        work.squared_gather_radius, squared_reach(work.tree, footprint.rectangle.at)
+    )
+    # Known to be too small, and large enough.
+    cdef double below = 0.0, above = INFINITY
+    cdef double low = LOW * scratch.squared_guess, high = HIGH * scratch.squared_guess
+    cdef int64_t n_low, n_band
+    scratch.squared_listed = -1.0
+    scratch.at_photon = scratch.is_limited = False
+    if not 0.0 < high < largest:
+        high = largest
+    low = fmin(low, 0.5 * high)
+    while True:
+        n_band = find_band(work, footprint, scratch, low, high, &n_low)
+        if squared_root(work, footprint, n_low + n_band) > high:
+            if high == largest:
+                return limited_radius(work, footprint, scratch, n_low + n_band)
+            below = low = high
+            high = squared_expected(work, footprint, high, n_low + n_band)
+            high = fmin(fmin(fmax(fmin(HIGH * high, 16.0 * low), 1.5 * low), above), largest)
+        elif low > below and squared_root(work, footprint, n_low) <= low:
+            above = high = low
+            low = fmin(LOW * squared_expected(work, footprint, high, n_low), 0.75 * high)
+            low = fmax(low, below)
+        elif n_band <= BAND:
+            return radius_in_band(work, footprint, scratch, n_low, n_band, high)
+        elif low < 0.5 * (low + high) < high:
+            above = high
+            narrow(
+                squared_root(work, footprint, n_low + n_band),
+                squared_root(work, footprint, n_low), &low, &high
+            )
+        else:
+            scratch.at_photon = True
+            return high
+
+
+cdef inline void narrow(
+    double least_root, double largest_root, double* low, double* high
+) noexcept nogil:
+    """Narrow a bracket by the roots of the numbers of photons at its ends, at least to a half."""
+    cdef double above = fmax(low[0], (1.0 - 1e-12) * least_root)
+    cdef double below = fmin(high[0], (1.0 + 1e-12) * largest_root)
+    if below - above > 0.5 * (high[0] - low[0]):
+        high[0] = 0.5 * (low[0] + high[0])
+        return
+    low[0] = above
+    high[0] = below
+
+
+cdef double limited_radius(
+    FootprintGather work, const Footprint* footprint, Scratch* scratch, int64_t n
+) noexcept nogil:
+    """Squared radius where the n photons within reach are too few for a smaller one."""
+    cdef double root = squared_root(work, footprint, n)
+    scratch.is_limited = not root <= work.squared_gather_radius
+    return fmin(root, work.squared_gather_radius)
+
+
+cdef double radius_in_band(
+    FootprintGather work, const Footprint* footprint, Scratch* scratch, int64_t n_low,
+    Py_ssize_t n_band, double high
+) noexcept nogil:
+    """Squared radius, which is among the squared distances of a band or between two of them."""
+    cdef double root = squared_root(work, footprint, n_low)
+    cdef Py_ssize_t i
+    sort_few(scratch.band, n_band)
+    for i in range(n_band):
+        if root < scratch.band[i]:
+            return root
+        root = squared_root(work, footprint, n_low + i + 1)
+        if root <= scratch.band[i]:
+            scratch.at_photon = True
+            return scratch.band[i]
+    return fmin(root, high)
+
+
+cdef void sort_few(double* x, Py_ssize_t n) noexcept nogil:
+    cdef Py_ssize_t i, hole
+    cdef double own
+    for i in range(1, n):
+        own = x[i]
+        hole = i
+        while hole > 0 and x[hole - 1] > own:
+            x[hole] = x[hole - 1]
+            hole -= 1
+        x[hole] = own
+
+
+cdef int64_t find_band(
+    FootprintGather work, const Footprint* footprint, Scratch* scratch, double low, double high,
+    int64_t* n_low
+) noexcept nogil:
+    """Write the squared distances above `low` and up to `high`, as far as there is room.
+
+    Returns their number, and writes that of photons up to `low`.
+    """
+    # A list made for a much larger radius takes longer to look through than a new one to make.
+    if not high <= scratch.squared_listed <= 4.0 * high:
+        list_blocks(work, footprint, scratch, high, False)
+    n_low[0] = scratch.n_deep
+    scratch.n_single += BLOCK * scratch.n_blocks
+    return work.tree.simd.rectangle_band(
+        &work.tree.coords[0, 0, 0], scratch.blocks, scratch.n_blocks, &footprint.rectangle, low,
+        high, scratch.band, BAND, n_low
+    )
+
+
+# Traversal
+
+cdef inline double deep_margin(const Footprint* footprint, double squared) noexcept nogil:
+    """Distance inside its sides from which on a footprint's weights are equal; -1 if there is none.
+    """
+    cdef double margin = DEEP * GAUSSIAN_DEVIATION * sqrt(squared)
+    if margin < footprint.rectangle.half[0] and margin < footprint.rectangle.half[1]:
+        return margin
+    return -1.0
+
+
+cdef void list_blocks(
+    FootprintGather work, const Footprint* footprint, Scratch* scratch, double squared,
+    bint with_sums
+) noexcept nogil:
+    """List the blocks within a squared radius, in tree order, and count nodes deep inside."""
+    scratch.squared_listed = squared
+    scratch.margin = deep_margin(footprint, squared)
+    scratch.n_blocks = scratch.n_deep = 0
+    visit_nodes(work, work.tree, footprint, scratch, with_sums)
+
+
+cdef void visit_nodes(
+    FootprintGather work, Tree tree, const Footprint* footprint, Scratch* scratch, bint with_sums
+) noexcept nogil:
+    """Visit the nodes within the radius of the list, depth first."""
+    cdef Py_ssize_t[STACK_SIZE] open_level
+    cdef Py_ssize_t[STACK_SIZE] open_group
+    cdef Py_ssize_t n_open = 1, level, g
+    cdef double limit = sqrt(scratch.squared_listed) * (1.0 + 1e-9) + work.slack
+    cdef unsigned int near, child, deep
+    open_level[0] = open_group[0] = 0
+    while n_open > 0:
+        n_open -= 1
+        level = open_level[n_open]
+        g = open_group[n_open]
+        near = tree.simd.boxes_near_rectangle(
+            &tree.boxes[tree.first_group[level] + g, 0, 0, 0], &footprint.rectangle,
+            limit * limit, scratch.margin, &deep
+        )
+        if deep:
+            add_deep(work, scratch, level, g, deep, with_sums)
+            near &= ~deep
+        if level == last_kept(tree):
+            append_blocks(tree, g * fan_out(tree, level), near, scratch)
+            continue
+        while near:
+            child = highest_bit(near)
+            near ^= 1u << child
+            open_level[n_open] = level + 1
+            open_group[n_open] = g * fan_out(tree, level) + child
+            n_open += 1
+
+
+cdef inline void append_blocks(
+    Tree tree, Py_ssize_t node, unsigned int near, Scratch* scratch
+) noexcept nogil:
+    while near:
+        scratch.blocks[scratch.n_blocks] = <int32_t> first_block(tree, node + lowest_bit(near))
+        scratch.n_blocks += 1
+        near &= near - 1
+
+
+cdef void add_deep(
+    FootprintGather work, Scratch* scratch, Py_ssize_t level, Py_ssize_t g, unsigned int deep,
+    bint with_sums
+) noexcept nogil:
+    """Count the photons of nodes of a group, and add their values."""
+    cdef Py_ssize_t group = work.tree.first_group[level] + g
+    cdef Py_ssize_t child, channel
+    while deep:
+        child = lowest_bit(deep)
+        deep &= deep - 1
+        scratch.n_deep += points_of_node(work.tree, level, g * fan_out(work.tree, level) + child)
+        if with_sums:
+            for channel in range(work.sums.shape[1]):
+                scratch.deep[channel] += work.sums[group, channel, child]
+
+
+cdef inline int64_t points_of_node(Tree tree, Py_ssize_t level, Py_ssize_t node) noexcept nogil:
+    """Number of points of a node of a kept level."""
+    cdef Py_ssize_t bits = tree.n_levels - 4 * (last_kept(tree) - level)
+    cdef Py_ssize_t first = (node * tree.n_blocks) >> bits
+    cdef Py_ssize_t end = ((node + 1) * tree.n_blocks) >> bits
+    return min(BLOCK * end, tree.n_points) - BLOCK * first
+
+
+# Sums
+
+cdef void write_densities(
+    FootprintGather work, const Footprint* footprint, Scratch* scratch, double* out
+) noexcept nogil:
+    """Write the densities over one footprint."""
+    cdef double squared = find_squared_radius(work, footprint, scratch)
+    cdef Py_ssize_t channel
+    cdef RectangleWeights weights
+    cdef double scale
+    if squared == 0.0:
+        # All photons that are asked for are at the point itself, as in nearest.pyx.
+        scratch.at_photon = False
+        scratch.is_limited = True
+        squared = work.squared_gather_radius
+    for channel in range(work.out.shape[1]):
+        out[channel] = scratch.deep[channel] = 0.0
+    if not isfinite(squared):
+        return
+    scratch.squared_guess = squared
+    list_for_sums(work, footprint, scratch, squared)
+    scale = set_weights(work, footprint, squared, scratch.at_photon, &weights)
+    if not scratch.is_limited:
+        scale /= uniform_mean(work, footprint, squared)
+    scratch.n_single += BLOCK * scratch.n_blocks
+    work.tree.simd.rectangle_sum(
+        &work.tree.coords[0, 0, 0], scratch.blocks, scratch.n_blocks, &footprint.rectangle,
+        &weights, &work.values[0, 0, 0], work.values.shape[1], out
+    )
+    for channel in range(work.out.shape[1]):
+        out[channel] = scale * (out[channel] + scratch.deep[channel])
+
+
+cdef void list_for_sums(
+    FootprintGather work, const Footprint* footprint, Scratch* scratch, double squared
+) noexcept nogil:
+    """List the blocks within the radius found: those listed last, unless there are deep nodes.
+
+    Which nodes are deep has to follow from the radius found, not from that of a search.
+    """
+    cdef double reach = squared_reach(work.tree, footprint.rectangle.at)
+    cdef bint covered = scratch.squared_listed >= fmin(squared, reach)
+    if not covered or scratch.margin >= 0.0 or deep_margin(footprint, squared) >= 0.0:
+        list_blocks(work, footprint, scratch, squared, True)
+
+
+cdef double set_weights(
+    FootprintGather work, const Footprint* footprint, double squared, bint at_photon,
+    RectangleWeights* weights
+) noexcept nogil:
+    """Set the weights for a squared radius; return their factor.
+
+    The photon whose distance is the radius does not count itself, as in nearest.pyx.
+    """
+    cdef double radius = sqrt(squared)
+    cdef double deviation = GAUSSIAN_DEVIATION * radius
+    cdef double scale = 1.0 / kernel_integral(work.integrals, footprint, radius)
+    cdef int side
+    weights.squared_radius = nextafter(squared, 0.0) if at_photon else squared
+    weights.inverse_deviation = 1.0 / deviation
+    for side in range(2):
+        weights.is_narrow[side] = footprint.sides[side] < NARROW * deviation
+        if weights.is_narrow[side]:
+            set_series(footprint.sides[side] / deviation, weights.series[side])
+            scale /= sqrt(2.0 * M_PI) * deviation
+        else:
+            scale /= footprint.sides[side]
+    return scale
+
+
+cdef inline double uniform_mean(
+    FootprintGather work, const Footprint* footprint, double squared
+) noexcept nogil:
+    """Mean of estimates of a uniform field, over its value, where k photons set the radius."""
+    cdef double sides = 0.5 * (footprint.sides[0] + footprint.sides[1])
+    return 1.0 - work.bias * exp(-work.bias_decay * sides / sqrt(squared))
+
+
+cdef inline void set_series(double side, double* series) noexcept nogil:
+    """Set the mean of a normal density over a side s, in deviations, over the density.
+
+    1 + s²/24 He₂ + s⁴/1920 He₄ + s⁶/322560 He₆ in the Hermite polynomials of the offset; the
+    coefficients of powers of its square, that of the highest first.
+    """
+    cdef double second = side * side / 24.0
+    cdef double fourth = side ** 4 / 1920.0
+    cdef double sixth = side ** 6 / 322560.0
+    series[0] = sixth
+    series[1] = fourth - 15.0 * sixth
+    series[2] = second - 6.0 * fourth + 45.0 * sixth
+    series[3] = 1.0 - second + 3.0 * fourth - 15.0 * sixth
+
+
+cdef double kernel_integral(
+    const double[:, ::1] table, const Footprint* footprint, double radius
+) noexcept nogil:
+    """Integral of a footprint's kernel over the plane, interpolated in s / (s + r)."""
+    cdef double[STENCIL] first
+    cdef double[STENCIL] second
+    cdef Py_ssize_t n = table.shape[0] - 1
+    cdef Py_ssize_t row = set_stencil(footprint.sides[0] / (footprint.sides[0] + radius), n, first)
+    cdef Py_ssize_t column = set_stencil(
+        footprint.sides[1] / (footprint.sides[1] + radius), n, second
+    )
+    cdef double total = 0.0, own
+    cdef Py_ssize_t i, j
+    for i in range(STENCIL):
+        own = 0.0
+        for j in range(STENCIL):
+            own += second[j] * table[row + i, column + j]
+        total += first[i] * own
+    return total
+
+
+cdef inline Py_ssize_t set_stencil(double x, Py_ssize_t n, double* weights) noexcept nogil:
+    """Set Lagrange's weights at x in [0, 1] of n intervals; return the first of their points."""
+    cdef Py_ssize_t first = min(max(<Py_ssize_t> (n * x) - 2, <Py_ssize_t> 0), n + 1 - STENCIL)
+    cdef double t = n * x - first
+    cdef double[STENCIL] left
+    cdef double right = 1.0
+    cdef Py_ssize_t i
+    left[0] = 1.0
+    for i in range(1, STENCIL):
+        left[i] = left[i - 1] * (t - (i - 1))
+    # Products of the other points' distances: i! (5 - i)!, with alternating signs.
+    cdef double[STENCIL] inverse = [-1 / 120.0, 1 / 24.0, -1 / 12.0, 1 / 12.0, -1 / 24.0, 1 / 120.0]
+    for i in range(STENCIL - 1, -1, -1):
+        weights[i] = left[i] * right * inverse[i]
+        right *= t - i
+    return first
