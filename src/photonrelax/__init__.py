@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from .estimation.diffusion import DiffusionSettings as DiffusionSettings
     from .estimation.field import Field as Field
     from .estimation.frequency import FrequencySettings as FrequencySettings
+    from .estimation.irradiance_map import irradiance_map as irradiance_map
+    from .estimation.lightmap import lightmap as lightmap
     from .estimation.methods import irradiance_field as irradiance_field
     from .estimation.nearest import GatherSettings as GatherSettings
     from .estimation.nearest import IrradianceField as IrradianceField
@@ -82,6 +84,8 @@ _MODULE_OF = {
     "detect_structure": "relaxation.structure",
     "estimate_irradiance": "estimation.nearest",
     "irradiance_field": "estimation.methods",
+    "irradiance_map": "estimation.irradiance_map",
+    "lightmap": "estimation.lightmap",
     "relax": "relaxation.relax",
     "render": "rendering.render",
     "render_progressive": "rendering.progressive_render",

@@ -320,8 +320,7 @@ class _Workbench:
     def _warm_up(self) -> None:
         """Gather once: the first timed method should not pay for starting threads."""
         field = prepare(PLAIN_METHOD, self._method_input(Settings(), None))
-        hits = self._view.bands[0].hits
-        field(hits.position, hits.normal)
+        self._view.bands[0].irradiance(field)
 
     def _evaluate(self, name: str) -> tuple[Field, Floats, dict[str, float]]:
         """Field, caustic and seconds by stage of a column's method."""

@@ -24,7 +24,7 @@ from ..transport.raycast import RayCaster
 # Camera rays traced together, which bounds the memory of an image.
 _RAYS_PER_BAND = 400_000
 # Bytes of the layers of a pixel, and of a camera ray and of a hit point that are kept, at least.
-_PIXEL_BYTES, _RAY_BYTES, _HIT_BYTES = 128, 56, 128
+_PIXEL_BYTES, _RAY_BYTES, _HIT_BYTES = 128, 56, 176
 # Rays a side of the small image from which the number of hit points is estimated.
 _PILOT_SIDE = 64
 # Position of samples in the cells of the s·s grid of their pixel.
@@ -54,6 +54,14 @@ class Band:
     hits: HitPoints
     first: FirstSurfaces
     direct: Floats
+
+    def irradiance(self, field: Field) -> Floats:
+        """Irradiance (m, 3) of a field: means over the footprints of the hit points, W/m².
+
+        At the hit points where the field has estimates at points only, or they have no footprints.
+        """
+        footprint = self.hits.footprint if field.has_footprints else None
+        return field(self.hits.position, self.hits.normal, footprint=footprint)
 
     def radiance(self, irradiance: Floats) -> Floats:
         """Radiance (rows, width, 3) of irradiance (m, 3) at the hit points."""
@@ -233,7 +241,7 @@ class StoredView:
         report = Reporter(progress, "render", sum(len(band.rows) for band in self.bands))
         parts = []
         for band in self.bands:
-            parts.append(band.radiance(field(band.hits.position, band.hits.normal)))
+            parts.append(band.radiance(band.irradiance(field)))
             report.advance(len(band.rows))
         return np.concatenate(parts)
 
