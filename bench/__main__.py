@@ -13,6 +13,7 @@ python -m bench frequency         frequency-driven and progressive photon mappin
 python -m bench methods           errors and times of every method on the same photons
 python -m bench refinements       refinements of standard estimates compared with relaxations
 python -m bench initial-radius    progressive photon mapping by its initial radius
+python -m bench pixel-means       errors of means over texels by photons, against counted photons
 python -m bench resolution        errors by gaps, thicknesses and widths that float32 tells apart
 """
 
@@ -28,6 +29,7 @@ from bench.studies import (
     frequency,
     initial_radius,
     methods,
+    pixel_means,
     progressive,
     refinements,
     resolution,
@@ -50,6 +52,7 @@ _COMMANDS = {
     "frequency": frequency,
     "refinements": refinements,
     "initial-radius": initial_radius,
+    "pixel-means": pixel_means,
     "resolution": resolution,
     # The processes that `compare` and `memory` start.
     "simd": simd,

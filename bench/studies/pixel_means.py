@@ -1,0 +1,184 @@
+"""Means over texels against counted photons: error by photons, at points and over footprints."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+import photonrelax as pr
+from bench.arguments import numbers
+from bench.markdown import markdown_table
+from photonrelax import gallery
+from photonrelax.transport.raycast import RayCaster
+
+SCENES = ("ring", "sphere", "ripples", "prism")
+# Share of the photons that lie beyond the map on each side.
+_MARGIN = 0.02
+
+
+@dataclass(frozen=True)
+class Study:
+    """Scenes, numbers of photons emitted and methods; texels of a side; passes of a reference."""
+
+    scenes: tuple[str, ...] = SCENES
+    photons: tuple[int, ...] = (300_000, 1_000_000, 3_000_000)
+    methods: tuple[str, ...] = ("standard", "relaxation", "parameterised")
+    texels: int = 350
+    reference_passes: int = 40
+    photons_per_pass: int = 2_000_000
+
+
+class Errors(NamedTuple):
+    """Root mean square error over the mean, relative L1, and total energy over the reference's."""
+
+    rms: float
+    l1: float
+    energy: float
+
+    @classmethod
+    def of(cls, image: NDArray, reference: NDArray) -> Errors:
+        """Errors of an image of one channel."""
+        error = image - reference
+        return cls(
+            float(np.sqrt(np.mean(error**2)) / reference.mean()),
+            float(np.abs(error).sum() / reference.sum()),
+            float(image.sum() / reference.sum()),
+        )
+
+
+@dataclass(frozen=True)
+class FloorMap:
+    """Square texels on the floor of a scene, around its caustic.
+
+    Attributes
+    ----------
+    low : (2,)
+        Corner of least x and y, m.
+    side : float
+        Of the map, m.
+    height : float
+        z of the floor, m.
+    texels : int
+        Of a side.
+    """
+
+    low: NDArray
+    side: float
+    height: float
+    texels: int
+
+    @classmethod
+    def of(cls, photons: pr.PhotonMap, texels: int) -> FloorMap:
+        """Map that holds most photons on the lowest surface that faces up."""
+        height = float(np.median(photons.position[_on_floor(photons), 2]))
+        xy = photons.position[_on_floor(photons), :2]
+        low, high = np.quantile(xy, [_MARGIN, 1.0 - _MARGIN], axis=0)
+        side = float((high - low).max())
+        return cls((low + high - side) / 2.0, side, height, texels)
+
+    def counted(self, photons: pr.PhotonMap) -> NDArray:
+        """Flux of the photons in each texel over its area, (texels, texels), row 0 at least y."""
+        there = _on_floor(photons)
+        x, y = ((photons.position[there, :2] - self.low) / self.side * self.texels).T
+        counts, _, _ = np.histogram2d(
+            *(y, x),
+            bins=self.texels,
+            range=[(0, self.texels)] * 2,
+            weights=photons.flux[there].mean(axis=1),
+        )
+        return counts / (self.side / self.texels) ** 2
+
+    def means(self, field: pr.Field) -> NDArray:
+        """Means of a field over the texels."""
+        corner, u, v = self.frame
+        return pr.irradiance_map(field, corner, u, v, (self.texels, self.texels)).mean(axis=2)
+
+    def points(self, field: pr.Field) -> NDArray:
+        """Means of a field at 2 x 2 points in each texel."""
+        n = 2 * self.texels
+        at = (np.arange(n) + 0.5) / n * self.side
+        y, x = np.meshgrid(self.low[1] + at, self.low[0] + at, indexing="ij")
+        points = np.stack([x, y, np.full_like(x, self.height)], axis=-1).reshape(-1, 3)
+        normals = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
+        values = field(points, normals).mean(axis=1)
+        return values.reshape(self.texels, 2, self.texels, 2).mean(axis=(1, 3))
+
+    @property
+    def frame(self) -> tuple[NDArray, NDArray, NDArray]:
+        """Corner and sides, (3,) each."""
+        corner = np.array([*self.low, self.height])
+        return corner, np.array([self.side, 0.0, 0.0]), np.array([0.0, self.side, 0.0])
+
+
+def _on_floor(photons: pr.PhotonMap) -> NDArray[np.bool_]:
+    up: NDArray[np.bool_] = photons.normal[:, 2] > 0.999
+    return up
+
+
+def reference(study: Study, scene: pr.Scene, caster: RayCaster, floor: FloorMap) -> NDArray:
+    """Counted means (2, texels, texels) of two halves of the passes."""
+    halves = np.zeros((2, floor.texels, floor.texels))
+    n = study.photons_per_pass
+    for number in range(study.reference_passes):
+        # Far from the seeds of the maps compared.
+        photons = pr.trace_photons(scene, n, seed=1000 + number, caster=caster)
+        halves[number % 2] += floor.counted(photons)
+    return halves / (study.reference_passes / 2)
+
+
+def rows(study: Study) -> Iterator[list[str]]:
+    """Yield the rows of the table."""
+    for name in study.scenes:
+        scene = gallery.scene(name)
+        caster = RayCaster(scene.objects)
+        floor = FloorMap.of(pr.trace_photons(scene, 100_000, caster=caster), study.texels)
+        halves = reference(study, scene, caster, floor)
+        exact = halves.mean(axis=0)
+        doubt = Errors.of(halves[0], halves[1])
+        yield [name, "reference", "", f"{doubt.rms / 2:.3f} {doubt.l1 / 2:.3f}", ""]
+        for n in study.photons:
+            photons = pr.trace_photons(scene, n, caster=caster)
+            for method in study.methods:
+                field = pr.irradiance_field(photons, method=method)
+                found = Errors.of(floor.points(field), exact), Errors.of(floor.means(field), exact)
+                yield [name, method, f"{n:,}", *map(_cell, found)]
+
+
+def _cell(errors: Errors) -> str:
+    return f"{errors.rms:.3f} {errors.l1:.3f} {100 * (errors.energy - 1):+.2f} %"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the scenes, the numbers of photons, and the size of references."""
+    default = Study()
+    parser.add_argument("--scenes", default=",".join(default.scenes))
+    parser.add_argument("--photons", type=numbers, default=list(default.photons))
+    parser.add_argument("--methods", default=",".join(default.methods))
+    parser.add_argument("--reference-passes", type=int, default=default.reference_passes)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the table."""
+    study = Study(
+        scenes=tuple(options.scenes.split(",")),
+        photons=tuple(options.photons),
+        methods=tuple(options.methods.split(",")),
+        reference_passes=options.reference_passes,
+    )
+    print(markdown(study))
+
+
+def markdown(study: Study) -> str:
+    """Table of the study."""
+    titles = ["scene", "method", "emitted", "2 x 2 points", "footprints"]
+    return (
+        f"{markdown_table(titles, rows(study))}\n\nRoot mean square error over the mean, relative "
+        f"L1 and total energy, against {study.reference_passes} counted passes of "
+        f"{study.photons_per_pass:,} photons; {study.texels} x {study.texels} texels of the floor. "
+        "Reference: half the difference between the halves of its passes.\n"
+    )
