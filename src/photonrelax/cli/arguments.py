@@ -166,6 +166,52 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     _add_common(parser)
 
 
+def _add_irradiance(parser: argparse.ArgumentParser) -> None:
+    from ..estimation.methods import DEFAULT_METHOD, METHODS
+
+    _add_scene(parser)
+    parser.add_argument(
+        "--on",
+        required=True,
+        metavar="OBJECT",
+        help="name or number of the flat object to map, from the side with most light",
+    )
+    _add_output(parser, "FILE.exr")
+    parser.add_argument(
+        "--texels",
+        type=positive,
+        default=512,
+        metavar="N",
+        help="texels along the longer side (%(default)s)",
+    )
+    parser.add_argument(
+        "--size",
+        type=_positive_number,
+        metavar="METRES",
+        help="side of a square around the middle of the light, in place of the whole object",
+    )
+    parser.add_argument(
+        "--encircled",
+        type=_radii,
+        metavar="RADIUS,...",
+        help="print the flux within these radii, in m, of the centre and of the brightest point",
+    )
+    parser.add_argument(
+        "--plot",
+        type=Path,
+        metavar="FILE.png",
+        help="write false colours with a scale, and a cross-section",
+    )
+    parser.add_argument(
+        "--method", choices=METHODS, default=DEFAULT_METHOD, help="default: %(default)s"
+    )
+    _add_emission(parser)
+    _add_sampler(parser)
+    _add_settings(parser)
+    _add_exposure(parser)
+    _add_common(parser)
+
+
 def _add_info(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", type=Path)
 
@@ -175,6 +221,10 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "trace": ("trace the photons of a built-in scene into a photon map", _add_trace),
     "relax": ("relax the photons of a photon map", _add_relax),
     "compare": ("compare methods on the same photons: table, images, HTML page", _add_compare),
+    "irradiance": (
+        "map the irradiance on a flat object to an EXR file, and a PNG preview beside it",
+        _add_irradiance,
+    ),
     "list": ("list the built-in scenes and photon patterns", lambda parser: None),
     "info": ("describe an EXR file or a photon map", _add_info),
 }
@@ -254,6 +304,10 @@ def _add_image(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="N x N samples per pixel (%(default)s)",
     )
+    _add_exposure(parser)
+
+
+def _add_exposure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--exposure",
         type=_stops,
@@ -312,6 +366,11 @@ def _positive_number(text: str) -> float:
     if not 0.0 < number < float("inf"):
         raise argparse.ArgumentTypeError(f"should be a positive number, but is {text!r}")
     return number
+
+
+def _radii(text: str) -> tuple[float, ...]:
+    """Positive numbers of a text like 0.05,1."""
+    return tuple(_positive_number(number) for number in text.split(","))
 
 
 def _stops(text: str) -> float:

@@ -35,6 +35,7 @@ from .streams import complain, escaping_streams, write_lines
 
 # Import lazily, so that Ctrl-C during an import reaches `main`.
 if TYPE_CHECKING:
+    from ..estimation.field import PhotonField
     from ..estimation.methods import Settings
     from ..evaluation import ComparisonRequest
     from ..evaluation.reference import ReferenceSettings
@@ -308,6 +309,57 @@ def _reference_settings(options: argparse.Namespace) -> ReferenceSettings:
     )
 
 
+def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
+    from ..evaluation import irradiance_plot
+    from ..rendering.object_map import ObjectMap
+    from .reports import encircled_table
+
+    output = output_path(options.output, ".exr")
+    preview = output_path(output.with_suffix(".png"))
+    plot = None if options.plot is None else output_path(options.plot, ".png")
+    check_distinct({"the map": output, "the preview": preview, "--plot": plot})
+    if plot is not None:
+        irradiance_plot.check_installed()
+    field, scene = _field_of_scene(options, interrupts)
+    found = ObjectMap(field, scene, options.on, options.texels, size=options.size)
+    with ExitStack() as files:
+        _place(files, found.image, options)
+        if plot is not None:
+            irradiance_plot.write_plot(
+                _partial(files, plot),
+                found.irradiance,
+                found.grid,
+                f"{options.scene}, {options.on}",
+            )
+        interrupts.check()
+    texts = [f"wrote {output} and {preview}" + ("" if plot is None else f" and {plot}")]
+    if options.encircled is not None:
+        texts.insert(0, encircled_table(found, options.encircled))
+    _report(options, *texts)
+
+
+def _field_of_scene(
+    options: argparse.Namespace, interrupts: Interrupts
+) -> tuple[PhotonField, pr.Scene]:
+    from ..estimation.methods import MethodInput, method_named, prepare
+    from .settings import settings_from_options
+
+    settings = settings_from_options(options, (options.method,))
+    scene = gallery.scene(options.scene)
+    with ProgressBars(options.quiet, interrupts) as bars:
+        photons = pr.trace_photons(
+            scene,
+            _photons(options),
+            seed=options.seed or 0,
+            sampler=options.sampler or SAMPLER,
+            frequency_share=method_named(options.method).frequency_share(settings),
+            n_threads=options.threads,
+            progress=bars,
+        )
+        inputs = MethodInput(photons, settings, scene, options.threads, bars)
+        return prepare(options.method, inputs), scene
+
+
 def _list(options: argparse.Namespace, interrupts: Interrupts) -> None:
     names = (*gallery.names(), *gallery.pattern_names())
     width = max(map(len, names))
@@ -364,6 +416,7 @@ _COMMANDS = {
     "trace": _trace,
     "relax": _relax,
     "compare": _compare,
+    "irradiance": _irradiance,
     "list": _list,
     "info": _info,
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from ..imaging.image import Image
 from ..photons.energy_ledger import EnergyLedger
 from ..photons.photon_map import PhotonMap
+from ..rendering.object_map import ObjectMap
 
 
 def stage_table(stages: Mapping[str, Mapping[str, Any]]) -> str:
@@ -35,6 +36,16 @@ def _counts(values: Mapping[str, Any]) -> str:
         for name, value in values.items()
         if name != "seconds" and isinstance(value, int)
     )
+
+
+def encircled_table(found: ObjectMap, radii: Sequence[float]) -> str:
+    """Flux within radii of the centre of a map and of its brightest point, a line each."""
+    lines = []
+    for name, point in (("centre", found.centre), ("brightest point", found.brightest)):
+        lines.append(f"within a radius of the {name}, {_numbers(point)} m:")
+        flux = found.encircled_flux(point, radii)
+        lines += [f"  {r:g} m  {_watts(some)}" for r, some in zip(radii, flux, strict=True)]
+    return "\n".join(lines)
 
 
 def describe_image(image: Image) -> str:

@@ -1,0 +1,162 @@
+"""Irradiance maps of flat objects of a scene, and the flux within circles on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from .._util.validation import Floats
+from ..estimation.field import PhotonField
+from ..estimation.irradiance_map import TexelGrid, irradiance_map, texel_grid
+from ..imaging.image import Image
+from ..scene.scene import Scene, SceneObject, object_label
+from .metadata import photon_metadata
+
+# Height of a flat object over its size, at most.
+_FLAT = 1e-6
+# Cosine of the angle to the x axis from which on maps run along y.
+_ALONG_X = 0.9
+
+
+class ObjectMap:
+    """Irradiance map of a flat object, on the side with most light.
+
+    The map is the rectangle around the object in whose plane u runs along x, or along y where the
+    object faces along x, and v runs down as seen from that side. Texels are square.
+
+    Parameters
+    ----------
+    field : PhotonField
+        Of photons of the scene.
+    scene : Scene
+    name : str
+        Name or number of the object.
+    n_texels : int
+        Texels along the longer side.
+    size : float, optional
+        Side of a square around the middle of the light on the object, m, in place of all of it.
+
+    Attributes
+    ----------
+    object_id : int
+    grid : TexelGrid
+        The rectangle.
+
+    Raises
+    ------
+    ValueError
+        If there is no such object, several have the name, or it is not flat; if the photons have no
+        `object_id`.
+    """
+
+    def __init__(
+        self,
+        field: PhotonField,
+        scene: Scene,
+        name: str,
+        n_texels: int,
+        *,
+        size: float | None = None,
+    ) -> None:
+        self._field, self._scene = field, scene
+        self.object_id = object_named(scene, name)
+        item = scene.objects[self.object_id]
+        normal = _plane_normal(item, object_label(self.object_id, item))
+        photons = field.photons
+        if photons.object_id is None:
+            raise ValueError("photons should have object_id, to tell which are on the object")
+        self._there = np.flatnonzero(photons.object_id == self.object_id)
+        facing = photons.normal[self._there] @ normal
+        flux = photons.flux[self._there].sum(axis=1)
+        if flux[facing < 0.0].sum() > flux[facing > 0.0].sum():
+            normal = -normal
+        vertices = np.asarray(item.mesh.vertices, dtype=np.float64)
+        sides = _sides_on(normal)
+        low, high = (vertices @ sides.T).min(axis=0), (vertices @ sides.T).max(axis=0)
+        if size is not None and len(self._there):
+            middle = np.average(photons.position[self._there], axis=0, weights=flux) @ sides.T
+            low, high = middle - size / 2.0, middle + size / 2.0
+        nx, ny = np.maximum(np.rint((high - low) / (high - low).max() * n_texels), 1).astype(int)
+        origin = low @ sides + (vertices[0] @ normal) * normal
+        u, v = (high - low)[:, np.newaxis] * sides
+        self.grid = texel_grid(origin, u, v, (int(nx), int(ny)), normal=normal)
+
+    @cached_property
+    def irradiance(self) -> Floats:
+        """Means over the texels (ny, nx, 3), row 0 on top, W/m²."""
+        grid = self.grid
+        return irradiance_map(
+            self._field, grid.origin, grid.u, grid.v, grid.shape, normal=grid.normal
+        )
+
+    @property
+    def image(self) -> Image:
+        """Layers ``irradiance`` and ``radiance``, the latter of a white surface, W/(m² sr).
+
+        The rectangle is in the metadata.
+        """
+        layers = {"radiance": self.irradiance / np.pi, "irradiance": self.irradiance}
+        frame = {name: getattr(self.grid, name).tolist() for name in ("origin", "u", "v", "normal")}
+        others = {"scene": self._scene.name, "object": self.object_id, "settings": self._field.used}
+        return Image(layers, photon_metadata(self._field.photons, frame=frame, **others))
+
+    @property
+    def centre(self) -> Floats:
+        """Centre (3,) of the map."""
+        centre: Floats = self.grid.origin + (self.grid.u + self.grid.v) / 2.0
+        return centre
+
+    @property
+    def brightest(self) -> Floats:
+        """Centre (3,) of the texel of most irradiance."""
+        row, column = divmod(int(self.irradiance.sum(axis=2).argmax()), self.grid.shape[0])
+        centre: Floats = self.grid.centres(range(row, row + 1))[column]
+        return centre
+
+    def encircled_flux(self, point: Floats, radii: Sequence[float]) -> Floats:
+        """Flux (n, 3) of the photons on the object within radii (n,) of a point, counted, W."""
+        photons = self._field.photons
+        position, flux = photons.position[self._there], photons.flux[self._there]
+        distance = np.linalg.norm(position - point, axis=1)
+        return np.array([flux[distance <= radius].sum(axis=0) for radius in radii])
+
+
+def object_named(scene: Scene, name: str) -> int:
+    """Id of the object of a scene with a name, or else with this number.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or several have the name.
+    """
+    ids = [i for i, item in enumerate(scene.objects) if item.name == name]
+    if len(ids) == 1:
+        return ids[0]
+    if not ids and name.isdecimal() and int(name) < len(scene.objects):
+        return int(name)
+    labels = ", ".join(object_label(i, item) for i, item in enumerate(scene.objects))
+    found = f"{len(ids)} have" if ids else "none has"
+    raise ValueError(f"one object should have the name or number {name!r}, but {found}: {labels}")
+
+
+def _plane_normal(item: SceneObject, label: str) -> Floats:
+    """Unit normal of a flat object, its largest coordinate positive."""
+    vertices = np.asarray(item.mesh.vertices, dtype=np.float64)
+    _, extent, axes = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)
+    if extent[2] > _FLAT * extent[0]:
+        raise ValueError(
+            f"{label} should be flat for an irradiance map, but is not: photonrelax.lightmap maps "
+            "the texture coordinates of any mesh"
+        )
+    normal: Floats = axes[2] * np.sign(axes[2, np.abs(axes[2]).argmax()])
+    return normal
+
+
+def _sides_on(normal: Floats) -> Floats:
+    """Unit vectors (2, 3) to the right and down in a plane, seen from the side of its normal."""
+    right = np.eye(3)[1 if abs(normal[0]) > _ALONG_X else 0]
+    right = right - (right @ normal) * normal
+    right /= np.linalg.norm(right)
+    return np.array([right, np.cross(right, normal)])
