@@ -9,7 +9,7 @@ import numpy as np
 
 from .._util.validation import Floats
 from ..estimation.field import PhotonField
-from ..estimation.irradiance_map import TexelGrid, irradiance_map, texel_grid
+from ..estimation.irradiance_map import irradiance_map, texel_grid
 from ..imaging.image import Image
 from ..scene.scene import Scene, SceneObject, object_label
 from .metadata import photon_metadata
