@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from photonrelax._ext.spatial.blocks import to_soa_blocks
 from photonrelax._ext.spatial.node_sums import node_sums
@@ -250,6 +250,7 @@ def test_several_sets_of_faces():
     assert_is_by_definition(photons, (position[rows], photons.normal[rows]), edges)
 
 
+@example(edges=[0.0, 1e-127, 0.0, 0.0, 0.0, 0.0], scale=0, n=1, k=2)
 @settings(max_examples=60, deadline=None)
 @given(
     edges=st.lists(st.floats(-3, 3, allow_subnormal=False), min_size=6, max_size=6),

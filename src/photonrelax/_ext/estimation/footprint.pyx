@@ -32,7 +32,7 @@ cdef enum:
     STENCIL = 6
 
 # Deviations inside the edge from which on a weight is one over the area, to 1e-9.
-cdef double DEEP = 6.0
+cdef double DEEP = 6.3
 # Length of a side, in deviations, below which its profile is a series.
 cdef double NARROW = 0.25
 # Squared radii first searched between, as shares of a squared guess.
@@ -53,13 +53,14 @@ cdef struct Footprint:
 
 cdef struct Scratch:
     # Blocks that may hold a photon within a squared radius, but for nodes deep inside; the margin
-    # that makes them so, or -1; their number of photons and the sums of their values.
+    # that makes them so, or -1; their number of photons and, if wanted, the sums of their values.
     int32_t* blocks
     Py_ssize_t n_blocks
     double squared_listed
     double margin
     int64_t n_deep
     double* deep
+    bint with_sums
     # Squared distances.
     double* band
     # Squared radius of the last query.
@@ -69,6 +70,14 @@ cdef struct Scratch:
     bint is_limited
     # Photons that were looked at one by one.
     int64_t n_single
+
+
+cdef struct Bracket:
+    # Squared radii, and the numbers of photons up to the first and between both.
+    double low
+    double high
+    int64_t n_low
+    int64_t n_band
 
 
 @final
@@ -144,15 +153,7 @@ def gather(
     work.edges = footprint if footprint.ndim == 3 else None
     work.sides = footprint if footprint.ndim == 1 else None
     work.integrals = integrals
-    m = work.queries.shape[0]
-    if not (
-        m == work.out.shape[0] == work.normals.shape[0] == len(footprint)
-        and work.queries.shape[1] >= tree.n_axes and tree.n_metric == 3
-        and work.normals.shape[1] == 3 and footprint.shape[1:] in ((), (2, 3))
-        and work.values.shape[0] == tree.n_blocks
-        and work.values.shape[1] == work.sums.shape[1] == work.out.shape[1]
-        and work.integrals.shape[0] == work.integrals.shape[1] > STENCIL
-    ):
+    if footprint.shape[1:] not in ((), (2, 3)) or not fit(work):
         raise ValueError("queries, footprints, densities and photon values do not fit one another")
     if tree.n_points == 0:
         work.out[...] = 0.0
@@ -162,12 +163,33 @@ def gather(
     work.squared_range = range_radius * range_radius if range_radius >= 0.0 else -1.0
     work.bias, work.bias_decay = bias
     work.slack = 1e-14 * np.abs([tree.low[:3], tree.high[:3]]).max()
-    work.blocks = np.empty((n_threads, tree.n_blocks + BLOCK), dtype=np.int32)
+    allocate(work, n_threads)
+    gather_all(work, n_threads)
+    return int(np.sum(work.n_single))
+
+
+cdef bint fit(FootprintGather work):
+    """Whether arrays fit one another."""
+    cdef Py_ssize_t m = work.queries.shape[0]
+    cdef Py_ssize_t n_footprints = (
+        work.sides.shape[0] if work.edges is None else work.edges.shape[0]
+    )
+    return (
+        m == work.out.shape[0] == work.normals.shape[0] == n_footprints
+        and work.queries.shape[1] >= work.tree.n_axes and work.tree.n_metric == 3
+        and work.normals.shape[1] == 3 and work.values.shape[0] == work.tree.n_blocks
+        and work.values.shape[1] == work.sums.shape[1] == work.out.shape[1]
+        and work.sums.shape[0] == work.tree.boxes.shape[0]
+        and work.integrals.shape[0] == work.integrals.shape[1] > STENCIL
+    )
+
+
+cdef allocate(FootprintGather work, int n_threads):
+    """Allocate a row of scratch memory a thread."""
+    work.blocks = np.empty((n_threads, work.tree.n_blocks + BLOCK), dtype=np.int32)
     work.band = np.empty((n_threads, BAND_STRIDE))
     work.deep = np.empty((n_threads, work.out.shape[1]))
     work.n_single = np.zeros(n_threads, dtype=np.int64)
-    gather_all(work, n_threads)
-    return int(np.sum(work.n_single))
 
 
 cdef int gather_all(FootprintGather work, int n_threads) except -1:
@@ -288,26 +310,33 @@ cdef void fit_rectangle(Footprint* footprint, const double* edges) noexcept nogi
     cdef double* axes = footprint.rectangle.axes
     cdef double[4] e
     cdef double[2] direction
-    cdef double half_sum, half_difference, area, longer
-    cdef int edge
+    cdef double half_sum, half_difference, area, longer, unit = 0.0
+    cdef int edge, i
     for edge in range(2):
         e[2 * edge] = dot(&edges[3 * edge], &axes[0])
         e[2 * edge + 1] = dot(&edges[3 * edge], &axes[3])
+    for i in range(4):
+        unit = fmax(unit, fabs(e[i]))
+    if unit == 0.0:
+        footprint.sides[0] = footprint.sides[1] = 0.0
+        return
+    # In a unit that keeps squares within the range of floats.
+    for i in range(4):
+        e[i] /= unit
     area = fabs(e[0] * e[3] - e[1] * e[2])
     half_sum = 0.5 * (e[0] * e[0] + e[1] * e[1] + e[2] * e[2] + e[3] * e[3])
     direction[0] = 0.5 * (e[0] * e[0] + e[2] * e[2] - e[1] * e[1] - e[3] * e[3])
     direction[1] = e[0] * e[1] + e[2] * e[3]
     half_difference = sqrt(direction[0] * direction[0] + direction[1] * direction[1])
     longer = sqrt(half_sum + half_difference)
-    if longer == 0.0:
-        footprint.sides[0] = footprint.sides[1] = 0.0
-        return
     if longer * longer > ELONGATED * area:
         footprint.sides[0] = longer
         footprint.sides[1] = area / longer
         half_angle(direction)
     else:
         fit_to_edges(footprint, e, area, direction)
+    footprint.sides[0] *= unit
+    footprint.sides[1] *= unit
     turn(axes, direction)
 
 
@@ -397,50 +426,53 @@ cdef double find_squared_radius(
         work.squared_gather_radius, squared_reach(work.tree, footprint.rectangle.at)
     )
     # Known to be too small, and large enough.
-    cdef double below = 0.0, above = INFINITY
-    cdef double low = LOW * scratch.squared_guess, high = HIGH * scratch.squared_guess
-    cdef int64_t n_low, n_band
+    cdef double below = 0.0, above = INFINITY, expected
+    cdef Bracket bracket
     scratch.squared_listed = -1.0
     scratch.at_photon = scratch.is_limited = False
-    if not 0.0 < high < largest:
-        high = largest
-    low = fmin(low, 0.5 * high)
+    bracket.high = HIGH * scratch.squared_guess
+    if not 0.0 < bracket.high < largest:
+        bracket.high = largest
+    bracket.low = fmin(LOW * scratch.squared_guess, 0.5 * bracket.high)
     while True:
-        n_band = find_band(work, footprint, scratch, low, high, &n_low)
-        if squared_root(work, footprint, n_low + n_band) > high:
-            if high == largest:
-                return limited_radius(work, footprint, scratch, n_low + n_band)
-            below = low = high
-            high = squared_expected(work, footprint, high, n_low + n_band)
-            high = fmin(fmin(fmax(fmin(HIGH * high, 16.0 * low), 1.5 * low), above), largest)
-        elif low > below and squared_root(work, footprint, n_low) <= low:
-            above = high = low
-            low = fmin(LOW * squared_expected(work, footprint, high, n_low), 0.75 * high)
-            low = fmax(low, below)
-        elif n_band <= BAND:
-            return radius_in_band(work, footprint, scratch, n_low, n_band, high)
-        elif low < 0.5 * (low + high) < high:
-            above = high
-            narrow(
-                squared_root(work, footprint, n_low + n_band),
-                squared_root(work, footprint, n_low), &low, &high
-            )
+        find_band(work, footprint, scratch, &bracket)
+        if squared_root(work, footprint, bracket.n_low + bracket.n_band) > bracket.high:
+            if bracket.high == largest:
+                return limited_radius(work, footprint, scratch, bracket.n_low + bracket.n_band)
+            below = bracket.low = bracket.high
+            expected = squared_expected(work, footprint, below, bracket.n_low + bracket.n_band)
+            bracket.high = fmax(fmin(HIGH * expected, 16.0 * below), 1.5 * below)
+            bracket.high = fmin(fmin(bracket.high, above), largest)
+        elif (
+            bracket.low > below
+            and squared_root(work, footprint, bracket.n_low) <= bracket.low
+        ):
+            above = bracket.high = bracket.low
+            expected = squared_expected(work, footprint, above, bracket.n_low)
+            bracket.low = fmax(fmin(LOW * expected, 0.75 * above), below)
+        elif bracket.n_band <= BAND:
+            return radius_in_band(work, footprint, scratch, &bracket)
+        elif bracket.low < 0.5 * (bracket.low + bracket.high) < bracket.high:
+            above = bracket.high
+            narrow(work, footprint, &bracket)
         else:
             scratch.at_photon = True
-            return high
+            return bracket.high
 
 
 cdef inline void narrow(
-    double least_root, double largest_root, double* low, double* high
+    FootprintGather work, const Footprint* footprint, Bracket* bracket
 ) noexcept nogil:
     """Narrow a bracket by the roots of the numbers of photons at its ends, at least to a half."""
-    cdef double above = fmax(low[0], (1.0 - 1e-12) * least_root)
-    cdef double below = fmin(high[0], (1.0 + 1e-12) * largest_root)
-    if below - above > 0.5 * (high[0] - low[0]):
-        high[0] = 0.5 * (low[0] + high[0])
+    cdef double low = squared_root(work, footprint, bracket.n_low + bracket.n_band)
+    cdef double high = squared_root(work, footprint, bracket.n_low)
+    low = fmax(bracket.low, (1.0 - 1e-12) * low)
+    high = fmin(bracket.high, (1.0 + 1e-12) * high)
+    if high - low > 0.5 * (bracket.high - bracket.low):
+        bracket.high = 0.5 * (bracket.low + bracket.high)
         return
-    low[0] = above
-    high[0] = below
+    bracket.low = low
+    bracket.high = high
 
 
 cdef double limited_radius(
@@ -453,21 +485,20 @@ cdef double limited_radius(
 
 
 cdef double radius_in_band(
-    FootprintGather work, const Footprint* footprint, Scratch* scratch, int64_t n_low,
-    Py_ssize_t n_band, double high
+    FootprintGather work, const Footprint* footprint, Scratch* scratch, const Bracket* bracket
 ) noexcept nogil:
     """Squared radius, which is among the squared distances of a band or between two of them."""
-    cdef double root = squared_root(work, footprint, n_low)
+    cdef double root = squared_root(work, footprint, bracket.n_low)
     cdef Py_ssize_t i
-    sort_few(scratch.band, n_band)
-    for i in range(n_band):
+    sort_few(scratch.band, bracket.n_band)
+    for i in range(bracket.n_band):
         if root < scratch.band[i]:
             return root
-        root = squared_root(work, footprint, n_low + i + 1)
+        root = squared_root(work, footprint, bracket.n_low + i + 1)
         if root <= scratch.band[i]:
             scratch.at_photon = True
             return scratch.band[i]
-    return fmin(root, high)
+    return fmin(root, bracket.high)
 
 
 cdef void sort_few(double* x, Py_ssize_t n) noexcept nogil:
@@ -482,22 +513,22 @@ cdef void sort_few(double* x, Py_ssize_t n) noexcept nogil:
         x[hole] = own
 
 
-cdef int64_t find_band(
-    FootprintGather work, const Footprint* footprint, Scratch* scratch, double low, double high,
-    int64_t* n_low
+cdef void find_band(
+    FootprintGather work, const Footprint* footprint, Scratch* scratch, Bracket* bracket
 ) noexcept nogil:
-    """Write the squared distances above `low` and up to `high`, as far as there is room.
+    """Count the photons of a bracket, and write the squared distances between its ends.
 
-    Returns their number, and writes that of photons up to `low`.
+    Only as far as there is room.
     """
     # A list made for a much larger radius takes longer to look through than a new one to make.
-    if not high <= scratch.squared_listed <= 4.0 * high:
-        list_blocks(work, footprint, scratch, high, False)
-    n_low[0] = scratch.n_deep
+    if not bracket.high <= scratch.squared_listed <= 4.0 * bracket.high:
+        scratch.with_sums = False
+        list_blocks(work, footprint, scratch, bracket.high)
     scratch.n_single += BLOCK * scratch.n_blocks
-    return work.tree.simd.rectangle_band(
-        &work.tree.coords[0, 0, 0], scratch.blocks, scratch.n_blocks, &footprint.rectangle, low,
-        high, scratch.band, BAND, n_low
+    bracket.n_low = scratch.n_deep
+    bracket.n_band = work.tree.simd.rectangle_band(
+        &work.tree.coords[0, 0, 0], scratch.blocks, scratch.n_blocks, &footprint.rectangle,
+        bracket.low, bracket.high, scratch.band, BAND, &bracket.n_low
     )
 
 
@@ -513,18 +544,17 @@ cdef inline double deep_margin(const Footprint* footprint, double squared) noexc
 
 
 cdef void list_blocks(
-    FootprintGather work, const Footprint* footprint, Scratch* scratch, double squared,
-    bint with_sums
+    FootprintGather work, const Footprint* footprint, Scratch* scratch, double squared
 ) noexcept nogil:
     """List the blocks within a squared radius, in tree order, and count nodes deep inside."""
     scratch.squared_listed = squared
     scratch.margin = deep_margin(footprint, squared)
     scratch.n_blocks = scratch.n_deep = 0
-    visit_nodes(work, work.tree, footprint, scratch, with_sums)
+    visit_nodes(work, work.tree, footprint, scratch)
 
 
 cdef void visit_nodes(
-    FootprintGather work, Tree tree, const Footprint* footprint, Scratch* scratch, bint with_sums
+    FootprintGather work, Tree tree, const Footprint* footprint, Scratch* scratch
 ) noexcept nogil:
     """Visit the nodes within the radius of the list, depth first."""
     cdef Py_ssize_t[STACK_SIZE] open_level
@@ -542,7 +572,7 @@ cdef void visit_nodes(
             limit * limit, scratch.margin, &deep
         )
         if deep:
-            add_deep(work, scratch, level, g, deep, with_sums)
+            add_deep(work, scratch, level, g, deep)
             near &= ~deep
         if level == last_kept(tree):
             append_blocks(tree, g * fan_out(tree, level), near, scratch)
@@ -565,8 +595,7 @@ cdef inline void append_blocks(
 
 
 cdef void add_deep(
-    FootprintGather work, Scratch* scratch, Py_ssize_t level, Py_ssize_t g, unsigned int deep,
-    bint with_sums
+    FootprintGather work, Scratch* scratch, Py_ssize_t level, Py_ssize_t g, unsigned int deep
 ) noexcept nogil:
     """Count the photons of nodes of a group, and add their values."""
     cdef Py_ssize_t group = work.tree.first_group[level] + g
@@ -575,7 +604,7 @@ cdef void add_deep(
         child = lowest_bit(deep)
         deep &= deep - 1
         scratch.n_deep += points_of_node(work.tree, level, g * fan_out(work.tree, level) + child)
-        if with_sums:
+        if scratch.with_sums:
             for channel in range(work.sums.shape[1]):
                 scratch.deep[channel] += work.sums[group, channel, child]
 
@@ -631,7 +660,8 @@ cdef void list_for_sums(
     cdef double reach = squared_reach(work.tree, footprint.rectangle.at)
     cdef bint covered = scratch.squared_listed >= fmin(squared, reach)
     if not covered or scratch.margin >= 0.0 or deep_margin(footprint, squared) >= 0.0:
-        list_blocks(work, footprint, scratch, squared, True)
+        scratch.with_sums = True
+        list_blocks(work, footprint, scratch, squared)
 
 
 cdef double set_weights(
