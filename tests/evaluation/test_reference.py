@@ -35,6 +35,7 @@ def test_a_reference_is_the_mean_of_two_runs_of_small_discs(comparison_request, 
             seed=pass_seed(0, half),
             settings=pr.ProgressiveSettings(k=4),
             supersampling=1,
+            stochastic=True,
         )
         for half in range(2)
     ]

@@ -1,6 +1,7 @@
 """Reference images, read or computed, and the errors of images against them.
 
-A computed reference is the mean of two runs of progressive photon mapping with independent photons.
+A computed reference is the mean of two runs of stochastic progressive photon mapping with
+independent photons; its pixels are means over their areas.
 Half of the difference of the runs is its noise. Its bias comes from the width of the discs that
 photons are gathered in: each run is repeated with the same photons and discs of twice the initial
 width. Where the bias is proportional to the width, as at edges, it equals the change from the
@@ -416,7 +417,9 @@ def _runs(
             photons_per_pass=settings.photons,
             seed=pass_seed(settings.seed, half),
             settings=ProgressiveSettings(k=k),
-            supersampling=request.supersampling,
+            # A sample of each pixel in every pass, anywhere in it: its mean.
+            supersampling=1,
+            stochastic=True,
             max_depth=request.max_depth,
             checkpoints=Checkpoints(state),
             n_threads=request.n_threads,
@@ -448,7 +451,7 @@ def _key(request: ComparisonRequest, settings: ReferenceSettings) -> str:
     """All that a reference depends on, as JSON."""
     depends_on = {
         "scene": scene_digest(_scene(request)),
-        "supersampling": request.supersampling,
+        "stochastic": True,
         "max_depth": request.max_depth,
         **asdict(settings),
         "passes": settings.passes_per_run,

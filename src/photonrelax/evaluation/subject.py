@@ -217,14 +217,13 @@ class PhotonPatternSubject:
         (width, height), samples = self.size, supersampling**2
         pattern = gallery.pattern(self.name, n=0)
         points, _ = pattern.samples(width, height, supersampling)
-        edges = np.diag([1.0 / width, -1.0 / height, 0.0])[:2] / supersampling
         per_row = width * samples
         step = max(_POINTS_PER_BAND // per_row, 1)
         bands = []
         for top in range(0, height, step):
             rows = range(top, min(top + step, height))
             some = points[rows.start * per_row : rows.stop * per_row]
-            bands.append(_band_of_plane(some, edges, rows, width))
+            bands.append(_band_of_plane(some, rows, width, samples))
         return StoredView(bands, seconds=0.0)
 
     def exact(self, supersampling: int) -> Floats:
@@ -243,9 +242,8 @@ class PhotonPatternSubject:
         """None: the whole image is `exact`."""
 
 
-def _band_of_plane(points: Floats, edges: Floats, rows: range, width: int) -> Band:
-    """Rows of an image of the white plane, of samples with edges (2, 3) around points (m, 3)."""
-    samples = len(points) // (len(rows) * width)
+def _band_of_plane(points: Floats, rows: range, width: int, samples: int) -> Band:
+    """Rows of an image of the white plane."""
     white, up = np.ones_like(points), np.zeros_like(points)
     up[:, 2] = 1.0
     pixels = np.arange(rows.start * width, rows.stop * width)
@@ -256,7 +254,6 @@ def _band_of_plane(points: Floats, edges: Floats, rows: range, width: int) -> Ba
         albedo=white,
         weight=white / samples,
         object_id=np.zeros(len(points), dtype=np.int32),
-        footprint=np.broadcast_to(edges, (len(points), 2, 3)),
     )
     shape = (len(rows), width)
     first = FirstSurfaces(np.broadcast_to(up[0], (*shape, 3)), np.ones(shape))

@@ -60,8 +60,10 @@ class Band:
 
         At the hit points where the field has estimates at points only, or they have no footprints.
         """
-        footprint = self.hits.footprint if field.has_footprints else None
-        return field(self.hits.position, self.hits.normal, footprint=footprint)
+        hits = self.hits
+        if hits.footprint is None or not field.has_footprints:
+            return field(hits.position, hits.normal)
+        return field(hits.position, hits.normal, footprint=hits.footprint)
 
     def radiance(self, irradiance: Floats) -> Floats:
         """Radiance (rows, width, 3) of irradiance (m, 3) at the hit points."""
