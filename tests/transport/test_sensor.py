@@ -1,5 +1,6 @@
 """Sensors store the photons that cross them; nothing else changes."""
 
+import pickle
 from itertools import pairwise
 
 import numpy as np
@@ -8,6 +9,8 @@ import trimesh
 
 import photonrelax as pr
 from photonrelax.photons.photon_map import NothingStoredError
+from photonrelax.scene.digest import scene_digests
+from photonrelax.transport.batch import TraceContext, TraceSettings, trace_batch
 from photonrelax.transport.emission import plan_emission
 from tests.analytic.lens import PlanoConvex
 from tests.analytic.slab import slab_transmittance
@@ -384,6 +387,25 @@ def test_maps_keep_their_sensors(tmp_path):
     np.testing.assert_array_equal(loaded.subset(loaded.on_sensor).object_id % 2, 0)
     without = pr.PhotonMap(photons.position, photons.normal, photons.flux)
     assert not without.on_sensor.any()
+
+
+def test_scenes_with_other_sensors_have_other_digests():
+    digests = {
+        scene_digests(with_sensors(SCENES["glass ball"], *meshes))["digest of the objects"]
+        for meshes in ((), MESHES[:1], MESHES[1:])
+    }
+    assert len(digests) == 3
+
+
+def test_batches_can_be_traced_elsewhere():
+    """A context that is pickled has the same sensors."""
+    scene = with_sensors(SCENES["glass ball"], *MESHES)
+    plan = plan_emission(scene, 2000)
+    context = TraceContext(scene, plan, TraceSettings("caustic", 32, 0.0), 2048)
+    copy = pickle.loads(pickle.dumps(context))
+    here, there = (trace_batch(each, (0, range(2000))).deposits for each in (context, copy))
+    assert here.tobytes() == there.tobytes()
+    assert np.isin(here["object_id"], scene.sensors).any()
 
 
 def test_shares_of_the_light_around_the_focus_of_a_lens():
