@@ -404,7 +404,7 @@ def test_batches_can_be_traced_elsewhere():
     context = TraceContext(scene, plan, TraceSettings("caustic", 32, 0.0), 2048)
     copy = pickle.loads(pickle.dumps(context))
     here, there = (trace_batch(each, (0, range(2000))).deposits for each in (context, copy))
-    assert here.tobytes() == there.tobytes()
+    np.testing.assert_array_equal(here, there)
     assert np.isin(here["object_id"], scene.sensors).any()
 
 

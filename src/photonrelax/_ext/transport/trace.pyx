@@ -321,6 +321,11 @@ cdef class Paths:
         cdef Crossing at
         if not (found.n_rays == self.n_live and len(hits) == rows.shape[0]):
             raise ValueError("hits and rays do not fit one another")
+        if rows.shape[0] and not 0 <= np.min(rows) <= np.max(rows) < self.n_live:
+            raise ValueError(
+                f"rows should be of {self.n_live} live rays, but are "
+                f"{np.min(rows)} to {np.max(rows)}"
+            )
         self.deposits.reserve(rows.shape[0])
         with nogil:
             for i in range(rows.shape[0]):
@@ -567,7 +572,7 @@ cdef class Paths:
     ) noexcept nogil:
         """Multiply the throughput by a factor, with the share of luminance left as probability.
 
-        Otherwise false. Survivors keep their luminance, so all photons of an emitter carry the same.
+        Otherwise false. Survivors keep their luminance: all photons of an emitter carry the same.
         """
         cdef Ray* ray = event.ray
         cdef double before = 0.0, after = 0.0
