@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from .scene.materials import Dielectric as Dielectric
     from .scene.materials import Diffuse as Diffuse
     from .scene.materials import Mirror as Mirror
+    from .scene.materials import Sensor as Sensor
     from .scene.scene import Scene as Scene
     from .scene.scene import SceneObject as SceneObject
     from .spatial.kdtree import KDTree as KDTree
@@ -78,6 +79,7 @@ _MODULE_OF = {
     "RelaxSettings": "relaxation.relax",
     "Scene": "scene.scene",
     "SceneObject": "scene.scene",
+    "Sensor": "scene.materials",
     "Structure": "relaxation.structure",
     "StructureSettings": "relaxation.structure",
     "detect_gradient": "relaxation.gradient",

@@ -24,6 +24,20 @@ def test_info_describes_a_photon_map(tmp_path, capsys):
     assert "flux: (1, 1, 1) W" in out
 
 
+def test_info_counts_flux_on_sensors_apart():
+    photons = pr.PhotonMap(
+        position=np.zeros((6, 3)),
+        normal=np.tile([0.0, 0.0, 1.0], (6, 1)),
+        flux=np.ones((6, 3)),
+        object_id=[0, 2, 2, 0, 2, 1],
+        sensor_ids=[3, 2],
+    )
+    lines = describe_photons(photons).splitlines()
+    assert "flux: (3, 3, 3) W" in lines
+    assert "sensor, object 2: 3 photons, flux (3, 3, 3) W" in lines
+    assert "sensor, object 3: 0 photons, flux (0, 0, 0) W" in lines
+
+
 def test_info_prints_the_ledger_of_each_emitter():
     flux = {name: np.full((1, 3), value) for name, value in LEDGER.items()}
     ends = {name: [10 * i] for i, name in enumerate(LEDGER) if name != "emitted"}

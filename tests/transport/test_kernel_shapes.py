@@ -9,6 +9,7 @@ from photonrelax._ext.transport import emission as emission_kernel
 from photonrelax._ext.transport import hit_points, trace
 from photonrelax.transport.batch import TraceContext, TraceSettings
 from photonrelax.transport.emission import plan_emission
+from photonrelax.transport.raycast import empty_intersections
 
 N = 8
 
@@ -35,6 +36,17 @@ def test_paths_want_a_row_of_the_ledger_for_each_block(context):
     how = {"luminance": np.ones(3), "ledger": ledger, "ends": ends}
     with pytest.raises(ValueError, match="do not fit the photons"):
         long.acquire_paths().start(long.emissions[0], np.arange(trace.LEDGER_BLOCK + 1), **how)
+
+
+def test_crossings_are_of_live_rays(context):
+    paths = context.acquire_paths()
+    context.start(paths, 0, np.arange(N))
+    found, hits = context.caster.find_paths(paths), empty_intersections(N)
+    with pytest.raises(ValueError, match="do not fit one another"):
+        paths.cross(found, np.arange(N - 1), hits)
+    for first in (-1, 1):
+        with pytest.raises(ValueError, match=f"should be of {N} live rays, but are {first} to"):
+            paths.cross(found, np.arange(first, first + N), hits)
 
 
 COLUMNS = {

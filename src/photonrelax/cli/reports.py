@@ -60,8 +60,9 @@ def describe_photons(photons: PhotonMap) -> str:
     emitted = "an unknown number" if photons.n_emitted is None else f"{photons.n_emitted:,}"
     lines = [
         f"{len(photons):,} photons of {emitted} emitted",
-        f"flux: {_watts(photons.flux.sum(axis=0))}",
+        f"flux: {_watts(photons.flux[~photons.on_sensor].sum(axis=0))}",
     ]
+    lines += _describe_sensors(photons)
     if len(photons):
         low, high = photons.position.min(axis=0), photons.position.max(axis=0)
         lines.append(f"box: {_numbers(low)} to {_numbers(high)} m")
@@ -70,6 +71,18 @@ def describe_photons(photons: PhotonMap) -> str:
     if photons.ledger is not None:
         lines += _describe_ledger(photons.ledger)
     return "\n".join(lines)
+
+
+def _describe_sensors(photons: PhotonMap) -> list[str]:
+    """Photons and flux on each sensor, a line each."""
+    if photons.sensor_ids is None or photons.object_id is None:
+        return []
+    lines = []
+    for sensor in photons.sensor_ids:
+        mine = photons.object_id == sensor
+        flux = _watts(photons.flux[mine].sum(axis=0))
+        lines.append(f"sensor, object {sensor}: {np.count_nonzero(mine):,} photons, flux {flux}")
+    return lines
 
 
 def _describe_ledger(ledger: EnergyLedger) -> list[str]:

@@ -135,6 +135,7 @@ class SceneSubject:
             frequency_share=frequency_share,
             n_threads=n_threads,
             progress=progress,
+            sensors=False,
         )
 
     def view(

@@ -27,6 +27,10 @@ LEDGER_NAMES = (
 class EnergyLedger:
     """Flux emitted by each emitter, divided by outcome; emitted is the sum of the others.
 
+    Light goes on beyond sensors, so they are no outcome: of caustics, `stored` is the flux of the
+    photons that are not on sensors, ``photons.flux[~photons.on_sensor].sum(axis=0)``, and the flux
+    that crossed sensors is that of the others.
+
     Attributes
     ----------
     emitted : (n_emitters, 3) float64

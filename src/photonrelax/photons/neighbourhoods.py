@@ -41,6 +41,33 @@ class Group(NamedTuple):
 def neighbour_groups(photons: PhotonMap, n_threads: int) -> list[Group]:
     """Groups of photons that may be neighbours, on faces of similar normals.
 
+    Photons on a sensor are neighbours of no others: the same light crosses it and arrives on the
+    surface behind it.
+    """
+    on_sensor = photons.on_sensor
+    if photons.object_id is None or not on_sensor.any():
+        return _groups_on_surface(photons, n_threads)
+    surface = np.where(on_sensor, photons.object_id, -1)
+    all_rows = [np.flatnonzero(surface == one) for one in np.unique(surface)]
+    return [
+        _among_all(group, rows, len(photons))
+        for rows in all_rows
+        for group in _groups_on_surface(photons.subset(rows), n_threads)
+    ]
+
+
+def _among_all(group: Group, rows: NDArray[np.intp], n: int) -> Group:
+    """The group, of photons with these rows in a map of n."""
+    if group.labels is None:
+        return group._replace(rows=rows[group.rows])
+    labels = np.zeros((n, 1))
+    labels[rows] = group.labels
+    return group._replace(rows=rows[group.rows], labels=labels)
+
+
+def _groups_on_surface(photons: PhotonMap, n_threads: int) -> list[Group]:
+    """Groups of photons that are not told apart by the sensors they are on.
+
     An emitter's photons are a group by themselves where they make up a part of the light that has
     a structure of its own; those of other emitters are grouped by `emitter_pools`. Many groups
     share a tree, so that time does not grow with their number.

@@ -68,6 +68,9 @@ class PhotonMap:
         Balance of the emitted flux.
     seed, sampler, paths : int, str, str, optional
         Arguments of `trace_photons`.
+    sensor_ids : (m,) array_like of int, optional
+        Those of the objects that are sensors, ascending. Photons on them are stored again where
+        their paths go on to.
 
     Raises
     ------
@@ -94,6 +97,7 @@ class PhotonMap:
     seed: int | None = None
     sampler: str | None = None
     paths: str | None = None
+    sensor_ids: NDArray[np.int32] | None = None
 
     if TYPE_CHECKING:
         # What may be given is wider than what the fields then hold.
@@ -118,6 +122,7 @@ class PhotonMap:
             seed: int | None = None,
             sampler: str | None = None,
             paths: str | None = None,
+            sensor_ids: ArrayLike | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -144,6 +149,9 @@ class PhotonMap:
         self._check_scalars()
 
     def _check_scalars(self) -> None:
+        if self.sensor_ids is not None:
+            ids = int_array(self.sensor_ids, "sensor_ids", (None,), np.int32)
+            set_field(self, "sensor_ids", frozen(np.unique(ids)))
         if self.n_emitted is not None:
             set_field(self, "n_emitted", count(self.n_emitted, "n_emitted", low=0))
         set_field(self, "well_spaced", bool(self.well_spaced))
@@ -155,6 +163,13 @@ class PhotonMap:
 
     def __len__(self) -> int:
         return len(self.position)
+
+    @property
+    def on_sensor(self) -> NDArray[np.bool_]:
+        """Mask (n,) of the photons that are on sensors."""
+        if self.sensor_ids is None or self.object_id is None:
+            return np.zeros(len(self), dtype=bool)
+        return np.isin(self.object_id, self.sensor_ids)
 
     def __repr__(self) -> str:
         given = [name for name in _ARRAY_FIELDS if getattr(self, name) is not None]
@@ -183,7 +198,7 @@ class PhotonMap:
             name: getattr(self, name) for name in _ARRAY_FIELDS if getattr(self, name) is not None
         }
         arrays["photonmap_version"] = FORMAT_VERSION
-        for name in _SCALARS:
+        for name in (*_SCALARS, "sensor_ids"):
             if getattr(self, name) is not None:
                 arrays[name] = getattr(self, name)
         if self.ledger is not None:
@@ -211,6 +226,7 @@ class PhotonMap:
             return cls(
                 **known,
                 **scalars | {"well_spaced": bool(scalars["well_spaced"])},
+                sensor_ids=arrays.get("sensor_ids"),
                 ledger=ledger_from(arrays) if arrays.keys() & set(LEDGER_NAMES) else None,
             )
         except (TypeError, ValueError) as error:
@@ -225,11 +241,13 @@ _INTEGER_FIELDS: dict[str, type] = {
 }
 # Fields with one value, and the kinds of dtype it is saved with.
 _SCALARS = {"n_emitted": "iu", "well_spaced": "b", "seed": "iu", "sampler": "U", "paths": "U"}
-_ARRAY_FIELDS = tuple(f.name for f in fields(PhotonMap) if f.name not in (*_SCALARS, "ledger"))
+_ARRAY_FIELDS = tuple(
+    f.name for f in fields(PhotonMap) if f.name not in (*_SCALARS, "ledger", "sensor_ids")
+)
 
 
 # Arrays of a file; others are not read.
-_NAMES = frozenset(["photonmap_version", *_ARRAY_FIELDS, *_SCALARS, *LEDGER_NAMES])
+_NAMES = frozenset(["photonmap_version", *_ARRAY_FIELDS, *_SCALARS, "sensor_ids", *LEDGER_NAMES])
 
 
 class NothingStoredError(ValueError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .._ext.relaxation.projection import DOWN, UP, Displacements, SurfacePositions
 from .._util.parallel import for_each_slice
@@ -11,6 +12,7 @@ from ..photons.axes import MIN_NORMAL_COSINE
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
 from ..transport.raycast import RayCaster
+from ..transport.sensors import sensor_casters
 
 # Distance from a displaced photon to the origin of its ray over what rays resolve where it landed.
 _RAY_OFFSET = 2.0
@@ -20,6 +22,8 @@ _CHUNK = 16384
 
 class SurfaceProjector:
     """The objects of a scene, and the position of each of n photons on them.
+
+    Photons on sensors are projected onto these, and others as if there were none.
 
     Parameters
     ----------
@@ -45,18 +49,23 @@ class SurfaceProjector:
                 f"object_id should be of the scene's {n_objects} objects, but ranges from "
                 f"{photons.object_id.min()} to {photons.object_id.max()}"
             )
-        self._caster = RayCaster(scene.objects)
-        self._positions = SurfacePositions(
-            self._caster.frame,
-            self._caster.triangles,
-            photons.object_id,
-            ray_offset=_RAY_OFFSET * self._caster.resolution.at(photons.position),
-            min_cosine=MIN_NORMAL_COSINE,
-        )
-        self._n_threads = n_threads
         self._n_photons = len(photons)
-        position, normal = photons.position, photons.normal
-        self._for_chunks((position, normal, position, np.arange(len(photons))))
+        self._parts: list[tuple[_Part, NDArray[np.intp] | None]] = []
+        on_sensor = np.isin(photons.object_id, scene.sensors)
+        if not on_sensor.all():
+            self._add(RayCaster(scene.objects), photons, ~on_sensor, n_threads)
+        for sensor, caster in zip(scene.sensors, sensor_casters(scene), strict=True):
+            self._add(caster, photons, photons.object_id == sensor, n_threads)
+
+    def _add(
+        self, caster: RayCaster, photons: PhotonMap, mine: NDArray[np.bool_], n_threads: int
+    ) -> None:
+        """Add the photons of a mask, which lie on the objects of a caster."""
+        if mine.all():
+            self._parts.append((_Part(caster, photons, n_threads), None))
+        elif mine.any():
+            row_of_part = np.where(mine, np.cumsum(mine) - 1, -1)
+            self._parts.append((_Part(caster, photons.subset(mine), n_threads), row_of_part))
 
     def project(
         self, position: Floats, normal: Floats, target: Floats, rows: Rows
@@ -79,12 +88,39 @@ class SurfaceProjector:
         """
         photons = rows if isinstance(rows, np.ndarray) else np.arange(self._n_photons)[rows]
         projected, projected_normal = np.empty_like(position), np.empty_like(normal)
-        self._for_chunks(
-            (position, normal, target, photons),
-            projected=projected,
-            projected_normal=projected_normal,
-        )
+        for part, row_of_part in self._parts:
+            if row_of_part is None:
+                part.project((position, normal, target, photons), projected, projected_normal)
+                continue
+            mine = np.flatnonzero(row_of_part[photons] >= 0)
+            columns = position[mine], normal[mine], target[mine], row_of_part[photons[mine]]
+            found = np.empty_like(columns[0]), np.empty_like(columns[1])
+            part.project(columns, *found)
+            projected[mine], projected_normal[mine] = found
         return projected, projected_normal
+
+
+class _Part:
+    """Photons on objects whose rays a caster casts, and their positions on these objects."""
+
+    def __init__(self, caster: RayCaster, photons: PhotonMap, n_threads: int) -> None:
+        self._caster = caster
+        self._positions = SurfacePositions(
+            caster.frame,
+            caster.triangles,
+            photons.object_id,
+            ray_offset=_RAY_OFFSET * caster.resolution.at(photons.position),
+            min_cosine=MIN_NORMAL_COSINE,
+        )
+        self._n_threads = n_threads
+        position, normal = photons.position, photons.normal
+        self._for_chunks((position, normal, position, np.arange(len(photons))))
+
+    def project(
+        self, columns: tuple[np.ndarray, ...], projected: Floats, projected_normal: Floats
+    ) -> None:
+        """Write the projections and normals of displaced photons, given by their columns."""
+        self._for_chunks(columns, projected=projected, projected_normal=projected_normal)
 
     def _for_chunks(self, columns: tuple[np.ndarray, ...], **results: Floats) -> None:
         """Project the displacements whose columns these are, some at a time."""

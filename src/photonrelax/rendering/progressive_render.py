@@ -330,6 +330,7 @@ class _Run:
                 seed=pass_seed(self._settings.seed, number),
                 n_threads=self._view.n_threads,
                 caster=self._view.caster,
+                sensors=False,
             )
         except NothingStoredError as nothing:
             self._nothing = nothing

@@ -60,7 +60,8 @@ def render(
     photons : PhotonMap, optional
         Photons traced before in this scene, in place of new ones. That they lie on its surfaces is
         not checked; if their ledger has other emitted flux than the scene, they are refused.
-        Without a ledger, as after ``photons.replace(ledger=None)``, nothing is checked.
+        Without a ledger, as after ``photons.replace(ledger=None)``, nothing is checked. Those on
+        sensors are left out.
     n_threads, progress : int, callable, optional
         Threads, by default all; called as ``progress(stage, done, total)``.
     **settings
@@ -87,6 +88,7 @@ def render(
         photons = stages.trace(n_emitted, seed=seed, sampler=sampler, frequency_share=share)
     else:
         _check_scene(photons, scene)
+        photons = _on_surfaces(photons)
     field = stages.prepare(photons, method, chosen)
     used = field.used | view.settings
     metadata = photon_metadata(photons, scene=scene.name, method=method, settings=used)
@@ -136,6 +138,12 @@ def _difference(emitted: Floats, n_emitters: int, plan: Callable[[], EmissionPla
     )
 
 
+def _on_surfaces(photons: PhotonMap) -> PhotonMap:
+    """Photons without those on sensors, which cameras do not see."""
+    on_sensor = photons.on_sensor
+    return photons.subset(~on_sensor) if on_sensor.any() else photons
+
+
 class _Stages:
     """The stages of a render, with the seconds and counts of those that ran."""
 
@@ -154,6 +162,7 @@ class _Stages:
             n_threads=view.n_threads,
             progress=self._progress,
             caster=view.caster,
+            sensors=False,
         )
         self._record("trace", perf_counter() - started, emitted=n_emitted, stored=len(photons))
         return photons

@@ -48,10 +48,13 @@ class Material(ABC):
         Light leaves it in single directions; photons of caustics are aimed at it.
     has_inside : bool
         Its two sides differ: closed meshes wind outwards.
+    is_sensor : bool
+        It stores the photons that cross it, and nothing else meets it.
     """
 
     is_specular: ClassVar[bool] = True
     has_inside: ClassVar[bool] = False
+    is_sensor: ClassVar[bool] = False
 
     @abstractmethod
     def row(self) -> MaterialRow:
@@ -139,15 +142,32 @@ class Dielectric(Material):
 
 
 @dataclass(frozen=True, eq=False)
+class Sensor(Material):
+    """Surface in free space, or inside of anything, that stores the photons that cross it.
+
+    Photons of the kind that is traced are stored on it, from either side, and go on as if it were
+    not there, so that they may be stored on other sensors and objects as well. Cameras, direct
+    light and the energy ledger know nothing of it: the flux that a ledger says to be stored is that
+    of the photons on other objects.
+    """
+
+    is_specular: ClassVar[bool] = False
+    is_sensor: ClassVar[bool] = True
+
+    def row(self) -> MaterialRow:
+        return MaterialRow("sensor")
+
+
+@dataclass(frozen=True, eq=False)
 class MaterialTable:
     """The materials of n objects as arrays, for kernels.
 
     Attributes
     ----------
     kind : (n,) str
-        "diffuse", "mirror" or "dielectric".
+        "diffuse", "mirror", "dielectric" or "sensor".
     reflectance : (n, 3)
-        Albedo or reflectance; 1 for dielectrics.
+        Albedo or reflectance; 1 for dielectrics and sensors.
     ior : (n,)
         Index of refraction inside dielectrics; 1 for other materials.
     exterior_ior : (n,)

@@ -45,7 +45,7 @@ class SceneObject:
         Triangles, at least one of them with an area; faces of no area are never hit. Dielectrics
         are closed and wind outwards, but walls of hollows inwards; a `Scene` warns of those that
         are open or wound inconsistently.
-    material : Diffuse, Mirror, Dielectric or other Material
+    material : Diffuse, Mirror, Dielectric, Sensor or other Material
         The material of the whole mesh.
     name : str
         A label.
@@ -83,7 +83,7 @@ class SceneObject:
     def __post_init__(self) -> None:
         if not isinstance(self.material, Material):
             raise TypeError(
-                "material should be a Diffuse, Mirror or Dielectric, "
+                "material should be a Diffuse, Mirror, Dielectric or Sensor, "
                 f"but is {type(self.material).__name__}"
             )
         check_mesh(self.mesh)
@@ -135,15 +135,27 @@ class Scene:
         return tuple(i for i, item in enumerate(self.objects) if item.material.is_specular)
 
     @cached_property
+    def sensors(self) -> tuple[int, ...]:
+        """The ids of the objects that store the photons that cross them."""
+        return tuple(i for i, item in enumerate(self.objects) if item.material.is_sensor)
+
+    @cached_property
+    def visible_objects(self) -> tuple[int, ...]:
+        """The ids of the objects that are no sensors; all where there is no other object."""
+        ids = tuple(i for i, item in enumerate(self.objects) if not item.material.is_sensor)
+        return ids or self.sensors
+
+    @cached_property
     def scale(self) -> float:
-        """Length of the diagonal of the bounding box of all objects, m."""
-        low, high = self.object_bounds
+        """Length of the diagonal of the bounding box of the visible objects, m."""
+        low, high = (corner[list(self.visible_objects)] for corner in self.object_bounds)
         return float(np.linalg.norm(high.max(axis=0) - low.min(axis=0)))
 
     @cached_property
     def resolution(self) -> Resolution:
-        """Distance that rays resolve, by position."""
-        return Resolution.of(*nondegenerate_triangles(item.mesh for item in self.objects))
+        """Distance that rays to the visible objects resolve, by position."""
+        meshes = (self.objects[i].mesh for i in self.visible_objects)
+        return Resolution.of(*nondegenerate_triangles(meshes))
 
     def emitter_offset(self, emitter: Emitter) -> float:
         """Return the least distance from an emitter to the origins of its rays, m.
@@ -154,7 +166,7 @@ class Scene:
         return 0.0 if point is None else _EMITTER_OFFSET * float(self.resolution.at(point))
 
     def bounding_sphere(self, object_ids: Iterable[int] | None = None) -> Sphere:
-        """Return centre (3,) and radius of a sphere around the objects, by default all.
+        """Return centre (3,) and radius of a sphere around objects, by default the visible ones.
 
         The centre is that of their bounding box; the radius is the largest distance to a vertex.
 
@@ -163,7 +175,7 @@ class Scene:
         ValueError
             If `object_ids` is empty.
         """
-        ids = tuple(range(len(self.objects)) if object_ids is None else object_ids)
+        ids = tuple(self.visible_objects if object_ids is None else object_ids)
         if not ids:
             raise ValueError("object_ids should name at least one object, but is empty")
         return bounding_sphere(np.concatenate([self._vertices[i] for i in ids]))

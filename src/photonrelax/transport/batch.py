@@ -21,6 +21,7 @@ from .aim import LUMINANCE
 from .emission import PATHS, EmissionPlan
 from .media import MediaFinder
 from .raycast import RayCaster
+from .sensors import sensor_casters, store_crossings
 
 Job = tuple[int, range]
 """A region of an emission plan and the indices of some of its photons."""
@@ -36,6 +37,7 @@ class TraceSettings:
     paths: str
     max_bounces: int
     frequency_share: float
+    sensors: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +99,10 @@ class TraceContext:
         caster: RayCaster | None = None,
     ) -> None:
         self.materials = Materials(scene.material_table())
-        if not self.materials.diffuse.any():
+        self.sensors = sensor_casters(scene) if settings.sensors else []
+        if not (self.materials.diffuse.any() or self.sensors):
             raise ValueError(
-                "scene should have a Diffuse object to store photons on, "
+                "scene should have a Diffuse object to store photons on, or a Sensor, "
                 f"but none of its {len(scene.objects)} objects is"
             )
         self.scene, self.plan, self.settings, self.size = scene, plan, settings, size
@@ -185,7 +188,10 @@ def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
     paths = context.acquire_paths()
     energy, ends = context.start(paths, region_id, candidates)
     while paths.n_live:
-        paths.advance(context.caster.find_paths(paths))
+        found = context.caster.find_paths(paths)
+        if context.sensors:
+            store_crossings(context.sensors, paths, found)
+        paths.advance(found)
     deposits, coords, density = paths.take_deposits()
     ledger = BatchLedger(
         region_id, len(photons), energy, ends, paths.n_met_specular, paths.n_overflows
@@ -201,12 +207,18 @@ def _spectrum_rows(
     candidates: NDArray[np.int64],
     deposits: NDArray[np.void],
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the paths of a batch whose first deposits are to get spectra, and their rows."""
+    """Paths of a batch whose first deposits on surfaces are to get spectra, and their rows.
+
+    Deposits on sensors get none: paths are replayed up to the surface.
+    """
     share = context.settings.frequency_share
     if share == 0.0:
         return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
     selected = np.empty(len(candidates), dtype=np.uint8)
     context.emissions[region_id].spectrum_photons(candidates, selected, share)
-    n_deposits = np.bincount(deposits["path"], minlength=len(candidates))
-    path = np.flatnonzero((selected > 0) & (n_deposits > 0))
-    return path, (np.cumsum(n_deposits) - n_deposits)[path]
+    order = np.argsort(deposits["path"], kind="stable")
+    on_surface = ~np.isin(deposits["object_id"][order], context.scene.sensors)
+    rows = np.flatnonzero(on_surface)
+    path, first = np.unique(deposits["path"][order[rows]], return_index=True)
+    chosen = selected[path] > 0
+    return path[chosen].astype(np.intp), rows[first[chosen]]

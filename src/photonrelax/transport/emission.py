@@ -161,7 +161,8 @@ def plan_emission(
 ) -> EmissionPlan:
     """Aim the emitters of a scene, and apportion photons to their regions.
 
-    Targets are the groups of the specular objects' parts for caustics, else all objects together.
+    Targets are the groups of the specular objects' parts for caustics, else the objects together:
+    the visible ones for light that they scatter, and sensors too where direct light is stored.
     Regions get photons in proportion to the luminance of the flux that they alone bring.
 
     Parameters
@@ -281,10 +282,9 @@ def _empty_rays(aimed: AimedRegion, n: int) -> PrimalRays:
 
 def _aimed(scene: Scene, paths: str, n_emitted: int) -> tuple[AimedRegion, ...]:
     """The regions of all emitters; one of each where photons are too few for more."""
-    targets, around = _targets(scene, paths)
+    targets, around, whole = _targets(scene, paths)
     if n_emitted < _PER_REGION * len(targets) * len(scene.emitters):
         targets = (around,)
-    whole = scene.bounding_sphere()
     aimed = []
     for emitter_id, emitter in enumerate(scene.emitters):
         regions = aimed_regions(emitter, targets, around, whole, scene.emitter_offset(emitter))
@@ -293,17 +293,21 @@ def _aimed(scene: Scene, paths: str, n_emitted: int) -> tuple[AimedRegion, ...]:
     return tuple(aimed)
 
 
-def _targets(scene: Scene, paths: str) -> tuple[tuple[Sphere, ...], Sphere]:
-    """Targets of the photons, and a sphere around all of them."""
+def _targets(scene: Scene, paths: str) -> tuple[tuple[Sphere, ...], Sphere, Sphere]:
+    """Targets of the photons, and spheres around them and around all that photons may meet.
+
+    Light is stored on sensors after it has met another object, unless paths are "all".
+    """
     check_choice(paths, "paths", PATHS)
+    whole = scene.bounding_sphere(range(len(scene.objects)) if paths == "all" else None)
     if paths != "caustic":
-        return (scene.bounding_sphere(),), scene.bounding_sphere()
+        return (whole,), whole, whole
     if not scene.specular_objects:
         raise ValueError(
             'paths="caustic" should have a specular object to aim at, '
             f"but none of the {len(scene.objects)} objects is a Mirror or Dielectric"
         )
-    return scene.caster_spheres, scene.bounding_sphere(scene.specular_objects)
+    return scene.caster_spheres, scene.bounding_sphere(scene.specular_objects), whole
 
 
 def _apportion(n: int, weights: list[float]) -> NDArray[np.int64]:

@@ -6,7 +6,7 @@ here and transformed to embree's recentred frame in float64, and hits are refine
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any
@@ -92,6 +92,8 @@ class RayCaster:
     ----------
     objects : sequence of SceneObject
         At least one; positions in the sequence are the `object_id` of hits.
+    object_ids : iterable of int, optional
+        Those of the objects that rays hit; by default all but sensors.
 
     Attributes
     ----------
@@ -108,10 +110,16 @@ class RayCaster:
         If embreex is not installed.
     """
 
-    def __init__(self, objects: Sequence[SceneObject]) -> None:
+    def __init__(
+        self, objects: Sequence[SceneObject], object_ids: Iterable[int] | None = None
+    ) -> None:
         if not objects:
             raise ValueError("objects should not be empty")
-        whole = _concatenate_parts([_nondegenerate_part(item) for item in objects])
+        ids = _visible_ids(objects) if object_ids is None else list(object_ids)
+        # The frame needs an extent, if only that of objects that rays do not hit.
+        whole = _concatenate_parts(
+            {i: _nondegenerate_part(objects[i]) for i in ids or range(len(objects))}
+        )
         vertices, faces = whole.corners[:, :3], whole.faces[:, :3]
         self.resolution = Resolution.of(vertices, faces)
         transparent = np.array([item.material.has_inside for item in objects])
@@ -131,7 +139,11 @@ class RayCaster:
         self._pieces = split_triangles(vertices, faces, self.resolution.radius)
         whole_faces = _not_split(self._pieces, len(faces))
         self._face = np.concatenate([whole_faces, self._pieces.face]).astype(np.int32)
-        self._scene = _embree_scene(self.frame.scale * vertices, faces, self._pieces, whole_faces)
+        self._scene: Any = _EmptyScene()
+        if ids:
+            self._scene = _embree_scene(
+                self.frame.scale * vertices, faces, self._pieces, whole_faces
+            )
         smooth = np.array([item.smooth for item in objects], dtype=np.uint8)
         self.triangles = Triangles(self.frame, whole.corners, whole.faces, whole.face_id, smooth)
 
@@ -314,14 +326,30 @@ def _nondegenerate_part(item: SceneObject) -> _Part:
     return _Part(corners[used], numbered, face_id.astype(np.int32))
 
 
-def _concatenate_parts(parts: list[_Part]) -> _Part:
-    """Concatenate the vertices and faces of all objects, and write the object of each face."""
+def _concatenate_parts(parts: dict[int, _Part]) -> _Part:
+    """Concatenate the vertices and faces of objects, by their ids, and write those of the faces."""
     first = 0
-    for object_id, part in enumerate(parts):
+    for object_id, part in parts.items():
         part.faces[:, :3] += first
         part.faces[:, 3] = object_id
         first += len(part.corners)
-    return _Part(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Part)))
+    columns = ([getattr(part, f.name) for part in parts.values()] for f in fields(_Part))
+    return _Part(*(np.concatenate(column) for column in columns))
+
+
+def _visible_ids(objects: Sequence[SceneObject]) -> list[int]:
+    return [i for i, item in enumerate(objects) if not item.material.is_sensor]
+
+
+class _EmptyScene:
+    """What embree's scene is without triangles: all rays miss."""
+
+    def run(
+        self, origins: NDArray, *_: NDArray, query: str, output: bool = False
+    ) -> NDArray | dict[str, NDArray]:
+        missed = np.full(len(origins), -1, dtype=np.int32)
+        nowhere = np.zeros(len(origins), dtype=np.float32)
+        return {"primID": missed, "u": nowhere, "v": nowhere.copy()} if output else missed
 
 
 def _not_split(pieces: Pieces, n_faces: int) -> NDArray[np.intp]:

@@ -1,4 +1,4 @@
-"""Tracing: paths from the emitters through the scene, and their photons on diffuse surfaces.
+"""Tracing: paths from the emitters through the scene, and their photons on surfaces and sensors.
 
 Paths are traced in batches, a thread each: embree intersects all rays of a batch, then one
 compiled pass takes every path through its surface and writes the rays embree gets next. Photons,
@@ -51,6 +51,8 @@ _MAX_BATCH = 2**30
 # Bytes of a stored photon, at least, and of the ledger of a block of paths.
 _PHOTON_BYTES = 148
 _LEDGER_BYTES = 8 * 3 * len(PATH_OUTCOMES)
+# Crossings of a sensor between two events, at most, but for sensors with hollows.
+_CROSSINGS = 2
 # Paths from which the number of photons stored is estimated.
 _PILOT = 16384
 # Photons of a region that are looked at to tell why nothing is stored.
@@ -85,8 +87,9 @@ def trace_photons(
     progress: Progress | None = None,
     batch_size: int = 16384,
     caster: RayCaster | None = None,
+    sensors: bool = True,
 ) -> PhotonMap:
-    """Emit photons, trace their paths and store them on diffuse surfaces.
+    """Emit photons, trace their paths and store them on diffuse surfaces and sensors.
 
     Photon i of an emission region depends on `seed` and i alone. The module describes the events
     at surfaces, and the memory photons take.
@@ -99,7 +102,8 @@ def trace_photons(
         Paths to start, apportioned to the emitters by the flux they send to the target; the seed.
     paths : {"caustic", "global", "all"}
         Light to store: that of specular paths (L S+ D), neither that nor direct light, or all
-        that arrives on diffuse surfaces.
+        that arrives on diffuse surfaces; on sensors that after a specular event and before any
+        diffuse one, after a diffuse event, or all that crosses them.
     sampler : {"halton", "random"}
         Evenly spaced photons (SJ13) or independent ones.
     max_bounces : int
@@ -113,11 +117,15 @@ def trace_photons(
         Paths traced together, rounded up to a multiple of 1024.
     caster : RayCaster, optional
         Of the scene's objects: building it takes time.
+    sensors : bool
+        Store photons on the scene's sensors too. Photons on other objects do not depend on it, nor
+        on sensors at all unless these reach beyond the other objects and `paths` is "all".
 
     Returns
     -------
     PhotonMap
-        In the order of emitters, indices and events; well spaced for caustics from Halton photons.
+        In the order of emitters, indices and events, those on sensors between two events in the
+        order of the sensors; well spaced for caustics from Halton photons.
 
     Raises
     ------
@@ -125,7 +133,7 @@ def trace_photons(
         If an argument is invalid, nothing is stored (the message says why), or the photons surely
         do not fit in memory, as estimated from some thousands of them.
     """
-    settings = _checked_settings(paths, max_bounces, frequency_share)
+    settings = _checked_settings(paths, max_bounces, frequency_share, sensors=sensors)
     threads = thread_count(n_threads)
     n_emitted = count(n_emitted, "n_emitted", high=MAX_PHOTONS)
     _check_memory(scene, n_emitted, settings, caster, threads)
@@ -142,8 +150,8 @@ def _batch_capacity(batch_size: int, plan: EmissionPlan) -> int:
 
 
 def check_photons_fit(scene: Scene, n_emitted: int, caster: RayCaster | None = None) -> None:
-    """Raise MemoryError if the caustic photons of a scene surely do not fit in memory."""
-    settings = TraceSettings("caustic", _DEFAULT_BOUNCES, 0.0)
+    """Raise MemoryError if the caustic photons on surfaces surely do not fit in memory."""
+    settings = TraceSettings("caustic", _DEFAULT_BOUNCES, 0.0, sensors=False)
     _check_memory(scene, n_emitted, settings, caster, n_threads=1)
 
 
@@ -152,6 +160,8 @@ def _check_memory(
 ) -> None:
     """Raise MemoryError if photons surely do not fit in memory."""
     deposits = 1 if settings.paths == "caustic" else settings.max_bounces
+    if settings.sensors:
+        deposits += _CROSSINGS * len(scene.sensors) * (settings.max_bounces + 1)
     if _bytes(n_emitted, deposits * n_emitted) > available_memory():
         stored = _stored_per_path(scene, settings, caster, n_threads)
         check_memory(
@@ -202,7 +212,9 @@ def _trace_all(context: TraceContext, n_threads: int, progress: Progress | None)
     return photons.replace(spectrum=_spectra(context, selected, len(photons), n_threads, progress))
 
 
-def _checked_settings(paths: str, max_bounces: int, share: float) -> TraceSettings:
+def _checked_settings(
+    paths: str, max_bounces: int, share: float, *, sensors: bool
+) -> TraceSettings:
     check_choice(paths, "paths", PATHS)
     max_bounces = count(max_bounces, "max_bounces", high=MAX_BOUNCES)
     share = float(float_array(share, "frequency_share", (), finite=False))
@@ -213,7 +225,7 @@ def _checked_settings(paths: str, max_bounces: int, share: float) -> TraceSettin
             'frequency_share should be 0 for paths="global": '
             "photons that a diffuse surface scattered have no spectra"
         )
-    return TraceSettings(paths, max_bounces, share)
+    return TraceSettings(paths, max_bounces, share, bool(sensors))
 
 
 def _spectra(
@@ -302,6 +314,7 @@ def _photon_map(context: TraceContext, columns: _Columns, ledgers: list[BatchLed
         seed=plan.seed,
         sampler=plan.sampler,
         paths=settings.paths,
+        sensor_ids=context.scene.sensors if context.sensors else None,
     )
     if not len(photons):
         raise NothingStoredError(_nothing_stored(context, ledger, ledgers), photons)
@@ -374,7 +387,7 @@ _MISSED = (
 # By what became of most paths; the first of equal ones.
 _REMEDIES = {
     "cut": "Most were cut: raise max_bounces",
-    "escaped": "Most light leaves the scene: place a Diffuse object where it falls",
+    "escaped": "Most light leaves the scene: place a Diffuse object or a Sensor where it falls",
     "absorbed": (
         "Most were absorbed: raise the reflectance of the materials or lower their absorption, "
         "or raise n_emitted"

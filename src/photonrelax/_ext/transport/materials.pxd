@@ -16,6 +16,8 @@ cdef enum:
     DIFFUSE = 0
     MIRROR = 1
     DIELECTRIC = 2
+    # Rays of paths and of cameras pass sensors without an event.
+    SENSOR = 3
 
 
 cdef struct Arrival:

@@ -14,7 +14,7 @@ from ..common.vec3 cimport dot
 from .media cimport current
 
 # The kinds of `scene.materials.MaterialTable`.
-KINDS = {"diffuse": DIFFUSE, "mirror": MIRROR, "dielectric": DIELECTRIC}
+KINDS = {"diffuse": DIFFUSE, "mirror": MIRROR, "dielectric": DIELECTRIC, "sensor": SENSOR}
 
 Interfaces = namedtuple("Interfaces", "normal is_shading n1 n2 reflected beyond")
 Interfaces.__doc__ = """Specular surfaces that m rays meet.

@@ -7,8 +7,8 @@ the order of the photons, however they are split into batches.
 """
 
 cimport cython
-from libc.math cimport INFINITY, isfinite
-from libc.stdint cimport int16_t, int32_t, int64_t, uint32_t, uint64_t
+from libc.math cimport INFINITY, fabs, isfinite
+from libc.stdint cimport int16_t, int32_t, int64_t, uint8_t, uint32_t, uint64_t
 
 import numpy as np
 
@@ -94,12 +94,33 @@ cdef struct Event:
     uint64_t counter
 
 
+cdef struct Crossing:
+    # A ray at a sensor: position, normal by the winding of the face, distance that rays resolve.
+    const double* position
+    const double* normal
+    double step
+    int32_t object_id
+
+
+cdef double distance_along(const Ray* ray, const double* position) noexcept nogil:
+    cdef double[3] way
+    cdef int c
+    for c in range(3):
+        way[c] = position[c] - ray.origin[c]
+    return dot(way, ray.direction)
+
+
 cdef void orient(Event* event) noexcept nogil:
     """Set the side of the face that the ray comes from."""
     cdef int c
     event.inside = dot(event.ray.direction, event.hit.geometric) > 0.0
     for c in range(3):
         event.facing[c] = -event.hit.geometric[c] if event.inside else event.hit.geometric[c]
+
+
+cdef uint64_t event_counter(const Ray* ray) noexcept nogil:
+    """Number of the first random number of a ray's next event."""
+    return PER_EVENT * (1 + ray.n_specular + ray.n_diffuse)
 
 
 cdef double random(const Event* event, int number) noexcept nogil:
@@ -265,6 +286,92 @@ cdef class Paths:
                 directions[i, c] = self.ray[i].direction[c]
         return path, origin, direction
 
+    def stored_rays(self):
+        """Rows (m,), origins and directions (m, 3) of the live rays whose light is stored."""
+        cdef Py_ssize_t i
+        cdef uint8_t[::1] stored = np.empty(self.n_live, np.uint8)
+        for i in range(self.n_live):
+            stored[i] = self.is_stored(&self.ray[i])
+        rows = np.flatnonzero(stored)
+        _, origin, direction = self.live_rays()
+        return rows, origin[rows], direction[rows]
+
+    def cross(self, EmbreeHits found, const Py_ssize_t[::1] rows, hits):
+        """Deposit rays where they cross a sensor.
+
+        Parameters
+        ----------
+        found : EmbreeHits
+            Of all live rays; a ray ends there.
+        rows : (m,)
+            Of the rays among the live ones.
+        hits : Intersections
+            Where these cross the sensor next.
+
+        Returns
+        -------
+        (k,) intp
+            Indices into `rows` of the rays that go on beyond the crossing.
+        """
+        cdef const int32_t[::1] object_id = hits.object_id
+        cdef const double[:, ::1] position = hits.position, normal = hits.geometric_normal
+        cdef const double[::1] step = hits.step
+        cdef Py_ssize_t[::1] ahead = np.empty(rows.shape[0], np.intp)
+        cdef Py_ssize_t i, k = 0
+        cdef Crossing at
+        if not (found.n_rays == self.n_live and len(hits) == rows.shape[0]):
+            raise ValueError("hits and rays do not fit one another")
+        if rows.shape[0] and not 0 <= np.min(rows) <= np.max(rows) < self.n_live:
+            raise ValueError(
+                f"rows should be of {self.n_live} live rays, but are "
+                f"{np.min(rows)} to {np.max(rows)}"
+            )
+        self.deposits.reserve(rows.shape[0])
+        with nogil:
+            for i in range(rows.shape[0]):
+                if object_id[i] < 0:
+                    continue
+                at = Crossing(&position[i, 0], &normal[i, 0], step[i], object_id[i])
+                if self.cross_one(found, rows[i], &at):
+                    ahead[k] = i
+                    k += 1
+        return ahead.base[:k]
+
+    cdef bint cross_one(
+        self, EmbreeHits found, Py_ssize_t row, const Crossing* at
+    ) noexcept nogil:
+        """Deposit a ray at a crossing; false if it ends before.
+
+        Light is absorbed by the random number of the event at the surface, which is ahead: what
+        is absorbed before a sensor does not reach the surface.
+        """
+        cdef Ray ray = self.ray[row]
+        cdef double cosine = fabs(dot(ray.direction, at.normal))
+        cdef double distance = distance_along(&ray, at.position)
+        cdef double[3] factor
+        cdef Event event
+        event.ray, event.counter = &ray, event_counter(&ray)
+        if self.triangles.refine_hit(found, row, ray.origin, ray.direction, &event.hit):
+            # Light that arrives on a surface in the plane of the sensor crosses it.
+            if (distance - event.hit.distance) * cosine > at.step:
+                return False
+            orient(&event)
+            ray.media = media_at(self.materials, event.hit.object_id, event.inside, ray.media)
+        # Light that leaves a surface in the plane of the sensor does not.
+        if distance * cosine <= at.step:
+            return True
+        if is_absorbing(self.materials, ray.media):
+            transmittance(factor, self.materials, ray.media, distance)
+            if not self.survives(factor, &event, OF_MEDIUM):
+                return False
+        ray.path_length += distance
+        event.hit.object_id = at.object_id
+        copy(event.hit.position, at.position)
+        copy(event.hit.geometric, at.normal)
+        orient(&event)
+        self.deposit(&event)
+        return True
+
     cdef void emit(self, Emission emission, Py_ssize_t path, uint64_t index) noexcept nogil:
         cdef Ray* ray = &self.ray[path]
         cdef int c
@@ -337,7 +444,7 @@ cdef class Paths:
         if not self.triangles.refine_hit(found, row, ray.origin, ray.direction, &event.hit):
             return self.terminate(ray, ESCAPED)
         event.ray = ray
-        event.counter = PER_EVENT * (1 + ray.n_specular + ray.n_diffuse)
+        event.counter = event_counter(ray)
         orient(&event)
         ray.path_length += event.hit.distance
         if not self.survives_medium(&event):
@@ -409,13 +516,8 @@ cdef class Paths:
         """Deposit light of the kind to be stored; true if the path continues along `out`."""
         cdef int32_t i = event.hit.object_id
         cdef Ray* ray = event.ray
-        cdef bint stored = True
-        cdef int outcome
-        if self.path_filter == CAUSTIC:
-            stored = ray.n_specular > 0
-        elif self.path_filter == GLOBAL:
-            stored = ray.n_diffuse > 0
-        outcome = STORED if stored else FILTERED
+        cdef bint stored = self.is_stored(ray)
+        cdef int outcome = STORED if stored else FILTERED
         if stored:
             self.deposit(event)
         if self.path_filter == CAUSTIC or not self.roulette(
@@ -426,6 +528,12 @@ cdef class Paths:
         ray.n_diffuse += 1
         append_signature(ray, i, SCATTERED)
         return True
+
+    cdef bint is_stored(self, const Ray* ray) noexcept nogil:
+        """True for light of the kind to be stored."""
+        if self.path_filter == CAUSTIC:
+            return ray.n_specular > 0
+        return self.path_filter != GLOBAL or ray.n_diffuse > 0
 
     cdef void deposit(self, const Event* event) noexcept nogil:
         cdef Deposit* deposit = self.deposits.add()
@@ -445,14 +553,29 @@ cdef class Paths:
     cdef bint roulette(
         self, const double* factor, const Event* event, int number, int outcome
     ) noexcept nogil:
-        """Continue a path with the share of its luminance that is left as probability.
+        """Continue a path as of `survives`.
 
-        Survivors keep their luminance, so all photons of an emitter carry the same. What a
-        survivor gains or loses per channel is added to `outcome` in the ledger.
+        What a survivor gains or loses per channel is added to `outcome` in the ledger.
+        """
+        cdef double[3] lost
+        cdef int c
+        copy(lost, event.ray.throughput)
+        if not self.survives(factor, event, number):
+            return False
+        for c in range(3):
+            lost[c] -= event.ray.throughput[c]
+        self.lose(event.ray.path, outcome, lost)
+        return True
+
+    cdef bint survives(
+        self, const double* factor, const Event* event, int number
+    ) noexcept nogil:
+        """Multiply the throughput by a factor, with the share of luminance left as probability.
+
+        Otherwise false. Survivors keep their luminance: all photons of an emitter carry the same.
         """
         cdef Ray* ray = event.ray
-        cdef double before = 0.0, after = 0.0, kept
-        cdef double[3] lost
+        cdef double before = 0.0, after = 0.0
         cdef int c
         for c in range(3):
             before += self.luminance[c] * ray.throughput[c]
@@ -460,10 +583,7 @@ cdef class Paths:
         if random(event, number) * before >= after:
             return False
         for c in range(3):
-            kept = ray.throughput[c] * factor[c] * (before / after)
-            lost[c] = ray.throughput[c] - kept
-            ray.throughput[c] = kept
-        self.lose(ray.path, outcome, lost)
+            ray.throughput[c] = ray.throughput[c] * factor[c] * (before / after)
         return True
 
     cdef bint terminate(self, const Ray* ray, int outcome) noexcept nogil:
