@@ -1,14 +1,16 @@
 """`photonrelax irradiance`: files, frame and flux within circles."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 import photonrelax as pr
 from photonrelax import cli, gallery
 from photonrelax.imaging.image import read_exr
-from photonrelax.rendering.object_map import ObjectMap
+from photonrelax.rendering.object_map import ObjectMap, photons_of_surface
 
 ARGUMENTS = ["irradiance", "ring", "--on", "floor", "--photons", "2e4", "--texels", "24"]
 
@@ -121,3 +123,35 @@ def test_objects_go_by_name_or_number(field):
     floors = pr.Scene([scene.objects[0], scene.objects[0]], scene.emitters)
     with pytest.raises(ValueError, match="but 2 have"):
         ObjectMap(field, floors, "floor", 8)
+
+
+def test_light_on_sensors_counts_on_each_sensor_alone():
+    """Two sensors above a floor that the same light meets, one after the other."""
+    scene = gallery.scene("ring")
+    low, high = (
+        pr.SceneObject(trimesh.creation.box((4, 4, 0)), pr.Sensor(), name)
+        for name in ("low", "high")
+    )
+    scene = replace(scene, objects=[*scene.objects, raised(low, 0.01), raised(high, 0.02)])
+    photons = pr.trace_photons(scene, 20_000)
+    maps = [
+        ObjectMap(
+            pr.irradiance_field(photons_of_surface(photons, scene, i), method="standard"),
+            *(scene, str(i), 32),
+        )
+        for i in (0, 2, 3)
+    ]
+    assert photons.on_sensor.sum() > 1000
+    for found in maps:
+        total = photons.flux[photons.object_id == found.object_id].sum(axis=0)
+        np.testing.assert_allclose(found.encircled_flux(found.centre, [100.0])[0], total)
+        nx, ny = found.grid.shape
+        area = np.linalg.norm(np.cross(found.grid.u, found.grid.v)) / (nx * ny)
+        np.testing.assert_allclose(found.irradiance.sum(axis=(0, 1)) * area, total, rtol=0.05)
+
+
+def raised(item, height):
+    mesh = trimesh.Trimesh(
+        np.add(item.mesh.vertices, [0, 0, height]), item.mesh.faces, process=False
+    )
+    return replace(item, mesh=mesh)

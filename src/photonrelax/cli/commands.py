@@ -342,10 +342,12 @@ def _field_of_scene(
     options: argparse.Namespace, interrupts: Interrupts
 ) -> tuple[PhotonField, pr.Scene]:
     from ..estimation.methods import MethodInput, method_named, prepare
+    from ..rendering.object_map import object_named, photons_of_surface
     from .settings import settings_from_options
 
     settings = settings_from_options(options, (options.method,))
     scene = gallery.scene(options.scene)
+    object_id = object_named(scene, options.on)
     with ProgressBars(options.quiet, interrupts) as bars:
         photons = pr.trace_photons(
             scene,
@@ -356,7 +358,8 @@ def _field_of_scene(
             n_threads=options.threads,
             progress=bars,
         )
-        inputs = MethodInput(photons, settings, scene, options.threads, bars)
+        there = photons_of_surface(photons, scene, object_id)
+        inputs = MethodInput(there, settings, scene, options.threads, bars)
         return prepare(options.method, inputs), scene
 
 

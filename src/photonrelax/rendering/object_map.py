@@ -11,6 +11,8 @@ from .._util.validation import Floats
 from ..estimation.field import PhotonField
 from ..estimation.irradiance_map import irradiance_map, texel_grid
 from ..imaging.image import Image
+from ..photons.photon_map import PhotonMap
+from ..scene.materials import Sensor
 from ..scene.scene import Scene, SceneObject, object_label
 from .metadata import photon_metadata
 
@@ -121,6 +123,19 @@ class ObjectMap:
         position, flux = photons.position[self._there], photons.flux[self._there]
         distance = np.linalg.norm(position - point, axis=1)
         return np.array([flux[distance <= radius].sum(axis=0) for radius in radii])
+
+
+def photons_of_surface(photons: PhotonMap, scene: Scene, object_id: int) -> PhotonMap:
+    """Photons that a map of an object is estimated from.
+
+    Those on a sensor alone, as light stored there is stored again behind it; else those on all
+    objects that are not sensors.
+    """
+    if not photons.on_sensor.any() or photons.object_id is None:
+        return photons
+    if isinstance(scene.objects[object_id].material, Sensor):
+        return photons.subset(photons.object_id == object_id)
+    return photons.subset(~photons.on_sensor)
 
 
 def object_named(scene: Scene, name: str) -> int:
