@@ -341,7 +341,7 @@ def test_methods_stand_side_by_side_on_every_scene(tmp_path):
     matrix = methods.Matrix(
         (3_000,),
         scenes=scenes,
-        pixels=16,
+        pixels=32,
         references=ReferenceSettings(passes=1, photons=3_000),
         folder=tmp_path,
         longest=2,

@@ -63,12 +63,12 @@ def test_nothing_is_known_off_the_floor_and_of_other_scenes():
 
 @pytest.mark.parametrize("name", ["ring", "sphere"])
 def test_pixels_are_known_if_all_that_they_see_is(name):
-    subject = gallery_subject(name, 24, 24)
+    subject = gallery_subject(name, 48, 48)
     view = subject.view(2, 8, n_threads=None, progress=None)
     known = subject.analytic_pixels(view)
     assert 0.05 < known.where.mean() < 0.9
     (band,) = view.bands
     _, each = subject.irradiance(band.hits.position, band.hits.normal)
-    unknown = np.bincount(band.hits.pixel, ~each, minlength=24 * 24).reshape(24, 24)
+    unknown = np.bincount(band.hits.pixel, ~each, minlength=48 * 48).reshape(48, 48)
     assert (unknown[known.where] == 0).all()
     assert known.caustic[known.where].sum() > 0.0

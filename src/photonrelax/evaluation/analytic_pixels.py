@@ -29,19 +29,23 @@ class AnalyticPixels:
     where: NDArray[np.bool_]
 
 
-# Points a side of a footprint at which irradiance is evaluated.
-_POINTS = 2
+# Points a side of a footprint at which irradiance is evaluated, its middle among them.
+_POINTS = 3
 
 
-def analytic_pixels(view: StoredView, irradiance: AnalyticIrradiance) -> AnalyticPixels:
-    """Caustic of a view; a pixel is known if the irradiance is known all over its footprints."""
+def analytic_pixels(view: StoredView, irradiance: AnalyticIrradiance) -> AnalyticPixels | None:
+    """Caustic of a view, None if no light is known of it.
+
+    A pixel is known if the irradiance is known all over its footprints.
+    """
     caustic, where = [], []
     for band in view.bands:
         values, known = _means(band.hits, irradiance)
         caustic.append(band.radiance(np.where(known, values, 0.0)[:, np.newaxis]))
         counts = band.sums(np.column_stack([known, np.ones(len(known))]))
         where.append((counts[..., 0] == counts[..., 1]) & (counts[..., 1] > 0.0))
-    return AnalyticPixels(np.concatenate(caustic), np.concatenate(where))
+    found = AnalyticPixels(np.concatenate(caustic), np.concatenate(where))
+    return found if found.caustic[found.where].any() else None
 
 
 def _means(hits: HitPoints, irradiance: AnalyticIrradiance) -> tuple[Floats, NDArray[np.bool_]]:

@@ -417,8 +417,8 @@ def _runs(
             photons_per_pass=settings.photons,
             seed=pass_seed(settings.seed, half),
             settings=ProgressiveSettings(k=k),
-            # A sample of each pixel in every pass, anywhere in it: its mean.
-            supersampling=1,
+            supersampling=request.supersampling,
+            # Samples are anywhere in their pixel, which so is the mean over it.
             stochastic=True,
             max_depth=request.max_depth,
             checkpoints=Checkpoints(state),
@@ -452,6 +452,7 @@ def _key(request: ComparisonRequest, settings: ReferenceSettings) -> str:
     depends_on = {
         "scene": scene_digest(_scene(request)),
         "stochastic": True,
+        "supersampling": request.supersampling,
         "max_depth": request.max_depth,
         **asdict(settings),
         "passes": settings.passes_per_run,
