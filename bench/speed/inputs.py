@@ -52,7 +52,10 @@ def caustic(n: int) -> pr.PhotonMap:
 
 @lru_cache(maxsize=2)
 def hit_points(pixels: int) -> pr.HitPoints:
-    """Return the hit points of the prism's camera, 4 samples a pixel, in order of the pixels."""
+    """Hit points of the prism's camera, 4 samples a pixel, in order of the pixels.
+
+    Without footprints, for estimates at points.
+    """
     from photonrelax.transport.hit_points import trace_hit_points
     from photonrelax.transport.raycast import RayCaster
 
@@ -61,8 +64,8 @@ def hit_points(pixels: int) -> pr.HitPoints:
         seen, RayCaster(seen.objects), seen.camera, range(pixels), supersampling=2
     )
     order = np.argsort(hits.pixel, kind="stable")
-    rows = {field.name: getattr(hits, field.name)[order] for field in fields(hits)}
-    return pr.HitPoints(**rows)
+    names = [field.name for field in fields(hits) if field.name != "footprint"]
+    return pr.HitPoints(**{name: getattr(hits, name)[order] for name in names})
 
 
 # --- Morton order ---------------------------------------------------------------------------------

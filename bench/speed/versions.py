@@ -77,7 +77,9 @@ def save_inputs(folder: Path, n: int, pixels: int) -> None:
     """Save photons and hit points, which both builds are given."""
     inputs.caustic(n).save(folder / PHOTONS)
     hits = inputs.hit_points(pixels)
-    np.savez(folder / HITS, **{field.name: getattr(hits, field.name) for field in fields(hits)})
+    columns = {field.name: getattr(hits, field.name) for field in fields(hits)}
+    # Older builds know no footprints.
+    np.savez(folder / HITS, **{name: rows for name, rows in columns.items() if rows is not None})
 
 
 @contextmanager
