@@ -290,6 +290,11 @@ class Densities:
         return out
 
     @property
+    def has_footprints(self) -> bool:
+        """Whether there are means over footprints; see `Field`."""
+        return self._field.has_footprints
+
+    @property
     def n_channels(self) -> int:
         """Number of values per element, c."""
         return self._values.shape[1]

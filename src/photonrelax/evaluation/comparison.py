@@ -320,7 +320,7 @@ class _Workbench:
     def _warm_up(self) -> None:
         """Gather once: the first timed method should not pay for starting threads."""
         field = prepare(PLAIN_METHOD, self._method_input(Settings(), None))
-        self._view.bands[0].irradiance(field)
+        self._view.bands[0].estimates(field)
 
     def _evaluate(self, name: str) -> tuple[Field, Floats, dict[str, float]]:
         """Field, caustic and seconds by stage of a column's method."""

@@ -193,13 +193,10 @@ class FieldEstimates:
         self._attributes = field.layers
         weighted = [mean * values for values in self._attributes.values()]
         self._densities = field.densities(np.hstack([field.flux, mean, *weighted]))
-        self._has_footprints = field.has_footprints
 
     def __call__(self, band: Band) -> dict[str, Floats]:
         """Radiance ``caustic`` and means weighted with flux, (rows, width, c) each."""
-        hits = band.hits
-        footprint = hits.footprint if self._has_footprints else None
-        densities = self._densities(hits.position, hits.normal, footprint=footprint)
+        densities = band.estimates(self._densities)
         return {"caustic": band.radiance(densities[:, :3]), **self._means(band, densities[:, 3:])}
 
     def _means(self, band: Band, densities: Floats) -> dict[str, Floats]:

@@ -10,12 +10,13 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from .._ext.transport.samples import merge_samples
 from .._util import validation
 from .._util.memory import ESTIMATE_MARGIN, available_memory, check_memory
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
-from ..estimation.field import Field
+from ..estimation.field import Densities, Field
 from ..scene.scene import Scene
 from ..transport.direct_light import direct_irradiance
 from ..transport.hit_points import MAX_DEPTH, FirstSurfaces, HitPoints, trace_hit_points
@@ -27,6 +28,9 @@ _RAYS_PER_BAND = 400_000
 _PIXEL_BYTES, _RAY_BYTES, _HIT_BYTES = 128, 56, 176
 # Rays a side of the small image from which the number of hit points is estimated.
 _PILOT_SIDE = 64
+# Samples of a pixel are on one piece of surface if they are on a grid and their edges are equal, up
+# to a share of an edge, and their normals alike, by the cosines between them.
+_SAME_PIECE, _ALIKE = 0.25, 0.95
 # Position of samples in the cells of the s·s grid of their pixel.
 CENTRE = (0.5, 0.5)
 
@@ -47,6 +51,8 @@ class Band:
         Normal and depth of the first surface.
     direct : (m, 3)
         Direct irradiance at the hit points, W/m².
+    supersampling : int
+        s·s samples a pixel.
     """
 
     rows: range
@@ -54,16 +60,22 @@ class Band:
     hits: HitPoints
     first: FirstSurfaces
     direct: Floats
+    supersampling: int = 1
 
-    def irradiance(self, field: Field) -> Floats:
-        """Irradiance (m, 3) of a field: means over the footprints of the hit points, W/m².
+    def estimates(self, field: Field | Densities) -> Floats:
+        """Estimates (m, c) of a field: means over what each hit point stands for.
 
-        At the hit points where the field has estimates at points only, or they have no footprints.
+        Samples of a pixel that are on one piece of surface share one estimate, over all of it.
+        Estimates are at the hit points where the field has no others, or they have no footprints.
         """
         hits = self.hits
         if hits.footprint is None or not field.has_footprints:
             return field(hits.position, hits.normal)
-        return field(hits.position, hits.normal, footprint=hits.footprint)
+        position, normal, footprint, of_hit = merge_samples(
+            hits, self.supersampling, tolerance=_SAME_PIECE, least_cosine=_ALIKE
+        )
+        estimates: Floats = field(position, normal, footprint=footprint)[of_hit]
+        return estimates
 
     def radiance(self, irradiance: Floats) -> Floats:
         """Radiance (rows, width, 3) of irradiance (m, 3) at the hit points."""
@@ -209,7 +221,7 @@ class View:
         direct = direct_irradiance(
             self.scene, self.caster, hits.position, hits.normal, n_threads=self.n_threads
         )
-        return Band(rows, self.camera.width, hits, first, direct)
+        return Band(rows, self.camera.width, hits, first, direct, self.supersampling)
 
     def stored(self, progress: Progress | None) -> StoredView:
         """Trace all bands and keep them in memory."""
@@ -243,7 +255,7 @@ class StoredView:
         report = Reporter(progress, "render", sum(len(band.rows) for band in self.bands))
         parts = []
         for band in self.bands:
-            parts.append(band.radiance(band.irradiance(field)))
+            parts.append(band.radiance(band.estimates(field)))
             report.advance(len(band.rows))
         return np.concatenate(parts)
 

@@ -1,0 +1,132 @@
+"""Samples of a pixel that lie on one piece of surface."""
+
+from libc.stdint cimport int32_t, int64_t
+
+import numpy as np
+
+from ..common.vec3 cimport dot
+
+
+cdef struct Piece:
+    # Means over the samples of a pixel.
+    double[3] position
+    double[3] normal
+    double[2][3] edges
+
+
+cdef class Samples:
+    """Hit points, in sequence by pixel where they are those of its samples."""
+
+    cdef const int64_t[::1] pixel
+    cdef const int32_t[::1] object_id
+    cdef const double[:, ::1] position, normal
+    cdef const double[:, :, ::1] footprint
+    cdef Py_ssize_t side
+    cdef double squared_tolerance, least_cosine
+
+    cdef bint is_one_piece(self, Py_ssize_t first, Piece* piece) noexcept nogil:
+        """Write the means over a pixel's samples; true if these are a grid on one surface."""
+        cdef Py_ssize_t sample, n = self.side * self.side
+        cdef double longest, squared
+        cdef double right, down
+        cdef int c, edge
+        for c in range(3):
+            piece.position[c] = piece.normal[c] = piece.edges[0][c] = piece.edges[1][c] = 0.0
+        for sample in range(first, first + n):
+            if self.object_id[sample] != self.object_id[first]:
+                return False
+            if dot(&self.normal[sample, 0], &self.normal[first, 0]) < self.least_cosine:
+                return False
+            for c in range(3):
+                piece.position[c] += self.position[sample, c] / n
+                piece.normal[c] += self.normal[sample, c] / n
+                piece.edges[0][c] += self.footprint[sample, 0, c] / n
+                piece.edges[1][c] += self.footprint[sample, 1, c] / n
+        longest = max(dot(piece.edges[0], piece.edges[0]), dot(piece.edges[1], piece.edges[1]))
+        longest *= self.squared_tolerance
+        for sample in range(n):
+            right = sample % self.side - 0.5 * (self.side - 1)
+            down = sample // self.side - 0.5 * (self.side - 1)
+            squared = 0.0
+            for c in range(3):
+                squared += (
+                    self.position[first + sample, c] - piece.position[c]
+                    - right * piece.edges[0][c] - down * piece.edges[1][c]
+                ) ** 2
+            if squared > longest:
+                return False
+            for edge in range(2):
+                squared = 0.0
+                for c in range(3):
+                    squared += (
+                        self.footprint[first + sample, edge, c] - piece.edges[edge][c]
+                    ) ** 2
+                if squared > longest:
+                    return False
+        return True
+
+
+def merge_samples(hits, Py_ssize_t side, *, double tolerance, double least_cosine):
+    """Pieces of surface of hit points: one for all samples of a pixel that are on one.
+
+    Parameters
+    ----------
+    hits : HitPoints
+        With footprints, (m, …).
+    side : int
+        side · side samples a pixel, row by row.
+    tolerance : float
+        Distance of samples from a grid, and difference of their edges, over the longer edge.
+    least_cosine : float
+        Between normals.
+
+    Returns
+    -------
+    position, normal, footprint : (p, 3), (p, 3), (p, 2, 3)
+        Of the pieces; normals of any length.
+    of_hit : (m,) intp
+        The piece of each hit point.
+    """
+    cdef Samples samples = Samples()
+    samples.pixel, samples.object_id = hits.pixel, hits.object_id
+    samples.position, samples.normal = hits.position, hits.normal
+    samples.footprint = hits.footprint
+    samples.side = side
+    samples.squared_tolerance, samples.least_cosine = tolerance * tolerance, least_cosine
+    cdef Py_ssize_t m = samples.pixel.shape[0], n = side * side
+    if not (
+        m == samples.object_id.shape[0] == samples.position.shape[0] == samples.normal.shape[0]
+        == samples.footprint.shape[0]
+        and 3 == samples.position.shape[1] == samples.normal.shape[1] == samples.footprint.shape[2]
+        and samples.footprint.shape[1] == 2 and side > 0
+    ):
+        raise ValueError("columns of the hit points do not fit one another")
+    cdef double[:, ::1] position = np.empty((m, 3)), normal = np.empty((m, 3))
+    cdef double[:, :, ::1] footprint = np.empty((m, 2, 3))
+    cdef Py_ssize_t[::1] of_hit = np.empty(m, np.intp)
+    cdef Py_ssize_t first = 0, end, i, c, p = 0
+    cdef Piece piece
+    with nogil:
+        while first < m:
+            end = first + 1
+            while end < m and samples.pixel[end] == samples.pixel[first]:
+                end += 1
+            if end - first == n and n > 1 and samples.is_one_piece(first, &piece):
+                of_hit[first:end] = p
+                for c in range(3):
+                    position[p, c] = piece.position[c]
+                    normal[p, c] = piece.normal[c]
+                    footprint[p, 0, c] = side * piece.edges[0][c]
+                    footprint[p, 1, c] = side * piece.edges[1][c]
+                p += 1
+            else:
+                for i in range(first, end):
+                    of_hit[i] = p
+                    for c in range(3):
+                        position[p, c] = samples.position[i, c]
+                        normal[p, c] = samples.normal[i, c]
+                        footprint[p, 0, c] = samples.footprint[i, 0, c]
+                        footprint[p, 1, c] = samples.footprint[i, 1, c]
+                    p += 1
+            first = end
+    return position.base[:p], normal.base[:p], footprint.base[:p], of_hit.base

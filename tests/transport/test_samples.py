@@ -1,0 +1,85 @@
+"""Samples of pixels that share one estimate."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from photonrelax._ext.transport.samples import merge_samples
+
+import photonrelax as pr
+from photonrelax.transport.hit_points import trace_hit_points
+from photonrelax.transport.raycast import RayCaster
+from tests.transport.test_hit_points import DOWN, box, plane, sphere
+
+CAMERA = pr.Camera((0, 0, 9), (0, 0, 0), (0, 1, 0), width=8, height=6, orthographic_height=3)
+
+
+def seen(objects, camera=CAMERA, supersampling=3, **options):
+    scene = pr.Scene(objects, [DOWN])
+    caster = RayCaster(scene.objects)
+    return trace_hit_points(
+        *(scene, caster, camera, range(camera.height)), supersampling=supersampling, **options
+    )[0]
+
+
+def merged(hits, side=3):
+    return merge_samples(hits, side, tolerance=0.25, least_cosine=0.95)
+
+
+def test_a_pixel_of_one_surface_is_one_piece_of_its_size():
+    hits = seen([plane()])
+    position, normal, footprint, of_hit = merged(hits)
+    np.testing.assert_array_equal(of_hit, hits.pixel)
+    pixels = seen([plane()], supersampling=1)
+    np.testing.assert_allclose(position, pixels.position, atol=1e-12)
+    np.testing.assert_allclose(normal, pixels.normal, atol=1e-12)
+    np.testing.assert_allclose(footprint, pixels.footprint, atol=1e-12)
+
+
+def test_samples_of_pixels_that_see_several_surfaces_stay_alone():
+    """On both sides of an edge, of a crease, and where only some samples see anything."""
+    step = box((-0.1, -9, 0), (9, 9, 0.2), pr.Diffuse())
+    half = plane(half=0.9)
+    for objects in ([plane(), step], [half]):
+        hits = seen(objects)
+        position, _, footprint, of_hit = merged(hits)
+        n = np.bincount(of_hit)
+        assert set(n) == {1, 9}
+        one = np.flatnonzero(n == 1)
+        alone = np.flatnonzero(np.isin(of_hit, one))
+        np.testing.assert_array_equal(position[of_hit[alone]], hits.position[alone])
+        np.testing.assert_array_equal(footprint[of_hit[alone]], hits.footprint[alone])
+        for piece in np.flatnonzero(n == 9):
+            own = hits.position[of_hit == piece]
+            assert np.ptp(own[:, 2]) == 0.0
+
+
+def test_pieces_cover_what_their_samples_cover():
+    hits = seen([plane(), sphere(pr.Dielectric(), subdivisions=3)])
+    _, _, footprint, of_hit = merged(hits)
+    area = np.linalg.norm(np.cross(hits.footprint[:, 0], hits.footprint[:, 1]), axis=1)
+    whole = np.linalg.norm(np.cross(footprint[:, 0], footprint[:, 1]), axis=1)
+    pieces = np.bincount(of_hit, area)
+    np.testing.assert_allclose(whole, pieces, rtol=0.1, atol=1e-12)
+    assert (np.bincount(of_hit) == 9).mean() > 0.1
+
+
+def test_single_samples_are_left_as_they_are():
+    hits = seen([plane()], supersampling=1)
+    position, normal, footprint, of_hit = merged(hits, side=1)
+    np.testing.assert_array_equal(of_hit, np.arange(len(hits)))
+    for one, name in ((position, "position"), (normal, "normal"), (footprint, "footprint")):
+        np.testing.assert_array_equal(one, getattr(hits, name))
+
+
+def test_no_hit_points_have_no_pieces():
+    hits = seen([plane()], replace(CAMERA, target=(0, 0, 20)))
+    assert len(hits) == 0
+    assert [len(column) for column in merged(hits)] == [0, 0, 0, 0]
+
+
+@pytest.mark.parametrize("name", ["object_id", "position", "normal", "footprint"])
+def test_columns_have_to_fit(name):
+    hits = seen([plane()])
+    with pytest.raises(ValueError, match="do not fit one another"):
+        merged(replace(hits, **{name: getattr(hits, name)[1:]}))
