@@ -15,6 +15,7 @@ from ..photons.photon_map import PhotonMap
 from ..scene.materials import Sensor
 from ..scene.scene import Scene, SceneObject, object_label
 from .metadata import photon_metadata
+from .render import on_surfaces
 
 # Height of a flat object over its size, at most.
 _FLAT = 1e-6
@@ -131,11 +132,9 @@ def photons_of_surface(photons: PhotonMap, scene: Scene, object_id: int) -> Phot
     Those on a sensor alone, as light stored there is stored again behind it; else those on all
     objects that are not sensors.
     """
-    if not photons.on_sensor.any() or photons.object_id is None:
-        return photons
     if isinstance(scene.objects[object_id].material, Sensor):
         return photons.subset(photons.object_id == object_id)
-    return photons.subset(~photons.on_sensor)
+    return on_surfaces(photons)
 
 
 def object_named(scene: Scene, name: str) -> int:

@@ -58,10 +58,9 @@ def render(
     supersampling, max_depth : int
         s·s samples a pixel; maximum number of specular surfaces on a camera path.
     photons : PhotonMap, optional
-        Photons traced before in this scene, in place of new ones. That they lie on its surfaces is
-        not checked; if their ledger has other emitted flux than the scene, they are refused.
-        Without a ledger, as after ``photons.replace(ledger=None)``, nothing is checked. Those on
-        sensors are left out.
+        Photons traced before in this scene, in place of new ones; those on sensors are left out.
+        They are refused if their ledger has other emitted flux than the scene; without one, as
+        after ``photons.replace(ledger=None)``, nothing is checked.
     n_threads, progress : int, callable, optional
         Threads, by default all; called as ``progress(stage, done, total)``.
     **settings
@@ -77,8 +76,7 @@ def render(
     Raises
     ------
     TypeError, ValueError
-        If the scene has no camera, an argument is invalid, no photon is stored, or those given
-        are of another scene.
+        If an argument is invalid, no photon is stored, or those given are of another scene.
     """
     view = View(scene, supersampling=supersampling, max_depth=max_depth, n_threads=n_threads)
     stages = _Stages(view, progress)
@@ -88,7 +86,7 @@ def render(
         photons = stages.trace(n_emitted, seed=seed, sampler=sampler, frequency_share=share)
     else:
         _check_scene(photons, scene)
-        photons = _on_surfaces(photons)
+        photons = on_surfaces(photons)
     field = stages.prepare(photons, method, chosen)
     used = field.used | view.settings
     metadata = photon_metadata(photons, scene=scene.name, method=method, settings=used)
@@ -138,7 +136,7 @@ def _difference(emitted: Floats, n_emitters: int, plan: Callable[[], EmissionPla
     )
 
 
-def _on_surfaces(photons: PhotonMap) -> PhotonMap:
+def on_surfaces(photons: PhotonMap) -> PhotonMap:
     """Photons without those on sensors, which cameras do not see."""
     on_sensor = photons.on_sensor
     return photons.subset(~on_sensor) if on_sensor.any() else photons

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from .._ext.transport.hit_points import CameraPaths
 from .._ext.transport.materials import Materials
+from .._ext.transport.raycast import EmbreeHits
 from .._util.parallel import ordered_map, thread_count, thread_executor
 from .._util.validation import MAX_REPEATS, Floats, count
 from ..scene.camera import Camera, film_corners, pixel_rays, sample_changes
 from ..scene.scene import Scene
 from .media import MediaFinder, warn_of_overflows
-from .raycast import Intersections, RayCaster
+from .raycast import RayCaster, empty_intersections
 
 # Between parallel mirrors without loss rays never end.
 MAX_DEPTH = 10_000
@@ -181,17 +182,22 @@ class _CameraTracer:
             least_weight=_MIN_WEIGHT,
             longest_edge=self._extent,
         )
-        first = self._start(paths, rows)
-        for _ in range(self._max_depth + 1):
-            if not paths.n_live:
+        first, found = self._start(paths, rows)
+        for _ in range(self._max_depth):
+            if not paths.advance(found):
                 break
-            paths.advance(self._caster.find_paths(paths))
+            found = self._caster.find_paths(paths)
+        else:
+            paths.advance(found)
         seen = paths.seen_points()
         seen["weight"] /= self._supersampling**2
         return _Batch(seen, first, paths.n_overflows)
 
-    def _start(self, paths: CameraPaths, rows: range) -> FirstSurfaces:
-        """Start the rays of some rows, in their media and off the surfaces that they start on."""
+    def _start(self, paths: CameraPaths, rows: range) -> tuple[FirstSurfaces, EmbreeHits]:
+        """Start the rays of some rows, in their media and off the surfaces that they start on.
+
+        Returns the surfaces that they hit, and embree's hits.
+        """
         s = self._supersampling
         origin, direction, pixel = pixel_rays(self._camera, rows, s, offset=self._offset)
         origin_change, film_change = self._changes
@@ -201,28 +207,19 @@ class _CameraTracer:
             origin_change=origin_change,
             film_change=film_change,
         )
-        if self._may_be_inside:
-            hits = _first_hits(self._caster, origin, direction)
-            paths.set_media(self._media.along(origin, direction, hits))
         found = self._caster.find_paths(paths)
         normal, depth, n_moved = paths.first_surfaces(found, self._axis, s * s)
         if n_moved:
             found = self._caster.find_paths(paths)
             normal, depth, _ = paths.first_surfaces(found, self._axis, s * s)
+        if self._may_be_inside:
+            hits = empty_intersections(len(pixel))
+            self._caster.triangles.refine_hits(origin, direction, found, hits)
+            paths.set_media(self._media.along(origin, direction, hits))
         shape = len(rows), self._camera.width
-        return FirstSurfaces(normal.reshape(*shape, 3), depth.reshape(shape))
+        return FirstSurfaces(normal.reshape(*shape, 3), depth.reshape(shape)), found
 
 
 def _hit_points(batches: list[dict[str, NDArray]], materials: Materials) -> HitPoints:
     columns = {name: np.concatenate([some[name] for some in batches]) for name in batches[0]}
     return HitPoints(**columns, albedo=materials.table.reflectance[columns["object_id"]])
-
-
-def _first_hits(caster: RayCaster, origin: Floats, direction: Floats) -> Intersections:
-    """Hits of the camera's rays, but not on surfaces that the camera lies on."""
-    found = caster.intersect(origin, direction)
-    height = found.distance * np.abs(np.einsum("ij,ij->i", direction, found.geometric_normal))
-    if not (height <= found.step).any():
-        return found
-    offset = np.where((height <= found.step)[:, np.newaxis], found.offset, np.nan)
-    return caster.intersect(origin, direction, origin_offset=offset)

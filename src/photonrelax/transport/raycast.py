@@ -342,7 +342,7 @@ def _visible_ids(objects: Sequence[SceneObject]) -> list[int]:
 
 
 class _EmptyScene:
-    """What embree's scene is without triangles: all rays miss."""
+    """Embree's scene without triangles, which all rays miss."""
 
     def run(
         self, origins: NDArray, *_: NDArray, query: str, output: bool = False

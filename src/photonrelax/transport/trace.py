@@ -91,55 +91,48 @@ def trace_photons(
 ) -> PhotonMap:
     """Emit photons, trace their paths and store them on diffuse surfaces and sensors.
 
-    Photon i of an emission region depends on `seed` and i alone. The module describes the events
-    at surfaces, and the memory photons take.
+    Photon i of an emission region depends on `seed` and i alone.
 
     Parameters
     ----------
     scene : Scene
         Objects and emitters.
     n_emitted, seed : int
-        Paths to start, apportioned to the emitters by the flux they send to the target; the seed.
+        Paths to start, apportioned to the emitters by flux sent to the target; the seed.
     paths : {"caustic", "global", "all"}
-        Light to store: that of specular paths (L S+ D), neither that nor direct light, or all
-        that arrives on diffuse surfaces; on sensors that after a specular event and before any
-        diffuse one, after a diffuse event, or all that crosses them.
+        Light to store: that of specular paths (L S+ D), neither that nor direct light, or all; on
+        sensors after specular events alone, after a diffuse one, or all that crosses them.
     sampler : {"halton", "random"}
         Evenly spaced photons (SJ13) or independent ones.
     max_bounces : int
         Events (specular or diffuse) after which a path is cut; at most 10,000.
     frequency_share : float
-        Share of the photons, in [0, 1], that get a spectrum: selected by their indices, of those
-        that no diffuse surface has scattered yet.
+        Share, in [0, 1], of the photons not yet scattered by diffuse surfaces that get a spectrum.
     n_threads, progress : int, callable, optional
         Threads, by default all; called as ``progress("trace", done, n_emitted)`` now and then.
-    batch_size : int
-        Paths traced together, rounded up to a multiple of 1024.
-    caster : RayCaster, optional
-        Of the scene's objects: building it takes time.
+    batch_size, caster : int, RayCaster, optional
+        Paths traced together, rounded up to whole 1024; of the scene: building it takes time.
     sensors : bool
-        Store photons on the scene's sensors too. Photons on other objects do not depend on it, nor
-        on sensors at all unless these reach beyond the other objects and `paths` is "all".
+        Store photons on the scene's sensors too. Others do not depend on sensors, unless these
+        reach beyond the other objects and `paths` is "all".
 
     Returns
     -------
     PhotonMap
-        In the order of emitters, indices and events, those on sensors between two events in the
-        order of the sensors; well spaced for caustics from Halton photons.
+        By emitter, index and event, between two events by sensor; caustics of Halton photons are
+        well spaced.
 
     Raises
     ------
     TypeError, ValueError, MemoryError
-        If an argument is invalid, nothing is stored (the message says why), or the photons surely
-        do not fit in memory, as estimated from some thousands of them.
+        If an argument is invalid, nothing is stored, or the photons surely do not fit in memory.
     """
     settings = _checked_settings(paths, max_bounces, frequency_share, sensors=sensors)
     threads = thread_count(n_threads)
     n_emitted = count(n_emitted, "n_emitted", high=MAX_PHOTONS)
     _check_memory(scene, n_emitted, settings, caster, threads)
     plan = plan_emission(scene, n_emitted, paths, seed=seed, sampler=sampler)
-    size = _batch_capacity(batch_size, plan)
-    context = TraceContext(scene, plan, settings, size, caster=caster)
+    context = TraceContext(scene, plan, settings, _batch_capacity(batch_size, plan), caster=caster)
     return _trace_all(context, threads, progress)
 
 

@@ -12,11 +12,12 @@ import numpy as np
 
 from ..common.prefetch cimport prefetch_row
 from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
-from ..common.vec3 cimport cross, dot, normalise, orthonormal_frame
+from ..common.vec3 cimport orthonormal_frame
 from ..spatial.simd.kernels cimport (
     BLOCK, GAUSSIAN_DEVIATION, Rectangle, RectangleWeights, highest_bit, lowest_bit,
 )
 from ..spatial.tree cimport Tree, fan_out, first_block, last_kept
+from .rectangle cimport Footprint, fit_rectangle, normalise_safely
 
 DEVIATION = GAUSSIAN_DEVIATION
 
@@ -41,14 +42,6 @@ cdef double HIGH = 1.3
 # Half the thickness of the slab of photons that are on a footprint, over half its diagonal: the
 # sagitta over the half chord of a cap whose normals turn by 60° at its rim, tan 30°.
 cdef double SAGITTA = 0.58
-# Ratio of its axes from which on a parallelogram's rectangle lies along them, not along its edges.
-cdef double ELONGATED = 1.5
-
-
-cdef struct Footprint:
-    Rectangle rectangle
-    double[2] sides
-    double area
 
 
 cdef struct Scratch:
@@ -288,95 +281,6 @@ cdef void open_footprint(
     rectangle.at = &work.queries[row, 0]
     rectangle.squared_range = work.squared_range
     rectangle.n_axes = work.tree.n_axes
-
-
-cdef inline void normalise_safely(double* a) noexcept nogil:
-    """Scale a vector to unit length, also where its square is beyond the range of floats."""
-    cdef double largest = fmax(fabs(a[0]), fmax(fabs(a[1]), fabs(a[2])))
-    cdef int axis
-    for axis in range(3):
-        a[axis] /= largest
-    normalise(a)
-
-
-cdef void fit_rectangle(Footprint* footprint, const double* edges) noexcept nogil:
-    """Set sides and axes from two edge vectors; the axes are a frame of the tangent plane before.
-
-    With the edges as rows of a matrix E in that frame, the sides are its singular values, and the
-    axes the eigenvectors of EᵀE. Where these hardly differ the eigenvectors mean nothing: the axes
-    then lie as near to both edges as they can, and the sides are the edges' lengths, scaled to the
-    same area.
-    """
-    cdef double* axes = footprint.rectangle.axes
-    cdef double[4] e
-    cdef double[2] direction
-    cdef double half_sum, half_difference, area, longer, unit = 0.0
-    cdef int edge, i
-    for edge in range(2):
-        e[2 * edge] = dot(&edges[3 * edge], &axes[0])
-        e[2 * edge + 1] = dot(&edges[3 * edge], &axes[3])
-    for i in range(4):
-        unit = fmax(unit, fabs(e[i]))
-    if unit == 0.0:
-        footprint.sides[0] = footprint.sides[1] = 0.0
-        return
-    # In a unit that keeps squares within the range of floats.
-    for i in range(4):
-        e[i] /= unit
-    area = fabs(e[0] * e[3] - e[1] * e[2])
-    half_sum = 0.5 * (e[0] * e[0] + e[1] * e[1] + e[2] * e[2] + e[3] * e[3])
-    direction[0] = 0.5 * (e[0] * e[0] + e[2] * e[2] - e[1] * e[1] - e[3] * e[3])
-    direction[1] = e[0] * e[1] + e[2] * e[3]
-    half_difference = sqrt(direction[0] * direction[0] + direction[1] * direction[1])
-    longer = sqrt(half_sum + half_difference)
-    if longer * longer > ELONGATED * area:
-        footprint.sides[0] = longer
-        footprint.sides[1] = area / longer
-        half_angle(direction)
-    else:
-        fit_to_edges(footprint, e, area, direction)
-    footprint.sides[0] *= unit
-    footprint.sides[1] *= unit
-    turn(axes, direction)
-
-
-cdef void half_angle(double* direction) noexcept nogil:
-    """Replace a vector by the unit vector at half its angle, which is zero for none."""
-    cdef double length = sqrt(direction[0] * direction[0] + direction[1] * direction[1])
-    cdef double cosine = direction[0] / length, sine = direction[1] / length
-    if cosine >= 0.0:
-        direction[0] = sqrt(0.5 * (1.0 + cosine))
-        direction[1] = 0.5 * sine / direction[0]
-    else:
-        direction[1] = sqrt(0.5 * (1.0 - cosine))
-        direction[0] = 0.5 * sine / direction[1]
-
-
-cdef void fit_to_edges(
-    Footprint* footprint, const double* e, double area, double* direction
-) noexcept nogil:
-    """Set sides, and the first's direction, from edges of similar length at a wide angle."""
-    cdef double first = sqrt(e[0] * e[0] + e[1] * e[1])
-    cdef double second = sqrt(e[2] * e[2] + e[3] * e[3])
-    cdef double scale = sqrt(area / (first * second)), length
-    # The second edge turned by 90° towards the first.
-    cdef double turned = 1.0 if e[0] * e[3] > e[1] * e[2] else -1.0
-    direction[0] = e[0] / first + turned * e[3] / second
-    direction[1] = e[1] / first - turned * e[2] / second
-    length = sqrt(direction[0] * direction[0] + direction[1] * direction[1])
-    direction[0] /= length
-    direction[1] /= length
-    footprint.sides[0] = first * scale
-    footprint.sides[1] = second * scale
-
-
-cdef void turn(double* axes, const double* direction) noexcept nogil:
-    """Turn the first two axes so that the first has a direction given in their frame."""
-    cdef int axis
-    for axis in range(3):
-        axes[axis] = direction[0] * axes[axis] + direction[1] * axes[3 + axis]
-    normalise(axes)
-    cross(&axes[3], &axes[6], axes)
 
 
 # The radius

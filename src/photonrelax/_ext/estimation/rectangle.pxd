@@ -1,0 +1,102 @@
+"""Rectangles of footprints, from the edges of parallelograms, as inline functions for kernels."""
+
+from libc.math cimport fabs, fmax, sqrt
+
+from ..common.vec3 cimport cross, dot, normalise
+from ..spatial.simd.kernels cimport Rectangle
+
+
+cdef struct Footprint:
+    Rectangle rectangle
+    double[2] sides
+    double area
+
+
+cdef inline void normalise_safely(double* a) noexcept nogil:
+    """Scale a vector to unit length, also where its square is beyond the range of floats."""
+    cdef double largest = fmax(fabs(a[0]), fmax(fabs(a[1]), fabs(a[2])))
+    cdef int axis
+    for axis in range(3):
+        a[axis] /= largest
+    normalise(a)
+
+
+cdef inline void fit_rectangle(Footprint* footprint, const double* edges) noexcept nogil:
+    """Set sides and axes from two edge vectors; the axes are a frame of the tangent plane before.
+
+    With the edges as rows of a matrix E in that frame, the sides are its singular values, and the
+    axes the eigenvectors of EᵀE. Where these hardly differ the eigenvectors mean nothing: the axes
+    then lie as near to both edges as they can, and the sides are the edges' lengths, scaled to the
+    same area.
+    """
+    cdef double* axes = footprint.rectangle.axes
+    cdef double[4] e
+    cdef double[2] direction
+    cdef double half_sum, half_difference, area, longer, unit = 0.0
+    cdef int edge, i
+    for edge in range(2):
+        e[2 * edge] = dot(&edges[3 * edge], &axes[0])
+        e[2 * edge + 1] = dot(&edges[3 * edge], &axes[3])
+    for i in range(4):
+        unit = fmax(unit, fabs(e[i]))
+    if unit == 0.0:
+        footprint.sides[0] = footprint.sides[1] = 0.0
+        return
+    # In a unit that keeps squares within the range of floats.
+    for i in range(4):
+        e[i] /= unit
+    area = fabs(e[0] * e[3] - e[1] * e[2])
+    half_sum = 0.5 * (e[0] * e[0] + e[1] * e[1] + e[2] * e[2] + e[3] * e[3])
+    direction[0] = 0.5 * (e[0] * e[0] + e[2] * e[2] - e[1] * e[1] - e[3] * e[3])
+    direction[1] = e[0] * e[1] + e[2] * e[3]
+    half_difference = sqrt(direction[0] * direction[0] + direction[1] * direction[1])
+    longer = sqrt(half_sum + half_difference)
+    # From a ratio of 1.5 of its axes on a rectangle lies along them, not along the edges.
+    if longer * longer > 1.5 * area:
+        footprint.sides[0] = longer
+        footprint.sides[1] = area / longer
+        half_angle(direction)
+    else:
+        fit_to_edges(footprint, e, area, direction)
+    footprint.sides[0] *= unit
+    footprint.sides[1] *= unit
+    turn(axes, direction)
+
+
+cdef inline void half_angle(double* direction) noexcept nogil:
+    """Replace a vector by the unit vector at half its angle, which is zero for none."""
+    cdef double length = sqrt(direction[0] * direction[0] + direction[1] * direction[1])
+    cdef double cosine = direction[0] / length, sine = direction[1] / length
+    if cosine >= 0.0:
+        direction[0] = sqrt(0.5 * (1.0 + cosine))
+        direction[1] = 0.5 * sine / direction[0]
+    else:
+        direction[1] = sqrt(0.5 * (1.0 - cosine))
+        direction[0] = 0.5 * sine / direction[1]
+
+
+cdef inline void fit_to_edges(
+    Footprint* footprint, const double* e, double area, double* direction
+) noexcept nogil:
+    """Set sides, and the first's direction, from edges of similar length at a wide angle."""
+    cdef double first = sqrt(e[0] * e[0] + e[1] * e[1])
+    cdef double second = sqrt(e[2] * e[2] + e[3] * e[3])
+    cdef double scale = sqrt(area / (first * second)), length
+    # The second edge turned by 90° towards the first.
+    cdef double turned = 1.0 if e[0] * e[3] > e[1] * e[2] else -1.0
+    direction[0] = e[0] / first + turned * e[3] / second
+    direction[1] = e[1] / first - turned * e[2] / second
+    length = sqrt(direction[0] * direction[0] + direction[1] * direction[1])
+    direction[0] /= length
+    direction[1] /= length
+    footprint.sides[0] = first * scale
+    footprint.sides[1] = second * scale
+
+
+cdef inline void turn(double* axes, const double* direction) noexcept nogil:
+    """Turn the first two axes so that the first has a direction given in their frame."""
+    cdef int axis
+    for axis in range(3):
+        axes[axis] = direction[0] * axes[axis] + direction[1] * axes[3 + axis]
+    normalise(axes)
+    cross(&axes[3], &axes[6], axes)
