@@ -12,7 +12,6 @@ from ..estimation.field import PhotonField
 from ..estimation.irradiance_map import irradiance_map, texel_grid
 from ..imaging.image import Image
 from ..photons.photon_map import PhotonMap
-from ..scene.materials import Sensor
 from ..scene.scene import Scene, SceneObject, object_label
 from .metadata import photon_metadata
 from .render import on_surfaces
@@ -132,7 +131,7 @@ def photons_of_surface(photons: PhotonMap, scene: Scene, object_id: int) -> Phot
     Those on a sensor alone, as light stored there is stored again behind it; else those on all
     objects that are not sensors.
     """
-    if isinstance(scene.objects[object_id].material, Sensor):
+    if scene.objects[object_id].material.is_sensor:
         return photons.subset(photons.object_id == object_id)
     return on_surfaces(photons)
 
