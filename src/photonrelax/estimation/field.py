@@ -12,14 +12,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._ext.spatial.blocks import to_soa_blocks
 from .._ext.spatial.node_sums import node_sums
+from .._ext.spatial.radius import RadiusGather
 from .._util import validation
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
+from ..photons.axes import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees, morton_order
 from ..relaxation.structure import Structure
 from ..spatial.kdtree import KDTree
-from .footprint import check_footprint
+from .footprint import check_footprint, half_diagonals
+from .surface import Surface
 
 Rows = NDArray[np.intp]
 
@@ -61,10 +64,15 @@ class Field(ABC):
         Duration of each stage of the preparation.
     used : dict
         Settings of each stage, by the stages' names, with what was left open filled in.
+    surface : Surface, optional
+        Surfaces that light is estimated on. With them estimates beside their edges are divided by
+        the part of their kernel that is on surface, and are NaN where there is none; without them
+        all surface is taken to go on for ever.
     """
 
     seconds: dict[str, float]
     used: dict[str, dict[str, Any]]
+    surface: Surface | None = None
     _n_threads: int
 
     def __call__(
@@ -136,6 +144,11 @@ class Field(ABC):
     def has_footprints(self) -> bool:
         """Whether there are means over footprints, or estimates at points only."""
         return False
+
+    @property
+    def reach(self) -> float:
+        """Largest distance, m, from a footprint of what counts in its estimate."""
+        return np.inf
 
     @abstractmethod
     def _lay_out(self, values: Floats, part: int) -> Any:
@@ -222,8 +235,7 @@ class TreeField(PhotonField):
     def _lay_out(self, values: Floats, part: int) -> TreeValues:
         """Values in tree order."""
         tree, rows = self._trees.tree(part)
-        blocks = to_soa_blocks(self._trees.sums(values, part), rows, self._n_threads)
-        return TreeValues(tree, blocks, self._n_threads)
+        return TreeValues(tree, rows, self._trees.sums(values, part), self._n_threads)
 
 
 class TreeValues:
@@ -235,9 +247,11 @@ class TreeValues:
         Values of the photons, zero in lanes without one.
     """
 
-    def __init__(self, tree: KDTree, blocks: Floats, n_threads: int) -> None:
-        self.blocks = blocks
+    def __init__(self, tree: KDTree, rows: Rows, values: Floats, n_threads: int) -> None:
+        self.blocks = to_soa_blocks(values, rows, n_threads)
         self._tree = tree
+        self._rows = rows
+        self._values = values
         self._n_threads = n_threads
 
     @cached_property
@@ -245,6 +259,23 @@ class TreeValues:
         """Sums (groups, c, 16) of the values over the nodes of the tree."""
         sums: Floats = node_sums(self._tree.kernel, self.blocks, self._n_threads)
         return sums
+
+    def within(self, queries: Floats, radius: Floats, kernel: int) -> Floats:
+        """Densities (r, c), of a kernel and radii (r,) at queries (r, axes)."""
+        gather = RadiusGather(
+            *(self._tree.kernel, self._values, self._rows, kernel),
+            normal_range=normal_range(self._tree),
+            n_threads=self._n_threads,
+        )
+        out = np.empty((len(queries), self._values.shape[1]))
+        counts = np.empty(len(queries), dtype=np.int64)
+        gather.sums(
+            *(queries, np.arange(len(queries)), radius),
+            out=out,
+            counts=counts,
+            n_threads=self._n_threads,
+        )
+        return out / (np.pi * radius**2)[:, np.newaxis]
 
 
 class Densities:
@@ -287,6 +318,9 @@ class Densities:
         report = Reporter(progress, "estimate", len(points))
         for chunk in self._field._chunks(points, normals, report):
             self._field._fill(out, self, chunk._replace(footprint=footprint))
+        if self._field.surface is not None:
+            radius = half_diagonals(footprint, len(points)) + self._field.reach
+            self._field.surface.mark_absent(out, points, normals, radius)
         return out
 
     @property

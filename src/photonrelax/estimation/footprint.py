@@ -67,6 +67,18 @@ def check_footprint(footprint: ArrayLike | None, n_points: int) -> Floats | None
     )
 
 
+def half_diagonals(footprint: Floats | None, n_points: int) -> Floats:
+    """Half the longer diagonals (m,) of footprints as of `check_footprint`; zero for points."""
+    if footprint is None:
+        return np.zeros(n_points)
+    if footprint.ndim == 1:
+        return np.sqrt(0.5) * footprint
+    first, second = footprint[:, 0], footprint[:, 1]
+    diagonals = np.linalg.norm([first + second, first - second], axis=2)
+    half: Floats = 0.5 * diagonals.max(axis=0)
+    return half
+
+
 @cache
 def kernel_integrals() -> Floats:
     """Integral of the kernel over the plane, at evenly spaced s / (s + r) of both sides.

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from time import perf_counter
 from typing import Any, TypedDict, Unpack, get_args, get_type_hints
 
+from .._util.parallel import thread_count
 from .._util.progress import Progress
 from ..photons.photon_map import PhotonMap
 from ..relaxation.gradient import GradientSettings, detect_gradient
@@ -24,6 +25,7 @@ from .frequency import FrequencyField, FrequencySettings
 from .nearest import GatherSettings, IrradianceField
 from .progressive import ProgressiveSettings
 from .split_passes import ProgressiveField
+from .surface import Surface
 
 DEFAULT_METHOD = "parameterised"
 PLAIN_METHOD = "standard"
@@ -83,7 +85,9 @@ def irradiance_field(
         - ``frequency``: the same, with radii no smaller than local frequency spectra ask for
           (FPPM); some of the photons carry such (see `photonrelax.trace_photons`).
     scene : Scene, optional
-        Keeps moved photons on their objects; see `photonrelax.relaxation.relax`.
+        Keeps moved photons on their objects; see `photonrelax.relaxation.relax`. Estimates beside
+        edges of its surfaces are right, and NaN, with a warning, where no surface that stores
+        light is within reach; without it all surface is taken to go on for ever.
     n_threads : int, optional
         Threads; all available by default. Results do not depend on it.
     progress : callable, optional
@@ -323,4 +327,7 @@ def method_named(name: str) -> Method:
 
 def prepare(name: str, inputs: MethodInput) -> PhotonField:
     """Do the preparation of the method of a name; raises ValueError if there is none."""
-    return method_named(name).prepare(inputs)
+    field = method_named(name).prepare(inputs)
+    if inputs.scene is not None:
+        field.surface = Surface(inputs.scene, thread_count(inputs.n_threads))
+    return field

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .._ext.estimation import footprint as _footprint
 from .._ext.estimation import nearest as _nearest
@@ -21,8 +21,16 @@ from ..photons.photon_trees import PhotonTrees
 from ..relaxation.structure import Structure
 from .field import Densities, Points, TreeField
 from .footprint import BIAS_DECAY, kernel_integrals, number_within
-from .kernels import KERNELS, WELL_SPACED_BIAS, automatic_gather_radius, well_spaced_mean
+from .kernels import (
+    JUST_SHORT,
+    KERNELS,
+    WELL_SPACED_BIAS,
+    automatic_gather_radius,
+    kth_distance,
+    well_spaced_mean,
+)
 from .refinement import REFINEMENTS
+from .surface import Surface
 
 
 @dataclass(frozen=True)
@@ -152,13 +160,55 @@ class IrradianceField(TreeField):
         }
         if points.footprint is not None:
             options.update(normals=points.normals, sums=laid_out.node_sums)
+            options["surface"] = None if self.surface is None else self.surface.edges
             _footprint.gather(*where, footprint=points.footprint, **self._rule, **options)
         elif self.settings.refinement == "none":
             scale = 1.0 / self._uniform_mean
             _nearest.gather(*where, kth_scale=scale, **self._kernel, **options)
+            if self.surface is not None:
+                self._fill_near_edges(out, values, points, self.surface)
         else:
             flux = self._flux_of(points.part)
             _refinement.gather(*where, flux=flux, **self._kernel, **self._refined, **options)
+
+    def _fill_near_edges(
+        self, out: Floats, values: Densities, points: Points, surface: Surface
+    ) -> None:
+        """Write the densities at those points of a chunk whose kernels may hang over an edge."""
+        queries = points.queries[points.rows]
+        normals = validation.unit_vectors(
+            points.normals[points.rows], "normals", (len(queries), 3), self._n_threads
+        )
+        place = np.ascontiguousarray(queries[:, :3])
+        near, largest = surface.near_edges(place, normals, self.reach)
+        if not len(near):
+            return
+        radius, is_kth = self._radii(points.part, queries[near], largest)
+        kernel = KERNELS[self.settings.kernel]
+        densities = values.laid_out(points.part).within(queries[near], radius, kernel)
+        shares = surface.shares(place[near], normals[near], radius, kernel)
+        densities /= (shares * np.where(is_kth, self._uniform_mean, 1.0))[:, np.newaxis]
+        out[points.rows[near]] = densities
+
+    def _radii(
+        self, part: int, queries: Floats, largest: Floats
+    ) -> tuple[Floats, NDArray[np.bool_]]:
+        """Radii (r,) of queries, and whether they are those of the k-th photon."""
+        distance = kth_distance(
+            *(self._trees.tree(part)[0], queries, np.arange(len(queries)), self.settings.k),
+            radius=largest.max(),
+            n_threads=self._n_threads,
+        )
+        is_kth = (distance > 0.0) & (distance <= largest) & np.isfinite(distance)
+        # Of an infinite disc with fewer photons the density is zero.
+        limit = np.minimum(largest, validation.RADII[1])
+        return np.where(is_kth, JUST_SHORT * distance, limit), is_kth
+
+    @property
+    def reach(self) -> float:
+        """Gather radius, m."""
+        radius = self.settings.gather_radius
+        return np.inf if radius is None else radius
 
     @property
     def _kernel(self) -> dict[str, Any]:

@@ -5,6 +5,7 @@ The rule and its symbols are those of `photonrelax.estimation.footprint`.
 
 from cython cimport final
 from cython.parallel cimport prange, threadid
+from libc.float cimport DBL_MIN
 from libc.math cimport INFINITY, M_PI, exp, fabs, fmax, fmin, isfinite, nextafter, sqrt
 from libc.stdint cimport int32_t, int64_t
 
@@ -18,6 +19,9 @@ from ..spatial.simd.kernels cimport (
 )
 from ..spatial.tree cimport Tree, fan_out, first_block, last_kept
 from .rectangle cimport Footprint, fit_rectangle, normalise_safely
+from .surface_edges cimport (
+    SurfaceEdges, area_on_surface, find_edges, share_on_surface, squared_of_disc,
+)
 
 DEVIATION = GAUSSIAN_DEVIATION
 
@@ -31,6 +35,8 @@ cdef enum:
     STACK_SIZE = 128
     # Points of the polynomials that interpolate the table of integrals.
     STENCIL = 6
+    # Steps of a search for a root, at most.
+    MAX_STEPS = 200
 
 # Deviations inside the edge from which on a weight is one over the area, to 1e-9.
 cdef double DEEP = 6.3
@@ -42,6 +48,15 @@ cdef double HIGH = 1.3
 # Half the thickness of the slab of photons that are on a footprint, over half its diagonal: the
 # sagitta over the half chord of a cap whose normals turn by 60° at its rim, tan 30°.
 cdef double SAGITTA = 0.58
+# Squared radius that edges are first searched within, over that where there are none.
+cdef double EDGES_WITHIN = 2.0
+# Squared radius, over the largest squared radius, within which the area of that disc is to be
+# surface: that of a corner of 22.5°.
+cdef double SURFACE_WITHIN = 16.0
+# Relative error of the squared radius of a number of photons near edges.
+cdef double ROOT = 1e-13
+
+cdef double[2] NO_SIDES = [0.0, 0.0]
 
 
 cdef struct Scratch:
@@ -58,6 +73,8 @@ cdef struct Scratch:
     double* band
     # Squared radius of the last query.
     double squared_guess
+    # Numbers of edges that may be near.
+    int32_t* edges
     # Whether a photon is at the radius, and whether the radius is the largest allowed.
     bint at_photon
     bint is_limited
@@ -87,6 +104,8 @@ cdef class FootprintGather:
     cdef const Py_ssize_t[::1] rows
     cdef double[:, ::1] out
     cdef const double[:, ::1] integrals
+    # None without a scene.
+    cdef SurfaceEdges surface
     # Least number of photons in a disc at the density of the footprint's surroundings.
     cdef double number
     cdef double squared_gather_radius
@@ -100,12 +119,14 @@ cdef class FootprintGather:
     cdef int32_t[:, ::1] blocks
     cdef double[:, ::1] band
     cdef double[:, ::1] deep
+    cdef int32_t[:, ::1] found
+    cdef double[:, ::1] ends
     cdef int64_t[::1] n_single
 
 
 def gather(
     Tree tree, values, queries, rows, out, *, normals, sums, footprint, integrals, double number,
-    bias, double radius, double range_radius, int n_threads
+    bias, double radius, double range_radius, int n_threads, SurfaceEdges surface=None
 ):
     """Write densities over the footprints named by `rows`, close ones in sequence, to `out`.
 
@@ -134,6 +155,8 @@ def gather(
         Largest radius; may be infinite.
     range_radius : float
         Radius of the ball over the tree's range axes; negative for none.
+    surface : SurfaceEdges, optional
+        Edges of the surface, which without it has none.
 
     Returns
     -------
@@ -155,6 +178,7 @@ def gather(
     work.squared_gather_radius = radius * radius
     work.squared_range = range_radius * range_radius if range_radius >= 0.0 else -1.0
     work.bias, work.bias_decay = bias
+    work.surface = surface
     work.slack = 1e-14 * np.abs([tree.low[:3], tree.high[:3]]).max()
     allocate(work, n_threads)
     gather_all(work, n_threads)
@@ -183,6 +207,9 @@ cdef allocate(FootprintGather work, int n_threads):
     work.band = np.empty((n_threads, BAND_STRIDE))
     work.deep = np.empty((n_threads, work.out.shape[1]))
     work.n_single = np.zeros(n_threads, dtype=np.int64)
+    n_edges = 1 if work.surface is None else max(work.surface.tree.n_boxes, 1)
+    work.found = np.empty((n_threads, n_edges), dtype=np.int32)
+    work.ends = np.empty((n_threads, 4 * n_edges))
 
 
 cdef int gather_all(FootprintGather work, int n_threads) except -1:
@@ -206,6 +233,8 @@ cdef void gather_chunk(FootprintGather work, Py_ssize_t first, int thread) noexc
     scratch.blocks = &work.blocks[thread, 0]
     scratch.band = &work.band[thread, 0]
     scratch.deep = &work.deep[thread, 0]
+    scratch.edges = &work.found[thread, 0]
+    footprint.near.ends = &work.ends[thread, 0]
     scratch.n_single = scratch.n_blocks = scratch.n_deep = 0
     scratch.squared_guess = spacing_near(work.tree, &work.queries[work.rows[first], 0])
     scratch.squared_guess *= work.number
@@ -281,9 +310,20 @@ cdef void open_footprint(
     rectangle.at = &work.queries[row, 0]
     rectangle.squared_range = work.squared_range
     rectangle.n_axes = work.tree.n_axes
+    footprint.squared_largest = work.squared_gather_radius
+    footprint.near.n = 0
 
 
 # The radius
+
+cdef inline bint is_enough(
+    FootprintGather work, const Footprint* footprint, double n, double squared
+) noexcept nogil:
+    """Whether n photons within a squared radius are enough for it."""
+    if footprint.near.n == 0:
+        return squared_root(work, footprint, n) <= squared
+    return excess_on_surface(work, footprint, n, sqrt(squared)) >= 0.0
+
 
 cdef inline double squared_root(
     FootprintGather work, const Footprint* footprint, double n
@@ -294,8 +334,49 @@ cdef inline double squared_root(
     cdef double root
     if excess <= 0.0:
         return INFINITY
+    if footprint.near.n > 0:
+        return squared_root_on_surface(work, footprint, n)
     root = linear + sqrt(linear * linear + excess * work.number * footprint.area)
     return (root / excess) * (root / excess)
+
+
+cdef double excess_on_surface(
+    FootprintGather work, const Footprint* footprint, double n, double radius
+) noexcept nogil:
+    """N(r) |disc(r)| - (k - ½) |B(r)| for n photons, of areas that are surface."""
+    cdef double disc = area_on_surface(&footprint.near, NO_SIDES, radius)
+    cdef double around = area_on_surface(&footprint.near, footprint.sides, radius)
+    return n * disc - work.number * around if disc > 0.0 else -work.number * around - DBL_MIN
+
+
+cdef double squared_root_on_surface(
+    FootprintGather work, const Footprint* footprint, double n
+) noexcept nogil:
+    """`squared_root` near edges, as far as these are known: by false position (Illinois)."""
+    cdef double low = 0.0, high = sqrt(footprint.squared_known), at, here
+    cdef double below = excess_on_surface(work, footprint, n, low)
+    cdef double above = excess_on_surface(work, footprint, n, high)
+    cdef int step
+    if above < 0.0:
+        return INFINITY
+    if footprint.area == 0.0:
+        return 0.0
+    for step in range(MAX_STEPS):
+        if high - low <= ROOT * high:
+            break
+        at = high - above * (high - low) / (above - below)
+        if not low < at < high or step % 8 == 7:
+            at = 0.5 * (low + high)
+        here = excess_on_surface(work, footprint, n, at)
+        if here >= 0.0:
+            below *= 0.5
+            above = here
+            high = at
+        else:
+            above *= 0.5
+            below = here
+            low = at
+    return high * high
 
 
 cdef inline double squared_expected(
@@ -305,6 +386,15 @@ cdef inline double squared_expected(
     cdef double sides = 2.0 * (footprint.sides[0] + footprint.sides[1])
     cdef double around = footprint.area + sides * sqrt(squared) + M_PI * squared
     return work.number * around / (M_PI * n) if n > 0.0 else INFINITY
+
+
+cdef inline double largest_radius(FootprintGather work, const Footprint* footprint) noexcept nogil:
+    """Squared radius that none is searched beyond."""
+    if footprint.near.n > 0:
+        return fmin(footprint.squared_largest, footprint.squared_known)
+    return fmin(
+        footprint.squared_largest, squared_reach(work.tree, footprint.rectangle.at)
+    )
 
 
 cdef double squared_reach(Tree tree, const double* at) noexcept nogil:
@@ -326,9 +416,7 @@ cdef double find_squared_radius(
     small and the second large enough: brackets are moved until they are such and hold few photons.
     It depends on the photons alone, not on the brackets.
     """
-    cdef double largest = fmin(
-        work.squared_gather_radius, squared_reach(work.tree, footprint.rectangle.at)
-    )
+    cdef double largest = largest_radius(work, footprint)
     # Known to be too small, and large enough.
     cdef double below = 0.0, above = INFINITY, expected
     cdef Bracket bracket
@@ -340,17 +428,14 @@ cdef double find_squared_radius(
     bracket.low = fmin(LOW * scratch.squared_guess, 0.5 * bracket.high)
     while True:
         find_band(work, footprint, scratch, &bracket)
-        if squared_root(work, footprint, bracket.n_low + bracket.n_band) > bracket.high:
+        if not is_enough(work, footprint, bracket.n_low + bracket.n_band, bracket.high):
             if bracket.high == largest:
                 return limited_radius(work, footprint, scratch, bracket.n_low + bracket.n_band)
             below = bracket.low = bracket.high
             expected = squared_expected(work, footprint, below, bracket.n_low + bracket.n_band)
             bracket.high = fmax(fmin(HIGH * expected, 16.0 * below), 1.5 * below)
             bracket.high = fmin(fmin(bracket.high, above), largest)
-        elif (
-            bracket.low > below
-            and squared_root(work, footprint, bracket.n_low) <= bracket.low
-        ):
+        elif bracket.low > below and is_enough(work, footprint, bracket.n_low, bracket.low):
             above = bracket.high = bracket.low
             expected = squared_expected(work, footprint, above, bracket.n_low)
             bracket.low = fmax(fmin(LOW * expected, 0.75 * above), below)
@@ -368,8 +453,10 @@ cdef inline void narrow(
     FootprintGather work, const Footprint* footprint, Bracket* bracket
 ) noexcept nogil:
     """Narrow a bracket by the roots of the numbers of photons at its ends, at least to a half."""
-    cdef double low = squared_root(work, footprint, bracket.n_low + bracket.n_band)
-    cdef double high = squared_root(work, footprint, bracket.n_low)
+    cdef double low = 0.0, high = INFINITY
+    if footprint.near.n == 0:
+        low = squared_root(work, footprint, bracket.n_low + bracket.n_band)
+        high = squared_root(work, footprint, bracket.n_low)
     low = fmax(bracket.low, (1.0 - 1e-12) * low)
     high = fmin(bracket.high, (1.0 + 1e-12) * high)
     if high - low > 0.5 * (bracket.high - bracket.low):
@@ -384,18 +471,20 @@ cdef double limited_radius(
 ) noexcept nogil:
     """Squared radius where the n photons within reach are too few for a smaller one."""
     cdef double root = squared_root(work, footprint, n)
-    scratch.is_limited = not root <= work.squared_gather_radius
-    return fmin(root, work.squared_gather_radius)
+    scratch.is_limited = not root <= footprint.squared_largest
+    return fmin(root, footprint.squared_largest)
 
 
 cdef double radius_in_band(
     FootprintGather work, const Footprint* footprint, Scratch* scratch, const Bracket* bracket
 ) noexcept nogil:
     """Squared radius, which is among the squared distances of a band or between two of them."""
-    cdef double root = squared_root(work, footprint, bracket.n_low)
-    cdef Py_ssize_t i
+    cdef double root
+    cdef Py_ssize_t i, first
     sort_few(scratch.band, bracket.n_band)
-    for i in range(bracket.n_band):
+    first = first_enough(work, footprint, scratch, bracket)
+    root = squared_root(work, footprint, bracket.n_low + first)
+    for i in range(first, bracket.n_band):
         if root < scratch.band[i]:
             return root
         root = squared_root(work, footprint, bracket.n_low + i + 1)
@@ -403,6 +492,25 @@ cdef double radius_in_band(
             scratch.at_photon = True
             return scratch.band[i]
     return fmin(root, bracket.high)
+
+
+cdef inline Py_ssize_t first_enough(
+    FootprintGather work, const Footprint* footprint, Scratch* scratch, const Bracket* bracket
+) noexcept nogil:
+    """Number of the photons of a sorted band that are not enough for sure, near edges.
+
+    There roots take long; without any they do not.
+    """
+    cdef Py_ssize_t low = 0, high = bracket.n_band, middle
+    if footprint.near.n == 0:
+        return 0
+    while low < high:
+        middle = (low + high) // 2
+        if is_enough(work, footprint, bracket.n_low + middle + 1, scratch.band[middle]):
+            high = middle
+        else:
+            low = middle + 1
+    return low
 
 
 cdef void sort_few(double* x, Py_ssize_t n) noexcept nogil:
@@ -524,7 +632,7 @@ cdef inline int64_t points_of_node(Tree tree, Py_ssize_t level, Py_ssize_t node)
 # Sums
 
 cdef void write_densities(
-    FootprintGather work, const Footprint* footprint, Scratch* scratch, double* out
+    FootprintGather work, Footprint* footprint, Scratch* scratch, double* out
 ) noexcept nogil:
     """Write the densities over one footprint."""
     cdef double squared = find_squared_radius(work, footprint, scratch)
@@ -536,6 +644,8 @@ cdef void write_densities(
         scratch.at_photon = False
         scratch.is_limited = True
         squared = work.squared_gather_radius
+    elif work.surface is not None and isfinite(squared):
+        squared = squared_radius_on_surface(work, footprint, scratch, squared)
     for channel in range(work.out.shape[1]):
         out[channel] = scratch.deep[channel] = 0.0
     if not isfinite(squared):
@@ -545,6 +655,8 @@ cdef void write_densities(
     scale = set_weights(work, footprint, squared, scratch.at_photon, &weights)
     if not scratch.is_limited:
         scale /= uniform_mean(work, footprint, squared)
+    if work.surface is not None:
+        scale /= share_of_kernel(work, footprint, scratch, squared)
     scratch.n_single += BLOCK * scratch.n_blocks
     work.tree.simd.rectangle_sum(
         &work.tree.coords[0, 0, 0], scratch.blocks, scratch.n_blocks, &footprint.rectangle,
@@ -552,6 +664,63 @@ cdef void write_densities(
     )
     for channel in range(work.out.shape[1]):
         out[channel] = scale * (out[channel] + scratch.deep[channel])
+
+
+cdef double squared_radius_on_surface(
+    FootprintGather work, Footprint* footprint, Scratch* scratch, double squared
+) noexcept nogil:
+    """Squared radius with the edges that are near, from the one without: the same if none is."""
+    footprint.squared_known = squared
+    find_near(work, footprint, scratch)
+    if footprint.near.n == 0:
+        return squared
+    scratch.squared_guess = squared
+    squared = radius_among_edges(work, footprint, scratch)
+    if scratch.is_limited and isfinite(footprint.squared_largest):
+        footprint.squared_known = SURFACE_WITHIN * footprint.squared_largest
+        find_near(work, footprint, scratch)
+        footprint.squared_largest = squared_of_disc(
+            &footprint.near, sqrt(footprint.squared_largest), sqrt(SURFACE_WITHIN)
+        )
+        squared = find_squared_radius(work, footprint, scratch)
+    return squared
+
+
+cdef double radius_among_edges(
+    FootprintGather work, Footprint* footprint, Scratch* scratch
+) noexcept nogil:
+    """Squared radius among edges, of which as many are found as it takes; infinite for none."""
+    cdef double squared = INFINITY
+    cdef double largest = fmin(
+        footprint.squared_largest, 16.0 * squared_reach(work.tree, footprint.rectangle.at)
+    )
+    while squared >= footprint.squared_known and footprint.squared_known < largest:
+        footprint.squared_known = fmin(EDGES_WITHIN * footprint.squared_known, largest)
+        find_near(work, footprint, scratch)
+        squared = find_squared_radius(work, footprint, scratch)
+    return squared
+
+
+cdef inline void find_near(
+    FootprintGather work, Footprint* footprint, Scratch* scratch
+) noexcept nogil:
+    find_edges(
+        work.surface, &footprint.rectangle, sqrt(footprint.squared_known), scratch.edges,
+        &footprint.near
+    )
+
+
+cdef inline double share_of_kernel(
+    FootprintGather work, Footprint* footprint, Scratch* scratch, double squared
+) noexcept nogil:
+    """Part of a kernel that is on surface; one where none of it is."""
+    cdef double share
+    footprint.squared_known = squared
+    find_near(work, footprint, scratch)
+    if footprint.near.n == 0:
+        return 1.0
+    share = share_on_surface(&footprint.near, footprint.sides, sqrt(squared))
+    return share if share > 0.0 else 1.0
 
 
 cdef void list_for_sums(

@@ -4,12 +4,18 @@ from libc.math cimport fabs, fmax, sqrt
 
 from ..common.vec3 cimport cross, dot, normalise
 from ..spatial.simd.kernels cimport Rectangle
+from .surface_edges cimport NearEdges
 
 
 cdef struct Footprint:
     Rectangle rectangle
     double[2] sides
     double area
+    # Largest squared radius.
+    double squared_largest
+    # Edges of the surface within a squared radius; none without a scene.
+    NearEdges near
+    double squared_known
 
 
 cdef inline void normalise_safely(double* a) noexcept nogil:
