@@ -222,8 +222,7 @@ class TreeField(PhotonField):
     def _lay_out(self, values: Floats, part: int) -> TreeValues:
         """Values in tree order."""
         tree, rows = self._trees.tree(part)
-        blocks = to_soa_blocks(self._trees.sums(values, part), rows, self._n_threads)
-        return TreeValues(tree, blocks, self._n_threads)
+        return TreeValues(tree, rows, self._trees.sums(values, part), self._n_threads)
 
 
 class TreeValues:
@@ -235,8 +234,8 @@ class TreeValues:
         Values of the photons, zero in lanes without one.
     """
 
-    def __init__(self, tree: KDTree, blocks: Floats, n_threads: int) -> None:
-        self.blocks = blocks
+    def __init__(self, tree: KDTree, rows: Rows, values: Floats, n_threads: int) -> None:
+        self.blocks = to_soa_blocks(values, rows, n_threads)
         self._tree = tree
         self._n_threads = n_threads
 
@@ -279,9 +278,8 @@ class Densities:
         footprint = check_footprint(footprint, len(points))
         if footprint is not None and not self._field.has_footprints:
             raise ValueError(
-                f"a {type(self._field).__name__} with these settings has estimates at points only, "
-                "but a footprint was given: leave it out, or take the means of a method that "
-                "gathers the k nearest photons, without refinement"
+                f"a {type(self._field).__name__} has estimates at points only, but a footprint was "
+                "given: leave it out, or take a method whose field has_footprints"
             )
         out = np.zeros((len(points), self.n_channels))
         report = Reporter(progress, "estimate", len(points))

@@ -12,12 +12,11 @@ import numpy as np
 
 from ..common.prefetch cimport prefetch_row
 from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
-from ..common.vec3 cimport orthonormal_frame
 from ..spatial.simd.kernels cimport (
     BLOCK, GAUSSIAN_DEVIATION, Rectangle, RectangleWeights, highest_bit, lowest_bit,
 )
 from ..spatial.tree cimport Tree, fan_out, first_block, last_kept
-from .rectangle cimport Footprint, fit_rectangle, normalise_safely
+from .rectangle cimport Footprint, open_rectangle
 
 DEVIATION = GAUSSIAN_DEVIATION
 
@@ -42,6 +41,13 @@ cdef double HIGH = 1.3
 # Half the thickness of the slab of photons that are on a footprint, over half its diagonal: the
 # sagitta over the half chord of a cap whose normals turn by 60° at its rim, tan 30°.
 cdef double SAGITTA = 0.58
+
+
+cdef enum Task:
+    # Densities with the radii of the rule, or with radii given; the radii of the rule alone.
+    DENSITIES
+    DENSITIES_WITHIN
+    RADII
 
 
 cdef struct Scratch:
@@ -77,6 +83,7 @@ cdef struct Bracket:
 cdef class FootprintGather:
     """Photons, footprints and where their densities go; see `gather`."""
 
+    cdef Task task
     cdef Tree tree
     cdef const double[:, :, ::1] values
     cdef const double[:, :, ::1] sums
@@ -87,12 +94,15 @@ cdef class FootprintGather:
     cdef const Py_ssize_t[::1] rows
     cdef double[:, ::1] out
     cdef const double[:, ::1] integrals
-    # Least number of photons in a disc at the density of the footprint's surroundings.
-    cdef double number
+    # Radii given, and those of the rule.
+    cdef const double[::1] given_radius
+    cdef double[::1] radius
+    # Of each footprint the least number of photons in a disc at the density of its surroundings.
+    cdef const double[:] number
     cdef double squared_gather_radius
     cdef double squared_range
     # Estimates of a uniform field are too low by this at points, and by less over footprints.
-    cdef double bias
+    cdef const double[:] bias
     cdef double bias_decay
     # Bound on the error of distances of boxes.
     cdef double slack
@@ -126,9 +136,9 @@ def gather(
         Edge vectors, or sides of squares.
     integrals : (g, g) float64 array
         Integral of the kernel at evenly spaced s / (s + r) of both sides.
-    number : float
+    number : float or (m,) float64 array
         Photons that a disc has to hold at the mean density within its radius of the footprint.
-    bias : (float, float)
+    bias : (float or (m,) float64 array, float)
         a, b: estimates are divided by 1 - a exp(-b x), x the mean of the sides in radii.
     radius : float
         Largest radius; may be infinite.
@@ -140,48 +150,133 @@ def gather(
     int
         Number of photons that were looked at one by one.
     """
+    cdef FootprintGather work = open_work(tree, queries, rows, normals, footprint, range_radius)
+    set_values(work, values, sums, integrals, out)
+    work.number = np.broadcast_to(np.float64(number), len(queries))
+    work.bias = np.broadcast_to(np.float64(bias[0]), len(queries))
+    work.bias_decay = bias[1]
+    work.squared_gather_radius = radius * radius
+    return do_all(work, n_threads)
+
+
+def gather_within(
+    Tree tree, values, queries, rows, out, *, normals, sums, footprint, integrals, radius,
+    double range_radius, int n_threads
+):
+    """Write densities of given radii over the footprints named by `rows` to `out`.
+
+    All photons within the radius count, those at it too.
+
+    Parameters
+    ----------
+    radius : (m,) float64 array
+        Positive and finite.
+    tree, values, queries, rows, out, normals, sums, footprint, integrals, range_radius, n_threads
+        See `gather`.
+
+    Returns
+    -------
+    int
+        Number of photons that were looked at one by one.
+    """
+    cdef FootprintGather work = open_work(tree, queries, rows, normals, footprint, range_radius)
+    set_values(work, values, sums, integrals, out)
+    work.task = DENSITIES_WITHIN
+    work.given_radius = radius
+    if work.given_radius.shape[0] != work.queries.shape[0]:
+        raise ValueError("radii and queries do not fit one another")
+    return do_all(work, n_threads)
+
+
+def write_radii(
+    Tree tree, queries, rows, out, *, normals, footprint, double number, double radius,
+    double range_radius, int n_threads
+):
+    """Write the radii of the rule over the footprints named by `rows` to `out`.
+
+    They are zero where all photons that are asked for are at a point.
+
+    Parameters
+    ----------
+    out : (m,) float64 array
+    tree, queries, rows, normals, footprint, number, radius, range_radius, n_threads
+        See `gather`.
+    """
+    cdef FootprintGather work = open_work(tree, queries, rows, normals, footprint, range_radius)
+    work.task = RADII
+    work.radius = out
+    if work.radius.shape[0] != work.queries.shape[0]:
+        raise ValueError("radii and queries do not fit one another")
+    if tree.n_points == 0:
+        work.radius[...] = radius
+    work.number = np.broadcast_to(number, len(queries))
+    work.squared_gather_radius = radius * radius
+    do_all(work, n_threads)
+
+
+cdef FootprintGather open_work(
+    Tree tree, queries, rows, normals, footprint, double range_radius
+):
+    """Footprints to be gathered over; raises ValueError if arrays do not fit one another."""
     cdef FootprintGather work = FootprintGather()
-    work.tree, work.values, work.sums = tree, values, sums
-    work.queries, work.normals, work.rows, work.out = queries, normals, rows, out
+    work.task = DENSITIES
+    work.tree = tree
+    work.queries, work.normals, work.rows = queries, normals, rows
     work.edges = footprint if footprint.ndim == 3 else None
     work.sides = footprint if footprint.ndim == 1 else None
-    work.integrals = integrals
-    if footprint.shape[1:] not in ((), (2, 3)) or not fit(work):
-        raise ValueError("queries, footprints, densities and photon values do not fit one another")
-    if tree.n_points == 0:
-        work.out[...] = 0.0
-        return 0
-    work.number = number
-    work.squared_gather_radius = radius * radius
+    if footprint.shape[1:] not in ((), (2, 3)) or not footprints_fit(work):
+        raise ValueError("queries and footprints do not fit one another")
     work.squared_range = range_radius * range_radius if range_radius >= 0.0 else -1.0
-    work.bias, work.bias_decay = bias
     work.slack = 1e-14 * np.abs([tree.low[:3], tree.high[:3]]).max()
-    allocate(work, n_threads)
-    gather_all(work, n_threads)
-    return int(np.sum(work.n_single))
+    return work
 
 
-cdef bint fit(FootprintGather work):
-    """Whether arrays fit one another."""
+cdef set_values(FootprintGather work, values, sums, integrals, out):
+    """Set the values whose densities are written; raises ValueError if they do not fit."""
+    work.values, work.sums, work.integrals, work.out = values, sums, integrals, out
+    if not values_fit(work):
+        raise ValueError("queries, densities and photon values do not fit one another")
+    if work.tree.n_points == 0:
+        work.out[...] = 0.0
+
+
+cdef bint footprints_fit(FootprintGather work):
+    """Whether footprints and their points fit one another and the tree."""
     cdef Py_ssize_t m = work.queries.shape[0]
     cdef Py_ssize_t n_footprints = (
         work.sides.shape[0] if work.edges is None else work.edges.shape[0]
     )
     return (
-        m == work.out.shape[0] == work.normals.shape[0] == n_footprints
+        m == work.normals.shape[0] == n_footprints and work.normals.shape[1] == 3
         and work.queries.shape[1] >= work.tree.n_axes and work.tree.n_metric == 3
-        and work.normals.shape[1] == 3 and work.values.shape[0] == work.tree.n_blocks
+    )
+
+
+cdef bint values_fit(FootprintGather work):
+    """Whether values and densities fit the tree and the queries."""
+    return (
+        work.queries.shape[0] == work.out.shape[0]
+        and work.values.shape[0] == work.tree.n_blocks
         and work.values.shape[1] == work.sums.shape[1] == work.out.shape[1]
         and work.sums.shape[0] == work.tree.boxes.shape[0]
         and work.integrals.shape[0] == work.integrals.shape[1] > STENCIL
     )
 
 
+cdef int64_t do_all(FootprintGather work, int n_threads) except -1:
+    """Do the task; returns the number of photons that were looked at one by one."""
+    if work.tree.n_points == 0:
+        return 0
+    allocate(work, n_threads)
+    gather_all(work, n_threads)
+    return int(np.sum(work.n_single))
+
+
 cdef allocate(FootprintGather work, int n_threads):
     """Allocate a row of scratch memory a thread."""
     work.blocks = np.empty((n_threads, work.tree.n_blocks + BLOCK), dtype=np.int32)
     work.band = np.empty((n_threads, BAND_STRIDE))
-    work.deep = np.empty((n_threads, work.out.shape[1]))
+    work.deep = np.empty((n_threads, 1 if work.out is None else work.out.shape[1]))
     work.n_single = np.zeros(n_threads, dtype=np.int64)
 
 
@@ -199,7 +294,7 @@ cdef int gather_all(FootprintGather work, int n_threads) except -1:
 
 
 cdef void gather_chunk(FootprintGather work, Py_ssize_t first, int thread) noexcept nogil:
-    """Write the densities over `first` of the footprints and those that follow, up to a grain."""
+    """Do the task over `first` of the footprints and those that follow, up to a grain."""
     cdef Scratch scratch
     cdef Footprint footprint
     cdef Py_ssize_t i, end = min(first + GRAIN, work.rows.shape[0])
@@ -208,12 +303,18 @@ cdef void gather_chunk(FootprintGather work, Py_ssize_t first, int thread) noexc
     scratch.deep = &work.deep[thread, 0]
     scratch.n_single = scratch.n_blocks = scratch.n_deep = 0
     scratch.squared_guess = spacing_near(work.tree, &work.queries[work.rows[first], 0])
-    scratch.squared_guess *= work.number
+    if work.task != DENSITIES_WITHIN:
+        scratch.squared_guess *= work.number[work.rows[first]]
     for i in range(first, end):
         if i + 1 < end:
             prefetch_row(&work.queries[work.rows[i + 1], 0], 8 * work.queries.shape[1])
         open_footprint(work, &footprint, work.rows[i])
-        write_densities(work, &footprint, &scratch, &work.out[work.rows[i], 0])
+        if work.task == DENSITIES:
+            write_densities(work, &footprint, &scratch, &work.out[work.rows[i], 0])
+        elif work.task == DENSITIES_WITHIN:
+            write_within(work, &footprint, &scratch, work.rows[i])
+        else:
+            write_radius(work, &footprint, &scratch, work.rows[i])
     work.n_single[thread] += scratch.n_single
 
 
@@ -260,21 +361,17 @@ cdef void open_footprint(
 ) noexcept nogil:
     """Set the rectangle of a footprint."""
     cdef Rectangle* rectangle = &footprint.rectangle
-    cdef double* axes = rectangle.axes
+    cdef bint has_edges = work.edges is not None
     cdef double diagonal
-    cdef int side
-    for side in range(3):
-        axes[6 + side] = work.normals[row, side]
-    normalise_safely(&axes[6])
-    orthonormal_frame(&axes[0], &axes[3], &axes[6])
-    if work.edges is None:
-        footprint.sides[0] = footprint.sides[1] = work.sides[row]
-    else:
-        fit_rectangle(footprint, &work.edges[row, 0, 0])
+    footprint.number = 0.0 if work.task == DENSITIES_WITHIN else work.number[row]
+    footprint.bias = work.bias[row] if work.task == DENSITIES else 0.0
+    open_rectangle(
+        footprint, &work.normals[row, 0], &work.edges[row, 0, 0] if has_edges else NULL,
+        0.0 if has_edges else work.sides[row]
+    )
     diagonal = sqrt(
         footprint.sides[0] * footprint.sides[0] + footprint.sides[1] * footprint.sides[1]
     )
-    footprint.area = footprint.sides[0] * footprint.sides[1]
     rectangle.half[0] = 0.5 * footprint.sides[0]
     rectangle.half[1] = 0.5 * footprint.sides[1]
     rectangle.half[2] = 0.5 * SAGITTA * diagonal
@@ -283,18 +380,45 @@ cdef void open_footprint(
     rectangle.n_axes = work.tree.n_axes
 
 
+def rectangle_sides(const double[:, ::1] normals, footprint):
+    """Sides (m, 2) of the rectangles of footprints, m; those of parallelograms in any order.
+
+    Parameters
+    ----------
+    normals : (m, 3) float64 array
+        Of any length.
+    footprint : (m, 2, 3) or (m,) float64 array
+        Edge vectors, or sides of squares.
+    """
+    cdef const double[:, :, ::1] edges
+    cdef Footprint one
+    cdef Py_ssize_t i
+    if footprint.ndim == 1:
+        return np.repeat(footprint[:, np.newaxis], 2, axis=1)
+    edges = footprint
+    sides = np.empty((normals.shape[0], 2))
+    cdef double[:, ::1] out = sides
+    if not (edges.shape[0] == normals.shape[0] and normals.shape[1] == edges.shape[2] == 3):
+        raise ValueError("normals and footprints do not fit one another")
+    for i in range(out.shape[0]):
+        open_rectangle(&one, &normals[i, 0], &edges[i, 0, 0], 0.0)
+        out[i, 0] = one.sides[0]
+        out[i, 1] = one.sides[1]
+    return sides
+
+
 # The radius
 
 cdef inline double squared_root(
     FootprintGather work, const Footprint* footprint, double n
 ) noexcept nogil:
     """Squared radius at which n photons are just enough; infinite where they never are."""
-    cdef double excess = M_PI * (n - work.number)
-    cdef double linear = work.number * (footprint.sides[0] + footprint.sides[1])
+    cdef double excess = M_PI * (n - footprint.number)
+    cdef double linear = footprint.number * (footprint.sides[0] + footprint.sides[1])
     cdef double root
     if excess <= 0.0:
         return INFINITY
-    root = linear + sqrt(linear * linear + excess * work.number * footprint.area)
+    root = linear + sqrt(linear * linear + excess * footprint.number * footprint.area)
     return (root / excess) * (root / excess)
 
 
@@ -304,7 +428,7 @@ cdef inline double squared_expected(
     """Squared radius to expect where n photons are within a squared radius."""
     cdef double sides = 2.0 * (footprint.sides[0] + footprint.sides[1])
     cdef double around = footprint.area + sides * sqrt(squared) + M_PI * squared
-    return work.number * around / (M_PI * n) if n > 0.0 else INFINITY
+    return footprint.number * around / (M_PI * n) if n > 0.0 else INFINITY
 
 
 cdef double squared_reach(Tree tree, const double* at) noexcept nogil:
@@ -545,10 +669,46 @@ cdef void write_densities(
     scale = set_weights(work, footprint, squared, scratch.at_photon, &weights)
     if not scratch.is_limited:
         scale /= uniform_mean(work, footprint, squared)
+    write_sums(work, footprint, scratch, &weights, scale, out)
+
+
+cdef void write_within(
+    FootprintGather work, const Footprint* footprint, Scratch* scratch, Py_ssize_t row
+) noexcept nogil:
+    """Write the densities over one footprint of the photons within its radius."""
+    cdef double squared = work.given_radius[row] * work.given_radius[row]
+    cdef double* out = &work.out[row, 0]
+    cdef Py_ssize_t channel
+    cdef RectangleWeights weights
+    cdef double scale
+    for channel in range(work.out.shape[1]):
+        out[channel] = scratch.deep[channel] = 0.0
+    scratch.with_sums = True
+    list_blocks(work, footprint, scratch, squared)
+    scale = set_weights(work, footprint, squared, False, &weights)
+    write_sums(work, footprint, scratch, &weights, scale, out)
+
+
+cdef void write_radius(
+    FootprintGather work, const Footprint* footprint, Scratch* scratch, Py_ssize_t row
+) noexcept nogil:
+    """Write the radius of one footprint."""
+    cdef double squared = find_squared_radius(work, footprint, scratch)
+    work.radius[row] = sqrt(squared)
+    if squared > 0.0 and isfinite(squared):
+        scratch.squared_guess = squared
+
+
+cdef inline void write_sums(
+    FootprintGather work, const Footprint* footprint, Scratch* scratch,
+    const RectangleWeights* weights, double scale, double* out
+) noexcept nogil:
+    """Write the weighted sums over the photons of the list, times a scale."""
+    cdef Py_ssize_t channel
     scratch.n_single += BLOCK * scratch.n_blocks
     work.tree.simd.rectangle_sum(
         &work.tree.coords[0, 0, 0], scratch.blocks, scratch.n_blocks, &footprint.rectangle,
-        &weights, &work.values[0, 0, 0], work.values.shape[1], out
+        weights, &work.values[0, 0, 0], work.values.shape[1], out
     )
     for channel in range(work.out.shape[1]):
         out[channel] = scale * (out[channel] + scratch.deep[channel])
@@ -597,7 +757,7 @@ cdef inline double uniform_mean(
 ) noexcept nogil:
     """Mean of estimates of a uniform field, over its value, where k photons set the radius."""
     cdef double sides = 0.5 * (footprint.sides[0] + footprint.sides[1])
-    return 1.0 - work.bias * exp(-work.bias_decay * sides / sqrt(squared))
+    return 1.0 - footprint.bias * exp(-work.bias_decay * sides / sqrt(squared))
 
 
 cdef inline void set_series(double side, double* series) noexcept nogil:
