@@ -75,6 +75,13 @@ def test_a_method_is_its_module_and_one_record(scene, tmp_path):
 
 
 @pytest.mark.usefixtures("mean_method")
+def test_a_method_without_footprints_says_so():
+    field = pr.irradiance_field(uniform_map(1000, "random"), method="mean")
+    with pytest.raises(ValueError, match="MeanField has estimates at points only, but a footprint"):
+        field([[0.5, 0.5, 0.0]], [[0.0, 0.0, 1.0]], footprint=[0.1])
+
+
+@pytest.mark.usefixtures("mean_method")
 def test_names_of_methods_and_stages_are_taken_once():
     mean = methods.METHODS["mean"]
     methods.register(mean, mean=MeanSettings)

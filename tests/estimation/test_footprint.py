@@ -1,7 +1,6 @@
 """Means over footprints: the rule by definition, uniform fields, invariants, what is refused."""
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,121 +9,40 @@ from hypothesis import strategies as st
 from photonrelax._ext.spatial.blocks import to_soa_blocks
 from photonrelax._ext.spatial.node_sums import node_sums
 from scipy.integrate import dblquad
-from scipy.special import ndtr
 
 import photonrelax as pr
 from photonrelax._ext.estimation import footprint as kernel
-from photonrelax.estimation.footprint import kernel_integral, kernel_integrals
+from photonrelax.estimation.footprint import (
+    Footprints,
+    kernel_integral,
+    kernel_integrals,
+    rule_radii,
+)
 from photonrelax.spatial.kdtree import KDTree
 from tests.helpers import simd_paths
+from tests.helpers.footprint_rule import (
+    DEVIATION,
+    FOOTPRINTS,
+    TURN,
+    around,
+    places,
+    profile,
+    radius_of,
+    rectangle,
+    square,
+    uneven,
+)
 from tests.helpers.photon_maps import flat_map, plane, uniform_map, unit_square
-
-DEVIATION = 0.41
-SLAB = 0.58
-
 
 # The rule by definition, one footprint at a time
 
 
-def tangent_frame(normal):
-    """Two axes of the tangent plane and the normal, as rows."""
-    u = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    u /= np.linalg.norm(u)
-    return np.array([u, np.cross(normal, u), normal])
-
-
-def rectangle(edges, normal):
-    """Axes, as rows, and sides of the rectangle of two edge vectors."""
-    frame = tangent_frame(normal)
-    flat = edges @ frame[:2].T
-    _, sides, axes = np.linalg.svd(flat)
-    along = axes[0]
-    if 0.0 < sides[0] <= 1.5 * sides[1]:
-        lengths = np.linalg.norm(flat, axis=1)
-        first, second = flat / lengths[:, np.newaxis]
-        turn = np.array([[0, -1], [1, 0]]) * np.sign(np.linalg.det(flat))
-        along = first + turn.T @ second
-        along /= np.linalg.norm(along)
-        sides = lengths * np.sqrt(abs(np.linalg.det(flat)) / lengths.prod())
-    first = along @ frame[:2]
-    return np.array([first, np.cross(normal, first), normal]), sides
-
-
-def profile(x, side, deviation):
-    """Mean of the normal density over a side around x."""
-    if side < 0.1 * deviation:
-        nodes, weights = np.polynomial.legendre.leggauss(8)
-        z = (np.abs(x)[..., np.newaxis] + 0.5 * side * nodes) / deviation
-        return np.exp(-0.5 * z**2) @ weights / (2.0 * np.sqrt(2.0 * np.pi) * deviation)
-    x = np.abs(x)
-    return (ndtr((0.5 * side - x) / deviation) - ndtr((-0.5 * side - x) / deviation)) / side
-
-
-def panels(edges, n=40):
-    """Nodes and weights of Gauss's quadrature between each two edges and the next."""
-    nodes, weights = np.polynomial.legendre.leggauss(n)
-    half = 0.5 * np.diff(edges)[:, np.newaxis]
-    return ((nodes + 1) * half + np.array(edges)[:-1, np.newaxis]).ravel(), (weights * half).ravel()
-
-
-def integral_by_quadrature(sides, radius):
-    """Integral of the cut kernel over the plane."""
-    deviation = DEVIATION * radius
-    halves = 0.5 * np.array(sides)
-    angle, weight = panels(np.linspace(0, np.pi / 2, 4))
-    depth = np.linspace(0, min(9 * deviation, halves[1]), 4)
-    inner, inner_weight = panels(halves[1] - depth[::-1])
-    y = np.concatenate([halves[1] + radius * np.sin(angle), inner])
-    reach = np.concatenate([radius * np.cos(angle), np.full(len(inner), radius)])
-    weight = np.concatenate([radius * np.cos(angle) * weight, inner_weight])
-    weight = weight * profile(y, sides[1], deviation)
-
-    def along(reach):
-        x, dx = panels(halves[0] - np.linspace(0, min(9 * deviation, halves[0]), 4)[::-1])
-        flat = profile(x, sides[0], deviation) @ dx
-        flat += max(0.0, halves[0] - 9 * deviation) / max(sides[0], 1e-300)
-        x, dx = panels([0.0, 1.0])
-        beside = halves[0] + x * reach[:, np.newaxis]
-        return 2 * (flat + profile(beside, sides[0], deviation) @ dx * reach)
-
-    middle = 2 * max(0.0, halves[1] - 9 * deviation) / max(sides[1], 1e-300)
-    return 2 * weight @ along(reach) + middle * along(np.array([radius]))[0]
-
-
-def radius_of(squared, sides, k, gather_radius):
-    """Radius of the rule, and whether it is that of a photon."""
-    distance = np.concatenate([[0.0], np.sqrt(np.sort(squared))])
-    excess = np.arange(len(distance)) - (k - 0.5)
-    linear = (k - 0.5) * sum(sides)
-    root = np.full(len(distance), np.inf)
-    more = np.pi * excess[excess > 0]
-    root[excess > 0] = linear + np.sqrt(linear**2 + more * (k - 0.5) * np.prod(sides))
-    root[excess > 0] /= more
-    radius = np.maximum(distance, root)
-    least = np.argmin(radius)
-    if not radius[least] <= gather_radius:
-        return gather_radius, False
-    return radius[least], distance[least] > root[least]
-
-
 def by_definition(photons, point, normal, edges, gather):
-    normal = normal / np.linalg.norm(normal)
-    axes, sides = rectangle(edges, normal)
-    seen = np.square(photons.normal - normal).sum(axis=1) <= 1.0
-    offset = np.abs((photons.position[seen] - point) @ axes.T)
-    halves = 0.5 * np.array([*sides, SLAB * np.hypot(*sides)])
-    beside = np.maximum(offset - halves, 0.0)
-    squared = np.square(beside).sum(axis=1)
-    radius, at_photon = radius_of(squared, sides, gather.k, gather.gather_radius)
+    seen = around(photons, point, normal, edges)
+    radius, at_photon = radius_of(seen.squared, seen.sides, gather.k, gather.gather_radius)
     if not np.isfinite(radius):
         return np.zeros(3)
-    deviation = DEVIATION * radius
-    weight = np.exp(-0.5 * (beside[:, 2] / deviation) ** 2)
-    for i in range(2):
-        weight = weight * profile(offset[:, i], sides[i], deviation)
-    limit = radius * (1 - 1e-12 if at_photon else 1 + 1e-12)
-    weight = np.where(squared <= limit**2, weight, 0.0)
-    return weight @ photons.flux[seen] / integral_by_quadrature(sides, radius)
+    return seen.weights(radius, with_rim=not at_photon) @ photons.flux[seen.rows]
 
 
 def assert_is_by_definition(photons, where, edges, gather=None):
@@ -137,39 +55,6 @@ def assert_is_by_definition(photons, where, edges, gather=None):
         by_definition(photons, *each, gather) for each in zip(points, normals, edges, strict=True)
     ]
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-300)
-
-
-def square(side):
-    return side * np.eye(3)[:2]
-
-
-def uneven(n=4000, seed=0):
-    """Photons of any flux, denser towards a corner."""
-    rng = np.random.default_rng(seed)
-    return flat_map(rng.random((n, 2)) ** 1.5, n).replace(flux=rng.random((n, 3)))
-
-
-def places(n=40, seed=1):
-    return plane(np.random.default_rng(seed).random((n, 2)))
-
-
-TURN = np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0]])
-FOOTPRINTS = {
-    "points": square(0.0),
-    "far smaller than the spacing": square(1e-5),
-    "smaller than the deviation": square(2e-3),
-    "of a few photons": square(0.03),
-    "of hundreds": square(0.3),
-    "wider than the map": square(5.0),
-    "turned": 0.05 * TURN,
-    "ten to one": TURN * [[0.2], [0.02]],
-    "a hundred to one": TURN * [[0.4], [0.004]],
-    "a line": TURN * [[0.1], [0.0]],
-    "a parallelogram": np.array([[0.1, 0.02, 0.0], [0.08, 0.1, 0.0]]),
-    "a thin parallelogram": np.array([[0.2, 0.02, 0.0], [0.21, 0.01, 0.0]]),
-    "nearly a square": np.array([[0.05, 0.01, 0.0], [0.0, -0.05, 0.0]]),
-    "edges out of the plane": np.array([[0.05, 0.01, 0.3], [0.0, 0.07, -0.2]]),
-}
 
 
 @pytest.mark.parametrize("edges", FOOTPRINTS.values(), ids=FOOTPRINTS)
@@ -304,6 +189,96 @@ def test_all_photons_at_the_point():
     found = field([[0, 0, 0]], [[0, 0, 1]], footprint=[0.0])
     peak = 1 / (2 * np.pi * (0.5 * DEVIATION) ** 2 * (1 - np.exp(-0.5 / DEVIATION**2)))
     np.testing.assert_allclose(found, 100 * peak)
+
+
+# Radii alone, and densities of given radii
+
+
+def flat_tree(photons):
+    return KDTree(photons.position, n_metric=3)
+
+
+@pytest.mark.parametrize("edges", FOOTPRINTS.values(), ids=FOOTPRINTS)
+@pytest.mark.parametrize("largest", [np.inf, 0.05])
+def test_radii_equal_their_definition(edges, largest):
+    photons, (points, normals) = uneven(), places()
+    every = np.broadcast_to(edges, (40, 2, 3)).copy()
+    footprints = Footprints(points, normals, every, np.arange(40))
+    found = rule_radii(flat_tree(photons), footprints, 8, largest=largest, n_threads=2)
+    for radius, point in zip(found, points, strict=True):
+        seen = around(photons, point, normals[0], edges)
+        expected, _ = radius_of(seen.squared, seen.sides, 8, largest)
+        assert radius == pytest.approx(expected, rel=1e-12)
+
+
+def test_radii_of_some_rows_and_of_maps_with_next_to_nothing():
+    points, normals = places(3)
+    some = Footprints(points, normals, np.zeros(3), np.array([2, 0]))
+    found = rule_radii(flat_tree(uneven()), some, 3, largest=1.0, n_threads=1)
+    distance = pr.KDTree(uneven().position).query(points[[2, 0]], 3).distance
+    np.testing.assert_allclose(found, distance[:, 2])
+    empty, one = uneven(20).subset([]), uneven(1)
+    for photons in (empty, one):
+        found = rule_radii(flat_tree(photons), some, 3, largest=0.7, n_threads=1)
+        np.testing.assert_array_equal(found, 0.7)
+    here = flat_map(np.tile(points[0, :2], (5, 1)), 1)
+    assert rule_radii(flat_tree(here), some, 3, largest=0.7, n_threads=1)[1] == 0.0
+
+
+def densities_within(photons, footprint, radius, n_threads=1):
+    """Densities of the flux at `places`, by the kernel."""
+    tree = flat_tree(photons)
+    values = to_soa_blocks(photons.flux, np.asarray(tree.kernel.ids), 1)
+    points, normals = places(len(radius))
+    out = np.full((len(radius), 3), np.nan)
+    kernel.gather_within(
+        *(tree.kernel, values, points, np.arange(len(radius)), out),
+        normals=normals,
+        sums=node_sums(tree.kernel, values, 1),
+        footprint=footprint,
+        integrals=kernel_integrals(),
+        radius=radius,
+        range_radius=-1.0,
+        n_threads=n_threads,
+    )
+    return out
+
+
+@pytest.mark.parametrize("edges", FOOTPRINTS.values(), ids=FOOTPRINTS)
+def test_densities_of_given_radii_equal_their_definition(edges):
+    photons, (points, normals) = uneven(), places()
+    radius = 10 ** np.random.default_rng(5).uniform(-4, 0, 40)
+    found = densities_within(photons, np.broadcast_to(edges, (40, 2, 3)).copy(), radius)
+    for density, point, r in zip(found, points, radius, strict=True):
+        seen = around(photons, point, normals[0], edges)
+        expected = seen.weights(r) @ photons.flux[seen.rows]
+        np.testing.assert_allclose(density, expected, rtol=1e-9)
+
+
+def test_photons_at_a_given_radius_count():
+    photons = flat_map(places()[0][:1, :2] + [0.25, 0.0], 1)
+    radius = np.abs(photons.position[0, 0] - places()[0][0, 0])
+    assert densities_within(photons, np.zeros(1), np.array([radius]))[0, 0] > 0.0
+    assert densities_within(photons, np.zeros(1), np.nextafter([radius], 0.0))[0, 0] == 0.0
+
+
+def test_given_radii_do_not_depend_on_threads_and_other_footprints():
+    photons, sides = uneven(20_000), 10 ** np.random.default_rng(6).uniform(-4, 0, 300)
+    radius = 0.3 * sides[::-1].copy()
+    one, many = (densities_within(photons, sides, radius, n) for n in (1, 7))
+    np.testing.assert_array_equal(one, many)
+    fewer = densities_within(photons, sides[:1], radius[:1])
+    np.testing.assert_array_equal(fewer[0], one[0])
+
+
+def test_sides_are_those_of_rectangles():
+    edges = np.array(list(FOOTPRINTS.values()))
+    normals = np.tile([0.0, 0.0, 3.0], (len(edges), 1))
+    expected = [rectangle(one, np.array([0.0, 0.0, 1.0]))[1] for one in edges]
+    found = kernel.rectangle_sides(normals, edges)
+    np.testing.assert_allclose(np.sort(found), np.sort(expected), rtol=1e-9, atol=1e-15)
+    sides = kernel.rectangle_sides(normals[:2], np.array([0.5, 2.0]))
+    np.testing.assert_array_equal(sides, [[0.5, 0.5], [2.0, 2.0]])
 
 
 # The integral of the kernel
@@ -554,21 +529,6 @@ def test_footprints_that_are_none(footprint):
         pr.IrradianceField(uneven(50))(*places(4), footprint=footprint)
 
 
-@pytest.mark.parametrize("method", ["diffusion", "progressive"])
-def test_methods_without_footprints_say_so(method):
-    field = pr.irradiance_field(uneven(500), method=method)
-    with pytest.raises(ValueError, match="estimates at points only, but a footprint was given"):
-        field(*places(4), footprint=np.ones(4))
-
-
-def test_refinements_have_no_footprints():
-    gather = pr.GatherSettings(k=100, refinement="bias-compensation")
-    with pytest.raises(ValueError, match="without refinement"):
-        pr.IrradianceField(uneven(500), gather)(*places(4), footprint=np.ones(4))
-    field = pr.IrradianceField(uneven(500), replace(gather, refinement="none"))
-    assert field(*places(4), footprint=np.ones(4)).shape == (4, 3)
-
-
 def test_the_kernel_refuses_arrays_that_do_not_fit():
     tree = KDTree(np.random.default_rng(0).random((40, 3))).kernel
     blocks = to_soa_blocks(np.ones((40, 3)), np.asarray(tree.ids), 1)
@@ -601,3 +561,13 @@ def test_the_kernel_refuses_arrays_that_do_not_fit():
                 range_radius=-1.0,
                 n_threads=1,
             )
+
+
+def test_radii_have_to_fit():
+    points, normals = places(4)
+    where = flat_tree(uneven(50)).kernel, points, np.arange(4), np.empty(3)
+    rule = {"number": 14.5, "radius": 1.0, "range_radius": -1.0, "n_threads": 1}
+    with pytest.raises(ValueError, match="radii and queries do not fit"):
+        kernel.write_radii(*where, normals=normals, footprint=np.ones(4), **rule)
+    with pytest.raises(ValueError, match="normals and footprints do not fit"):
+        kernel.rectangle_sides(normals, np.ones((3, 2, 3)))

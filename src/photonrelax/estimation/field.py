@@ -310,9 +310,8 @@ class Densities:
         footprint = check_footprint(footprint, len(points))
         if footprint is not None and not self._field.has_footprints:
             raise ValueError(
-                f"a {type(self._field).__name__} with these settings has estimates at points only, "
-                "but a footprint was given: leave it out, or take the means of a method that "
-                "gathers the k nearest photons, without refinement"
+                f"a {type(self._field).__name__} has estimates at points only, but a footprint was "
+                "given: leave it out, or take a method whose field has_footprints"
             )
         out = np.zeros((len(points), self.n_channels))
         report = Reporter(progress, "estimate", len(points))

@@ -20,13 +20,17 @@ Its derivation: docs/methods/footprints.md.
 from __future__ import annotations
 
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._ext.estimation import footprint as _footprint
 from .._ext.estimation.footprint import DEVIATION
 from .._util import validation
 from .._util.validation import Floats
+from ..photons.axes import normal_range
+from ..spatial.kdtree import KDTree
 
 # Rate at which the bias of evenly spaced photons falls with the sides over r.
 BIAS_DECAY = 3.6
@@ -77,6 +81,48 @@ def half_diagonals(footprint: Floats | None, n_points: int) -> Floats:
     diagonals = np.linalg.norm([first + second, first - second], axis=2)
     half: Floats = 0.5 * diagonals.max(axis=0)
     return half
+
+
+class Footprints(NamedTuple):
+    """Footprints of points, of which those of some rows are gathered over.
+
+    Attributes
+    ----------
+    queries : (m, d) float array
+        Points as the kernel of a tree reads them.
+    normals : (m, 3) float array
+        Of any length.
+    edges : (m, 2, 3) or (m,) float array
+        Edge vectors, or sides of squares.
+    rows : (r,) intp array
+        Those gathered over, close ones in sequence.
+    """
+
+    queries: Floats
+    normals: Floats
+    edges: Floats
+    rows: NDArray[np.intp]
+
+
+def rule_radii(
+    tree: KDTree, footprints: Footprints, k: int, *, largest: float, n_threads: int
+) -> Floats:
+    """Radii (r,) of the rule for k photons, m; zero where all of these are at a point.
+
+    Where no radius up to the largest holds enough photons it is the largest.
+    """
+    queries, normals, edges, rows = footprints
+    radius = np.empty(len(queries))
+    _footprint.write_radii(
+        *(tree.kernel, queries, rows, radius),
+        normals=normals,
+        footprint=edges,
+        number=number_within(k),
+        radius=largest,
+        range_radius=normal_range(tree),
+        n_threads=n_threads,
+    )
+    return radius[rows]
 
 
 @cache

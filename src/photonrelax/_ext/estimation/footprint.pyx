@@ -5,98 +5,51 @@ The rule and its symbols are those of `photonrelax.estimation.footprint`.
 
 from cython cimport final
 from cython.parallel cimport prange, threadid
-from libc.float cimport DBL_MIN
-from libc.math cimport INFINITY, M_PI, exp, fabs, fmax, fmin, isfinite, nextafter, sqrt
+from libc.math cimport M_PI, exp, fmin, isfinite, nextafter, sqrt
 from libc.stdint cimport int32_t, int64_t
 
 import numpy as np
 
 from ..common.prefetch cimport prefetch_row
 from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
-from ..common.vec3 cimport orthonormal_frame
-from ..spatial.simd.kernels cimport (
-    BLOCK, GAUSSIAN_DEVIATION, Rectangle, RectangleWeights, highest_bit, lowest_bit,
+from ..spatial.simd.kernels cimport BLOCK, GAUSSIAN_DEVIATION, Rectangle, RectangleWeights
+from ..spatial.tree cimport Tree
+from .footprint_photons cimport (
+    BAND_STRIDE, FootprintPhotons, Scratch, deep_margin, find_near, list_blocks, spacing_near,
+    squared_reach,
 )
-from ..spatial.tree cimport Tree, fan_out, first_block, last_kept
-from .rectangle cimport Footprint, fit_rectangle, normalise_safely
-from .surface_edges cimport (
-    SurfaceEdges, area_on_surface, find_edges, share_on_surface, squared_of_disc,
-)
+from .footprint_radius cimport find_squared_radius
+from .rectangle cimport Footprint, open_rectangle
+from .surface_edges cimport SurfaceEdges, share_on_surface
 
 DEVIATION = GAUSSIAN_DEVIATION
 
 cdef enum:
     # Queries that a thread takes at a time; each starts its search from the radius of the last.
     GRAIN = 64
-    # Distances that are sorted at once; more are divided first.
-    BAND = 128
-    BAND_STRIDE = BAND + BLOCK
-    # Depth-first traversal leaves at most 15 open groups per kept level, of which there are 7.
-    STACK_SIZE = 128
     # Points of the polynomials that interpolate the table of integrals.
     STENCIL = 6
-    # Steps of a search for a root, at most.
-    MAX_STEPS = 200
 
-# Deviations inside the edge from which on a weight is one over the area, to 1e-9.
-cdef double DEEP = 6.3
 # Length of a side, in deviations, below which its profile is a series.
 cdef double NARROW = 0.25
-# Squared radii first searched between, as shares of a squared guess.
-cdef double LOW = 0.78
-cdef double HIGH = 1.3
 # Half the thickness of the slab of photons that are on a footprint, over half its diagonal: the
 # sagitta over the half chord of a cap whose normals turn by 60° at its rim, tan 30°.
 cdef double SAGITTA = 0.58
-# Squared radius that edges are first searched within, over that where there are none.
-cdef double EDGES_WITHIN = 2.0
-# Squared radius, over the largest squared radius, within which the area of that disc is to be
-# surface: that of a corner of 22.5°.
-cdef double SURFACE_WITHIN = 16.0
-# Relative error of the squared radius of a number of photons near edges.
-cdef double ROOT = 1e-13
-
-cdef double[2] NO_SIDES = [0.0, 0.0]
 
 
-cdef struct Scratch:
-    # Blocks that may hold a photon within a squared radius, but for nodes deep inside; the margin
-    # that makes them so, or -1; their number of photons and, if wanted, the sums of their values.
-    int32_t* blocks
-    Py_ssize_t n_blocks
-    double squared_listed
-    double margin
-    int64_t n_deep
-    double* deep
-    bint with_sums
-    # Squared distances.
-    double* band
-    # Squared radius of the last query.
-    double squared_guess
-    # Numbers of edges that may be near.
-    int32_t* edges
-    # Whether a photon is at the radius, and whether the radius is the largest allowed.
-    bint at_photon
-    bint is_limited
-    # Photons that were looked at one by one.
-    int64_t n_single
-
-
-cdef struct Bracket:
-    # Squared radii, and the numbers of photons up to the first and between both.
-    double low
-    double high
-    int64_t n_low
-    int64_t n_band
+cdef enum Task:
+    # Densities with the radii of the rule, or with radii given; the radii of the rule alone.
+    DENSITIES
+    DENSITIES_WITHIN
+    RADII
 
 
 @final
-cdef class FootprintGather:
+cdef class FootprintGather(FootprintPhotons):
     """Photons, footprints and where their densities go; see `gather`."""
 
-    cdef Tree tree
+    cdef Task task
     cdef const double[:, :, ::1] values
-    cdef const double[:, :, ::1] sums
     cdef const double[:, ::1] queries
     cdef const double[:, ::1] normals
     cdef const double[:, :, ::1] edges
@@ -104,17 +57,14 @@ cdef class FootprintGather:
     cdef const Py_ssize_t[::1] rows
     cdef double[:, ::1] out
     cdef const double[:, ::1] integrals
-    # None without a scene.
-    cdef SurfaceEdges surface
-    # Least number of photons in a disc at the density of the footprint's surroundings.
-    cdef double number
-    cdef double squared_gather_radius
-    cdef double squared_range
+    # Radii given, and those of the rule.
+    cdef const double[::1] given_radius
+    cdef double[::1] radius
+    # Of each footprint the least number of photons in a disc at the density of its surroundings.
+    cdef const double[:] number
     # Estimates of a uniform field are too low by this at points, and by less over footprints.
-    cdef double bias
+    cdef const double[:] bias
     cdef double bias_decay
-    # Bound on the error of distances of boxes.
-    cdef double slack
     # Rows per thread.
     cdef int32_t[:, ::1] blocks
     cdef double[:, ::1] band
@@ -125,8 +75,8 @@ cdef class FootprintGather:
 
 
 def gather(
-    Tree tree, values, queries, rows, out, *, normals, sums, footprint, integrals, double number,
-    bias, double radius, double range_radius, int n_threads, SurfaceEdges surface=None
+    Tree tree, values, queries, rows, out, *, normals, sums, footprint, integrals, number, bias,
+    double radius, double range_radius, int n_threads, SurfaceEdges surface=None
 ):
     """Write densities over the footprints named by `rows`, close ones in sequence, to `out`.
 
@@ -147,9 +97,9 @@ def gather(
         Edge vectors, or sides of squares.
     integrals : (g, g) float64 array
         Integral of the kernel at evenly spaced s / (s + r) of both sides.
-    number : float
+    number : float or (m,) float64 array
         Photons that a disc has to hold at the mean density within its radius of the footprint.
-    bias : (float, float)
+    bias : (float or (m,) float64 array, float)
         a, b: estimates are divided by 1 - a exp(-b x), x the mean of the sides in radii.
     radius : float
         Largest radius; may be infinite.
@@ -163,49 +113,141 @@ def gather(
     int
         Number of photons that were looked at one by one.
     """
+    cdef FootprintGather work = open_work(
+        tree, queries, rows, normals, footprint, range_radius, surface
+    )
+    set_values(work, values, sums, integrals, out)
+    work.number = np.broadcast_to(np.float64(number), len(queries))
+    work.bias = np.broadcast_to(np.float64(bias[0]), len(queries))
+    work.bias_decay = bias[1]
+    work.squared_gather_radius = radius * radius
+    return do_all(work, n_threads)
+
+
+def gather_within(
+    Tree tree, values, queries, rows, out, *, normals, sums, footprint, integrals, radius,
+    double range_radius, int n_threads, SurfaceEdges surface=None
+):
+    """Write densities of given radii over the footprints named by `rows` to `out`.
+
+    All photons within the radius count, those at it too.
+
+    Parameters
+    ----------
+    radius : (m,) float64 array
+        Positive and finite.
+    tree, values, queries, rows, out, normals, sums, footprint, integrals, range_radius, n_threads,
+    surface
+        See `gather`.
+
+    Returns
+    -------
+    int
+        Number of photons that were looked at one by one.
+    """
+    cdef FootprintGather work = open_work(
+        tree, queries, rows, normals, footprint, range_radius, surface
+    )
+    set_values(work, values, sums, integrals, out)
+    work.task = DENSITIES_WITHIN
+    work.given_radius = radius
+    if work.given_radius.shape[0] != work.queries.shape[0]:
+        raise ValueError("radii and queries do not fit one another")
+    return do_all(work, n_threads)
+
+
+def write_radii(
+    Tree tree, queries, rows, out, *, normals, footprint, double number, double radius,
+    double range_radius, int n_threads, SurfaceEdges surface=None
+):
+    """Write the radii of the rule over the footprints named by `rows` to `out`.
+
+    They are zero where all photons that are asked for are at a point.
+
+    Parameters
+    ----------
+    out : (m,) float64 array
+    tree, queries, rows, normals, footprint, number, radius, range_radius, n_threads, surface
+        See `gather`.
+    """
+    cdef FootprintGather work = open_work(
+        tree, queries, rows, normals, footprint, range_radius, surface
+    )
+    work.task = RADII
+    work.radius = out
+    if work.radius.shape[0] != work.queries.shape[0]:
+        raise ValueError("radii and queries do not fit one another")
+    if tree.n_points == 0:
+        work.radius[...] = radius
+    work.number = np.broadcast_to(number, len(queries))
+    work.squared_gather_radius = radius * radius
+    do_all(work, n_threads)
+
+
+cdef FootprintGather open_work(
+    Tree tree, queries, rows, normals, footprint, double range_radius, SurfaceEdges surface
+):
+    """Footprints to be gathered over; raises ValueError if arrays do not fit one another."""
     cdef FootprintGather work = FootprintGather()
-    work.tree, work.values, work.sums = tree, values, sums
-    work.queries, work.normals, work.rows, work.out = queries, normals, rows, out
+    work.task = DENSITIES
+    work.tree = tree
+    work.queries, work.normals, work.rows = queries, normals, rows
     work.edges = footprint if footprint.ndim == 3 else None
     work.sides = footprint if footprint.ndim == 1 else None
-    work.integrals = integrals
-    if footprint.shape[1:] not in ((), (2, 3)) or not fit(work):
-        raise ValueError("queries, footprints, densities and photon values do not fit one another")
-    if tree.n_points == 0:
-        work.out[...] = 0.0
-        return 0
-    work.number = number
-    work.squared_gather_radius = radius * radius
+    if footprint.shape[1:] not in ((), (2, 3)) or not footprints_fit(work):
+        raise ValueError("queries and footprints do not fit one another")
     work.squared_range = range_radius * range_radius if range_radius >= 0.0 else -1.0
-    work.bias, work.bias_decay = bias
     work.surface = surface
     work.slack = 1e-14 * np.abs([tree.low[:3], tree.high[:3]]).max()
-    allocate(work, n_threads)
-    gather_all(work, n_threads)
-    return int(np.sum(work.n_single))
+    return work
 
 
-cdef bint fit(FootprintGather work):
-    """Whether arrays fit one another."""
+cdef set_values(FootprintGather work, values, sums, integrals, out):
+    """Set the values whose densities are written; raises ValueError if they do not fit."""
+    work.values, work.sums, work.integrals, work.out = values, sums, integrals, out
+    if not values_fit(work):
+        raise ValueError("queries, densities and photon values do not fit one another")
+    if work.tree.n_points == 0:
+        work.out[...] = 0.0
+
+
+cdef bint footprints_fit(FootprintGather work):
+    """Whether footprints and their points fit one another and the tree."""
     cdef Py_ssize_t m = work.queries.shape[0]
     cdef Py_ssize_t n_footprints = (
         work.sides.shape[0] if work.edges is None else work.edges.shape[0]
     )
     return (
-        m == work.out.shape[0] == work.normals.shape[0] == n_footprints
+        m == work.normals.shape[0] == n_footprints and work.normals.shape[1] == 3
         and work.queries.shape[1] >= work.tree.n_axes and work.tree.n_metric == 3
-        and work.normals.shape[1] == 3 and work.values.shape[0] == work.tree.n_blocks
+    )
+
+
+cdef bint values_fit(FootprintGather work):
+    """Whether values and densities fit the tree and the queries."""
+    return (
+        work.queries.shape[0] == work.out.shape[0]
+        and work.values.shape[0] == work.tree.n_blocks
         and work.values.shape[1] == work.sums.shape[1] == work.out.shape[1]
         and work.sums.shape[0] == work.tree.boxes.shape[0]
         and work.integrals.shape[0] == work.integrals.shape[1] > STENCIL
     )
 
 
+cdef int64_t do_all(FootprintGather work, int n_threads) except -1:
+    """Do the task; returns the number of photons that were looked at one by one."""
+    if work.tree.n_points == 0:
+        return 0
+    allocate(work, n_threads)
+    gather_all(work, n_threads)
+    return int(np.sum(work.n_single))
+
+
 cdef allocate(FootprintGather work, int n_threads):
     """Allocate a row of scratch memory a thread."""
     work.blocks = np.empty((n_threads, work.tree.n_blocks + BLOCK), dtype=np.int32)
     work.band = np.empty((n_threads, BAND_STRIDE))
-    work.deep = np.empty((n_threads, work.out.shape[1]))
+    work.deep = np.empty((n_threads, 1 if work.out is None else work.out.shape[1]))
     work.n_single = np.zeros(n_threads, dtype=np.int64)
     n_edges = 1 if work.surface is None else max(work.surface.tree.n_boxes, 1)
     work.found = np.empty((n_threads, n_edges), dtype=np.int32)
@@ -226,7 +268,7 @@ cdef int gather_all(FootprintGather work, int n_threads) except -1:
 
 
 cdef void gather_chunk(FootprintGather work, Py_ssize_t first, int thread) noexcept nogil:
-    """Write the densities over `first` of the footprints and those that follow, up to a grain."""
+    """Do the task over `first` of the footprints and those that follow, up to a grain."""
     cdef Scratch scratch
     cdef Footprint footprint
     cdef Py_ssize_t i, end = min(first + GRAIN, work.rows.shape[0])
@@ -237,49 +279,19 @@ cdef void gather_chunk(FootprintGather work, Py_ssize_t first, int thread) noexc
     footprint.near.ends = &work.ends[thread, 0]
     scratch.n_single = scratch.n_blocks = scratch.n_deep = 0
     scratch.squared_guess = spacing_near(work.tree, &work.queries[work.rows[first], 0])
-    scratch.squared_guess *= work.number
+    if work.task != DENSITIES_WITHIN:
+        scratch.squared_guess *= work.number[work.rows[first]]
     for i in range(first, end):
         if i + 1 < end:
             prefetch_row(&work.queries[work.rows[i + 1], 0], 8 * work.queries.shape[1])
         open_footprint(work, &footprint, work.rows[i])
-        write_densities(work, &footprint, &scratch, &work.out[work.rows[i], 0])
+        if work.task == DENSITIES:
+            write_densities(work, &footprint, &scratch, &work.out[work.rows[i], 0])
+        elif work.task == DENSITIES_WITHIN:
+            write_within(work, &footprint, &scratch, work.rows[i])
+        else:
+            write_radius(work, &footprint, &scratch, work.rows[i])
     work.n_single[thread] += scratch.n_single
-
-
-cdef double spacing_near(Tree tree, const double* at) noexcept nogil:
-    """Guess of the squared radius that a photon near a point has to itself."""
-    cdef Py_ssize_t level, child, nearest = 0, group = 0, axis
-    cdef double least, squared, diagonal = 0.0
-    for level in range(last_kept(tree) + 1):
-        group = tree.first_group[level] + nearest
-        least = INFINITY
-        child = 0
-        for child in range(fan_out(tree, level)):
-            squared = squared_gap(tree, group, child, at)
-            if squared < least:
-                least = squared
-                nearest = (group - tree.first_group[level]) * fan_out(tree, level) + child
-    child = nearest % fan_out(tree, last_kept(tree))
-    for axis in range(3):
-        least = tree.boxes[group, 1, axis, child] - tree.boxes[group, 0, axis, child]
-        diagonal += least * least
-    # A square of 16 photons, whose diagonal this is, is 16 discs of this radius.
-    return diagonal / (2.0 * M_PI * BLOCK)
-
-
-cdef inline double squared_gap(
-    Tree tree, Py_ssize_t group, Py_ssize_t child, const double* at
-) noexcept nogil:
-    """Squared distance of a node's box, infinite for one without points."""
-    cdef double gap, squared = 0.0
-    cdef Py_ssize_t axis
-    for axis in range(3):
-        gap = fmax(
-            tree.boxes[group, 0, axis, child] - at[axis],
-            fmax(at[axis] - tree.boxes[group, 1, axis, child], 0.0)
-        )
-        squared += gap * gap
-    return squared
 
 
 # Footprints
@@ -289,21 +301,17 @@ cdef void open_footprint(
 ) noexcept nogil:
     """Set the rectangle of a footprint."""
     cdef Rectangle* rectangle = &footprint.rectangle
-    cdef double* axes = rectangle.axes
+    cdef bint has_edges = work.edges is not None
     cdef double diagonal
-    cdef int side
-    for side in range(3):
-        axes[6 + side] = work.normals[row, side]
-    normalise_safely(&axes[6])
-    orthonormal_frame(&axes[0], &axes[3], &axes[6])
-    if work.edges is None:
-        footprint.sides[0] = footprint.sides[1] = work.sides[row]
-    else:
-        fit_rectangle(footprint, &work.edges[row, 0, 0])
+    footprint.number = 0.0 if work.task == DENSITIES_WITHIN else work.number[row]
+    footprint.bias = work.bias[row] if work.task == DENSITIES else 0.0
+    open_rectangle(
+        footprint, &work.normals[row, 0], &work.edges[row, 0, 0] if has_edges else NULL,
+        0.0 if has_edges else work.sides[row]
+    )
     diagonal = sqrt(
         footprint.sides[0] * footprint.sides[0] + footprint.sides[1] * footprint.sides[1]
     )
-    footprint.area = footprint.sides[0] * footprint.sides[1]
     rectangle.half[0] = 0.5 * footprint.sides[0]
     rectangle.half[1] = 0.5 * footprint.sides[1]
     rectangle.half[2] = 0.5 * SAGITTA * diagonal
@@ -314,319 +322,31 @@ cdef void open_footprint(
     footprint.near.n = 0
 
 
-# The radius
+def rectangle_sides(const double[:, ::1] normals, footprint):
+    """Sides (m, 2) of the rectangles of footprints, m; those of parallelograms in any order.
 
-cdef inline bint is_enough(
-    FootprintGather work, const Footprint* footprint, double n, double squared
-) noexcept nogil:
-    """Whether n photons within a squared radius are enough for it."""
-    if footprint.near.n == 0:
-        return squared_root(work, footprint, n) <= squared
-    return excess_on_surface(work, footprint, n, sqrt(squared)) >= 0.0
-
-
-cdef inline double squared_root(
-    FootprintGather work, const Footprint* footprint, double n
-) noexcept nogil:
-    """Squared radius at which n photons are just enough; infinite where they never are."""
-    cdef double excess = M_PI * (n - work.number)
-    cdef double linear = work.number * (footprint.sides[0] + footprint.sides[1])
-    cdef double root
-    if excess <= 0.0:
-        return INFINITY
-    if footprint.near.n > 0:
-        return squared_root_on_surface(work, footprint, n)
-    root = linear + sqrt(linear * linear + excess * work.number * footprint.area)
-    return (root / excess) * (root / excess)
-
-
-cdef double excess_on_surface(
-    FootprintGather work, const Footprint* footprint, double n, double radius
-) noexcept nogil:
-    """N(r) |disc(r)| - (k - ½) |B(r)| for n photons, of areas that are surface."""
-    cdef double disc = area_on_surface(&footprint.near, NO_SIDES, radius)
-    cdef double around = area_on_surface(&footprint.near, footprint.sides, radius)
-    return n * disc - work.number * around if disc > 0.0 else -work.number * around - DBL_MIN
-
-
-cdef double squared_root_on_surface(
-    FootprintGather work, const Footprint* footprint, double n
-) noexcept nogil:
-    """`squared_root` near edges, as far as these are known: by false position (Illinois)."""
-    cdef double low = 0.0, high = sqrt(footprint.squared_known), at, here
-    cdef double below = excess_on_surface(work, footprint, n, low)
-    cdef double above = excess_on_surface(work, footprint, n, high)
-    cdef int step
-    if above < 0.0:
-        return INFINITY
-    if footprint.area == 0.0:
-        return 0.0
-    for step in range(MAX_STEPS):
-        if high - low <= ROOT * high:
-            break
-        at = high - above * (high - low) / (above - below)
-        if not low < at < high or step % 8 == 7:
-            at = 0.5 * (low + high)
-        here = excess_on_surface(work, footprint, n, at)
-        if here >= 0.0:
-            below *= 0.5
-            above = here
-            high = at
-        else:
-            above *= 0.5
-            below = here
-            low = at
-    return high * high
-
-
-cdef inline double squared_expected(
-    FootprintGather work, const Footprint* footprint, double squared, double n
-) noexcept nogil:
-    """Squared radius to expect where n photons are within a squared radius."""
-    cdef double sides = 2.0 * (footprint.sides[0] + footprint.sides[1])
-    cdef double around = footprint.area + sides * sqrt(squared) + M_PI * squared
-    return work.number * around / (M_PI * n) if n > 0.0 else INFINITY
-
-
-cdef inline double largest_radius(FootprintGather work, const Footprint* footprint) noexcept nogil:
-    """Squared radius that none is searched beyond."""
-    if footprint.near.n > 0:
-        return fmin(footprint.squared_largest, footprint.squared_known)
-    return fmin(
-        footprint.squared_largest, squared_reach(work.tree, footprint.rectangle.at)
-    )
-
-
-cdef double squared_reach(Tree tree, const double* at) noexcept nogil:
-    """Squared radius around a point beyond which there is no photon."""
-    cdef double squared = 0.0, gap
-    cdef int axis
-    for axis in range(3):
-        gap = fmax(fabs(tree.high[axis] - at[axis]), fabs(at[axis] - tree.low[axis]))
-        squared += gap * gap
-    return squared * (1.0 + 1e-9)
-
-
-cdef double find_squared_radius(
-    FootprintGather work, const Footprint* footprint, Scratch* scratch
-) noexcept nogil:
-    """Squared radius of the rule: the least of max(distance to the n-th photon, root of n).
-
-    Distances grow with n and roots fall, so it is between any two radii of which the first is too
-    small and the second large enough: brackets are moved until they are such and hold few photons.
-    It depends on the photons alone, not on the brackets.
+    Parameters
+    ----------
+    normals : (m, 3) float64 array
+        Of any length.
+    footprint : (m, 2, 3) or (m,) float64 array
+        Edge vectors, or sides of squares.
     """
-    cdef double largest = largest_radius(work, footprint)
-    # Known to be too small, and large enough.
-    cdef double below = 0.0, above = INFINITY, expected
-    cdef Bracket bracket
-    scratch.squared_listed = -1.0
-    scratch.at_photon = scratch.is_limited = False
-    bracket.high = HIGH * scratch.squared_guess
-    if not 0.0 < bracket.high < largest:
-        bracket.high = largest
-    bracket.low = fmin(LOW * scratch.squared_guess, 0.5 * bracket.high)
-    while True:
-        find_band(work, footprint, scratch, &bracket)
-        if not is_enough(work, footprint, bracket.n_low + bracket.n_band, bracket.high):
-            if bracket.high == largest:
-                return limited_radius(work, footprint, scratch, bracket.n_low + bracket.n_band)
-            below = bracket.low = bracket.high
-            expected = squared_expected(work, footprint, below, bracket.n_low + bracket.n_band)
-            bracket.high = fmax(fmin(HIGH * expected, 16.0 * below), 1.5 * below)
-            bracket.high = fmin(fmin(bracket.high, above), largest)
-        elif bracket.low > below and is_enough(work, footprint, bracket.n_low, bracket.low):
-            above = bracket.high = bracket.low
-            expected = squared_expected(work, footprint, above, bracket.n_low)
-            bracket.low = fmax(fmin(LOW * expected, 0.75 * above), below)
-        elif bracket.n_band <= BAND:
-            return radius_in_band(work, footprint, scratch, &bracket)
-        elif bracket.low < 0.5 * (bracket.low + bracket.high) < bracket.high:
-            above = bracket.high
-            narrow(work, footprint, &bracket)
-        else:
-            scratch.at_photon = True
-            return bracket.high
-
-
-cdef inline void narrow(
-    FootprintGather work, const Footprint* footprint, Bracket* bracket
-) noexcept nogil:
-    """Narrow a bracket by the roots of the numbers of photons at its ends, at least to a half."""
-    cdef double low = 0.0, high = INFINITY
-    if footprint.near.n == 0:
-        low = squared_root(work, footprint, bracket.n_low + bracket.n_band)
-        high = squared_root(work, footprint, bracket.n_low)
-    low = fmax(bracket.low, (1.0 - 1e-12) * low)
-    high = fmin(bracket.high, (1.0 + 1e-12) * high)
-    if high - low > 0.5 * (bracket.high - bracket.low):
-        bracket.high = 0.5 * (bracket.low + bracket.high)
-        return
-    bracket.low = low
-    bracket.high = high
-
-
-cdef double limited_radius(
-    FootprintGather work, const Footprint* footprint, Scratch* scratch, int64_t n
-) noexcept nogil:
-    """Squared radius where the n photons within reach are too few for a smaller one."""
-    cdef double root = squared_root(work, footprint, n)
-    scratch.is_limited = not root <= footprint.squared_largest
-    return fmin(root, footprint.squared_largest)
-
-
-cdef double radius_in_band(
-    FootprintGather work, const Footprint* footprint, Scratch* scratch, const Bracket* bracket
-) noexcept nogil:
-    """Squared radius, which is among the squared distances of a band or between two of them."""
-    cdef double root
-    cdef Py_ssize_t i, first
-    sort_few(scratch.band, bracket.n_band)
-    first = first_enough(work, footprint, scratch, bracket)
-    root = squared_root(work, footprint, bracket.n_low + first)
-    for i in range(first, bracket.n_band):
-        if root < scratch.band[i]:
-            return root
-        root = squared_root(work, footprint, bracket.n_low + i + 1)
-        if root <= scratch.band[i]:
-            scratch.at_photon = True
-            return scratch.band[i]
-    return fmin(root, bracket.high)
-
-
-cdef inline Py_ssize_t first_enough(
-    FootprintGather work, const Footprint* footprint, Scratch* scratch, const Bracket* bracket
-) noexcept nogil:
-    """Number of the photons of a sorted band that are not enough for sure, near edges.
-
-    There roots take long; without any they do not.
-    """
-    cdef Py_ssize_t low = 0, high = bracket.n_band, middle
-    if footprint.near.n == 0:
-        return 0
-    while low < high:
-        middle = (low + high) // 2
-        if is_enough(work, footprint, bracket.n_low + middle + 1, scratch.band[middle]):
-            high = middle
-        else:
-            low = middle + 1
-    return low
-
-
-cdef void sort_few(double* x, Py_ssize_t n) noexcept nogil:
-    cdef Py_ssize_t i, hole
-    cdef double own
-    for i in range(1, n):
-        own = x[i]
-        hole = i
-        while hole > 0 and x[hole - 1] > own:
-            x[hole] = x[hole - 1]
-            hole -= 1
-        x[hole] = own
-
-
-cdef void find_band(
-    FootprintGather work, const Footprint* footprint, Scratch* scratch, Bracket* bracket
-) noexcept nogil:
-    """Count the photons of a bracket, and write the squared distances between its ends.
-
-    Only as far as there is room.
-    """
-    # A list made for a much larger radius takes longer to look through than a new one to make.
-    if not bracket.high <= scratch.squared_listed <= 4.0 * bracket.high:
-        scratch.with_sums = False
-        list_blocks(work, footprint, scratch, bracket.high)
-    scratch.n_single += BLOCK * scratch.n_blocks
-    bracket.n_low = scratch.n_deep
-    bracket.n_band = work.tree.simd.rectangle_band(
-        &work.tree.coords[0, 0, 0], scratch.blocks, scratch.n_blocks, &footprint.rectangle,
-        bracket.low, bracket.high, scratch.band, BAND, &bracket.n_low
-    )
-
-
-# Traversal
-
-cdef inline double deep_margin(const Footprint* footprint, double squared) noexcept nogil:
-    """Distance inside its sides from which on a footprint's weights are equal; -1 if there is none.
-    """
-    cdef double margin = DEEP * GAUSSIAN_DEVIATION * sqrt(squared)
-    if margin < footprint.rectangle.half[0] and margin < footprint.rectangle.half[1]:
-        return margin
-    return -1.0
-
-
-cdef void list_blocks(
-    FootprintGather work, const Footprint* footprint, Scratch* scratch, double squared
-) noexcept nogil:
-    """List the blocks within a squared radius, in tree order, and count nodes deep inside."""
-    scratch.squared_listed = squared
-    scratch.margin = deep_margin(footprint, squared)
-    scratch.n_blocks = scratch.n_deep = 0
-    visit_nodes(work, work.tree, footprint, scratch)
-
-
-cdef void visit_nodes(
-    FootprintGather work, Tree tree, const Footprint* footprint, Scratch* scratch
-) noexcept nogil:
-    """Visit the nodes within the radius of the list, depth first."""
-    cdef Py_ssize_t[STACK_SIZE] open_level
-    cdef Py_ssize_t[STACK_SIZE] open_group
-    cdef Py_ssize_t n_open = 1, level, g
-    cdef double limit = sqrt(scratch.squared_listed) * (1.0 + 1e-9) + work.slack
-    cdef unsigned int near, child, deep
-    open_level[0] = open_group[0] = 0
-    while n_open > 0:
-        n_open -= 1
-        level = open_level[n_open]
-        g = open_group[n_open]
-        near = tree.simd.boxes_near_rectangle(
-            &tree.boxes[tree.first_group[level] + g, 0, 0, 0], &footprint.rectangle,
-            limit * limit, scratch.margin, &deep
-        )
-        if deep:
-            add_deep(work, scratch, level, g, deep)
-            near &= ~deep
-        if level == last_kept(tree):
-            append_blocks(tree, g * fan_out(tree, level), near, scratch)
-            continue
-        while near:
-            child = highest_bit(near)
-            near ^= 1u << child
-            open_level[n_open] = level + 1
-            open_group[n_open] = g * fan_out(tree, level) + child
-            n_open += 1
-
-
-cdef inline void append_blocks(
-    Tree tree, Py_ssize_t node, unsigned int near, Scratch* scratch
-) noexcept nogil:
-    while near:
-        scratch.blocks[scratch.n_blocks] = <int32_t> first_block(tree, node + lowest_bit(near))
-        scratch.n_blocks += 1
-        near &= near - 1
-
-
-cdef void add_deep(
-    FootprintGather work, Scratch* scratch, Py_ssize_t level, Py_ssize_t g, unsigned int deep
-) noexcept nogil:
-    """Count the photons of nodes of a group, and add their values."""
-    cdef Py_ssize_t group = work.tree.first_group[level] + g
-    cdef Py_ssize_t child, channel
-    while deep:
-        child = lowest_bit(deep)
-        deep &= deep - 1
-        scratch.n_deep += points_of_node(work.tree, level, g * fan_out(work.tree, level) + child)
-        if scratch.with_sums:
-            for channel in range(work.sums.shape[1]):
-                scratch.deep[channel] += work.sums[group, channel, child]
-
-
-cdef inline int64_t points_of_node(Tree tree, Py_ssize_t level, Py_ssize_t node) noexcept nogil:
-    """Number of points of a node of a kept level."""
-    cdef Py_ssize_t bits = tree.n_levels - 4 * (last_kept(tree) - level)
-    cdef Py_ssize_t first = (node * tree.n_blocks) >> bits
-    cdef Py_ssize_t end = ((node + 1) * tree.n_blocks) >> bits
-    return min(BLOCK * end, tree.n_points) - BLOCK * first
+    cdef const double[:, :, ::1] edges
+    cdef Footprint one
+    cdef Py_ssize_t i
+    if footprint.ndim == 1:
+        return np.repeat(footprint[:, np.newaxis], 2, axis=1)
+    edges = footprint
+    sides = np.empty((normals.shape[0], 2))
+    cdef double[:, ::1] out = sides
+    if not (edges.shape[0] == normals.shape[0] and normals.shape[1] == edges.shape[2] == 3):
+        raise ValueError("normals and footprints do not fit one another")
+    for i in range(out.shape[0]):
+        open_rectangle(&one, &normals[i, 0], &edges[i, 0, 0], 0.0)
+        out[i, 0] = one.sides[0]
+        out[i, 1] = one.sides[1]
+    return sides
 
 
 # Sums
@@ -644,8 +364,6 @@ cdef void write_densities(
         scratch.at_photon = False
         scratch.is_limited = True
         squared = work.squared_gather_radius
-    elif work.surface is not None and isfinite(squared):
-        squared = squared_radius_on_surface(work, footprint, scratch, squared)
     for channel in range(work.out.shape[1]):
         out[channel] = scratch.deep[channel] = 0.0
     if not isfinite(squared):
@@ -655,59 +373,51 @@ cdef void write_densities(
     scale = set_weights(work, footprint, squared, scratch.at_photon, &weights)
     if not scratch.is_limited:
         scale /= uniform_mean(work, footprint, squared)
+    write_sums(work, footprint, scratch, &weights, scale, out)
+
+
+cdef void write_within(
+    FootprintGather work, Footprint* footprint, Scratch* scratch, Py_ssize_t row
+) noexcept nogil:
+    """Write the densities over one footprint of the photons within its radius."""
+    cdef double squared = work.given_radius[row] * work.given_radius[row]
+    cdef double* out = &work.out[row, 0]
+    cdef Py_ssize_t channel
+    cdef RectangleWeights weights
+    cdef double scale
+    for channel in range(work.out.shape[1]):
+        out[channel] = scratch.deep[channel] = 0.0
+    scratch.with_sums = True
+    list_blocks(work, footprint, scratch, squared)
+    scale = set_weights(work, footprint, squared, False, &weights)
+    write_sums(work, footprint, scratch, &weights, scale, out)
+
+
+cdef void write_radius(
+    FootprintGather work, Footprint* footprint, Scratch* scratch, Py_ssize_t row
+) noexcept nogil:
+    """Write the radius of one footprint."""
+    cdef double squared = find_squared_radius(work, footprint, scratch)
+    work.radius[row] = sqrt(squared)
+    if squared > 0.0 and isfinite(squared):
+        scratch.squared_guess = squared
+
+
+cdef inline void write_sums(
+    FootprintGather work, Footprint* footprint, Scratch* scratch,
+    const RectangleWeights* weights, double scale, double* out
+) noexcept nogil:
+    """Write the weighted sums over the photons of the list, times a scale, per area of surface."""
+    cdef Py_ssize_t channel
     if work.surface is not None:
-        scale /= share_of_kernel(work, footprint, scratch, squared)
+        scale /= share_of_kernel(work, footprint, scratch, weights.squared_radius)
     scratch.n_single += BLOCK * scratch.n_blocks
     work.tree.simd.rectangle_sum(
         &work.tree.coords[0, 0, 0], scratch.blocks, scratch.n_blocks, &footprint.rectangle,
-        &weights, &work.values[0, 0, 0], work.values.shape[1], out
+        weights, &work.values[0, 0, 0], work.values.shape[1], out
     )
     for channel in range(work.out.shape[1]):
         out[channel] = scale * (out[channel] + scratch.deep[channel])
-
-
-cdef double squared_radius_on_surface(
-    FootprintGather work, Footprint* footprint, Scratch* scratch, double squared
-) noexcept nogil:
-    """Squared radius with the edges that are near, from the one without: the same if none is."""
-    footprint.squared_known = squared
-    find_near(work, footprint, scratch)
-    if footprint.near.n == 0:
-        return squared
-    scratch.squared_guess = squared
-    squared = radius_among_edges(work, footprint, scratch)
-    if scratch.is_limited and isfinite(footprint.squared_largest):
-        footprint.squared_known = SURFACE_WITHIN * footprint.squared_largest
-        find_near(work, footprint, scratch)
-        footprint.squared_largest = squared_of_disc(
-            &footprint.near, sqrt(footprint.squared_largest), sqrt(SURFACE_WITHIN)
-        )
-        squared = find_squared_radius(work, footprint, scratch)
-    return squared
-
-
-cdef double radius_among_edges(
-    FootprintGather work, Footprint* footprint, Scratch* scratch
-) noexcept nogil:
-    """Squared radius among edges, of which as many are found as it takes; infinite for none."""
-    cdef double squared = INFINITY
-    cdef double largest = fmin(
-        footprint.squared_largest, 16.0 * squared_reach(work.tree, footprint.rectangle.at)
-    )
-    while squared >= footprint.squared_known and footprint.squared_known < largest:
-        footprint.squared_known = fmin(EDGES_WITHIN * footprint.squared_known, largest)
-        find_near(work, footprint, scratch)
-        squared = find_squared_radius(work, footprint, scratch)
-    return squared
-
-
-cdef inline void find_near(
-    FootprintGather work, Footprint* footprint, Scratch* scratch
-) noexcept nogil:
-    find_edges(
-        work.surface, &footprint.rectangle, sqrt(footprint.squared_known), scratch.edges,
-        &footprint.near
-    )
 
 
 cdef inline double share_of_kernel(
@@ -766,7 +476,7 @@ cdef inline double uniform_mean(
 ) noexcept nogil:
     """Mean of estimates of a uniform field, over its value, where k photons set the radius."""
     cdef double sides = 0.5 * (footprint.sides[0] + footprint.sides[1])
-    return 1.0 - work.bias * exp(-work.bias_decay * sides / sqrt(squared))
+    return 1.0 - footprint.bias * exp(-work.bias_decay * sides / sqrt(squared))
 
 
 cdef inline void set_series(double side, double* series) noexcept nogil:

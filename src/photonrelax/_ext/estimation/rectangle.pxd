@@ -2,7 +2,7 @@
 
 from libc.math cimport fabs, fmax, sqrt
 
-from ..common.vec3 cimport cross, dot, normalise
+from ..common.vec3 cimport cross, dot, normalise, orthonormal_frame
 from ..spatial.simd.kernels cimport Rectangle
 from .surface_edges cimport NearEdges
 
@@ -11,6 +11,9 @@ cdef struct Footprint:
     Rectangle rectangle
     double[2] sides
     double area
+    # Number of photons of its rule, and how far estimates of a uniform field are too low at points.
+    double number
+    double bias
     # Largest squared radius.
     double squared_largest
     # Edges of the surface within a squared radius; none without a scene.
@@ -25,6 +28,26 @@ cdef inline void normalise_safely(double* a) noexcept nogil:
     for axis in range(3):
         a[axis] /= largest
     normalise(a)
+
+
+cdef inline void open_rectangle(
+    Footprint* footprint, const double* normal, const double* edges, double side
+) noexcept nogil:
+    """Set sides, axes and area from two edge vectors or, without these, the side of a square.
+
+    The normal may have any length.
+    """
+    cdef double* axes = footprint.rectangle.axes
+    cdef int axis
+    for axis in range(3):
+        axes[6 + axis] = normal[axis]
+    normalise_safely(&axes[6])
+    orthonormal_frame(&axes[0], &axes[3], &axes[6])
+    if edges == NULL:
+        footprint.sides[0] = footprint.sides[1] = side
+    else:
+        fit_rectangle(footprint, edges)
+    footprint.area = footprint.sides[0] * footprint.sides[1]
 
 
 cdef inline void fit_rectangle(Footprint* footprint, const double* edges) noexcept nogil:
