@@ -12,7 +12,6 @@ cdef enum:
     STACK_SIZE = 128
 
 
-
 cdef class FootprintPhotons:
     """Photons in a tree, and how far those of a footprint may be."""
 

@@ -207,10 +207,10 @@ cdef double squared_of_disc(const NearEdges* near, double radius, double most) n
     """
     cdef double[2] sides = [0.0, 0.0]
     cdef double low = radius, high = most * radius, middle
-    cdef int step
+    cdef int _step
     if near.n == 0 or not near.inside:
         return radius * radius
-    for step in range(BISECTIONS):
+    for _step in range(BISECTIONS):
         middle = 0.5 * (low + high)
         if area_on_surface(near, sides, middle) < M_PI * radius * radius:
             low = middle
