@@ -18,7 +18,7 @@ TIERS = [
     {"_util"},
     {"scene", "spatial", "imaging"},
     {"photons"},
-    {"transport"},
+    {"transport", "surfaces"},
     {"relaxation", "gallery"},
     {"estimation"},
     {"rendering"},

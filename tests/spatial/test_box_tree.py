@@ -89,5 +89,5 @@ def test_boxes_are_checked(low, high, message):
 
 def test_radii_are_checked():
     tree = BoxTree([[0, 0, 0]], [[1, 1, 1]])
-    with pytest.raises(ValueError, match="radius should not be negative"):
+    with pytest.raises(ValueError, match="radius should hold no negative number"):
         tree.pairs_within([[0, 0, 0]], [[0, 0, 0]], -1.0)

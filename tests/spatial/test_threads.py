@@ -10,8 +10,11 @@ import time
 
 import numpy as np
 import pytest
+import trimesh
 
 import photonrelax as pr
+from photonrelax.spatial.box_tree import BoxTree
+from photonrelax.surfaces.surface_proximity import SurfaceProximity
 from tests.helpers.photon_maps import uniform_map
 from tests.helpers.tracing_scenes import SCENES
 
@@ -146,7 +149,23 @@ def structure_of(photons, _):
     pr.detect_structure(photons, pr.StructureSettings(k=2000), n_threads=N_THREADS)
 
 
+def boxes_near(photons, _):
+    at = photons.position
+    BoxTree(at, at).pairs_within(at, at, 0.4, n_threads=N_THREADS)
+
+
+def surface_near(photons, _):
+    # All faces are in reach, and none faces as the points do.
+    wall = trimesh.Trimesh([[0, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2]], process=False)
+    for _ in range(7):
+        wall = wall.subdivide()
+    near = SurfaceProximity([pr.SceneObject(wall, pr.Diffuse())]).within
+    near(photons.position, photons.normal, 9.0, n_threads=N_THREADS)
+
+
 LONG = {
+    "boxes": boxes_near,
+    "surface": surface_near,
     "query": lambda photons, tree: tree.query(photons.position, 200, n_threads=1),
     "query_self": lambda photons, tree: tree.query_self(200, n_threads=1),
     "farthest": lambda photons, tree: tree.farthest(3000, n_threads=N_THREADS),

@@ -92,6 +92,26 @@ def not_negative(value: ArrayLike, name: str, shape: Shape) -> Floats:
     return array
 
 
+def distances(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Floats:
+    """Return numbers that are not negative, but may be infinite, broadcast to a shape.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If they are not real numbers, do not broadcast, or one is negative or NaN.
+    """
+    array = float_array(value, name, finite=False)
+    try:
+        array = np.ascontiguousarray(np.broadcast_to(array, shape))
+    except ValueError:
+        raise ValueError(
+            f"{name} should be a number or broadcast to shape {shape}, but has {array.shape}"
+        ) from None
+    if not (array >= 0.0).all():
+        raise ValueError(f"{name} should hold no negative number and no NaN")
+    return array
+
+
 def check_magnitude(array: Floats, name: str) -> Floats:
     """Return an array of numbers whose squares are within the range of floats.
 

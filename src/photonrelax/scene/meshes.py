@@ -76,8 +76,27 @@ def nondegenerate_triangles(meshes: Iterable[trimesh.Trimesh]) -> tuple[Floats, 
 
 def face_bounds(vertices: Floats, faces: NDArray) -> tuple[Floats, Floats]:
     """Return the lowest and highest coordinates of faces, (f, 3) each."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    return _bounds(*(vertices[faces[:, i]] for i in range(3)))
+
+
+def triangle_bounds(corners: Floats) -> tuple[Floats, Floats]:
+    """The lowest and highest coordinates, (n, 3) both, of triangles (n, 3, 3)."""
+    return _bounds(*np.moveaxis(corners, 1, 0))
+
+
+def _bounds(a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats]:
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+
+
+def bounding_box(corners: Floats) -> tuple[Floats, Floats]:
+    """The lowest and highest coordinates, (3,) both, of all triangles (n, 3, 3).
+
+    Infinity and minus infinity if there are none.
+    """
+    # By axis: NumPy is slow where the last axis is short.
+    columns = corners.reshape(-1, 3).T
+    low, high = [x.min(initial=np.inf) for x in columns], [x.max(initial=-np.inf) for x in columns]
+    return np.array(low), np.array(high)
 
 
 def face_normals(corners: Floats) -> Floats:

@@ -71,6 +71,17 @@ def check_surface(mesh: trimesh.Trimesh) -> EdgeDefects:
     )
 
 
+def closed_faces(triangles: Floats, half_edges: HalfEdges) -> tuple[NDArray, NDArray]:
+    """Masks (f,) of the faces of closed parts, and of those among them that wind inwards.
+
+    Walls of hollows, which wind inwards and lie in another part, are not among the latter.
+    """
+    parts = _parts(triangles, half_edges, _unbalanced(half_edges))
+    inward = np.flatnonzero(parts.closed & (parts.volume < 0.0))
+    wrong = inward[~_nested(triangles, parts, inward)] if len(inward) else inward
+    return parts.closed[parts.of_face], np.isin(parts.of_face, wrong)
+
+
 def _unbalanced(half_edges: HalfEdges) -> NDArray[np.bool_]:
     """Mask of the edges along which faces do not run equally often in both directions."""
     direction = np.where(half_edges.forward, 1.0, -1.0)
@@ -123,7 +134,7 @@ def _nested(triangles: Floats, parts: _Parts, inward: Ids) -> NDArray[np.bool_]:
     """
     order = np.argsort(parts.of_face, kind="stable")
     first = np.searchsorted(parts.of_face, np.arange(len(parts.closed) + 1), sorter=order)
-    turned = triangles[order] @ _generic_rotation()
+    turned = triangles[order] @ generic_rotation()
     # By axis, so that comparisons run along rows.
     low, high = (np.ascontiguousarray(f(turned[..., :2], axis=1).T) for f in (np.min, np.max))
     part_low = np.minimum.reduceat(low, first[:-1], axis=1)
@@ -137,7 +148,7 @@ def _nested(triangles: Floats, parts: _Parts, inward: Ids) -> NDArray[np.bool_]:
         for other in np.flatnonzero(around):
             faces = slice(first[other], first[other + 1])
             met = _contain(low[:, faces], high[:, faces], point)
-            number += _winding_number(point, turned[faces][met])
+            number += int(signed_crossings(point, turned[faces][met]).sum())
         nested[i] = number > 0
     return nested
 
@@ -149,17 +160,22 @@ def _contain(low: Floats, high: Floats, point: Floats) -> NDArray[np.bool_]:
     return inside
 
 
-def _winding_number(point: Floats, triangles: Floats) -> int:
-    """Number of triangles above a point that face up, less those that face down."""
-    a, b, c = np.moveaxis(triangles - point, 1, 0)
-    # Twice the areas that the point and each edge span, seen from above.
+def signed_crossings(points: Floats, triangles: Floats) -> NDArray[np.int64]:
+    """Crossings (n,) of triangles (n, 3, 3) by rays along the third axis from points (n, 3).
+
+    1 through a triangle that faces along the ray, -1 through one that faces against it, 0 past it:
+    their sum over the triangles of a closed surface is its winding number around a point. One point
+    (3,) serves all triangles.
+    """
+    a, b, c = np.moveaxis(triangles - points[..., np.newaxis, :], 1, 0)
+    # Twice the areas that the point and each edge span, seen along the ray.
     areas = np.stack([p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((b, c), (c, a), (a, b))])
     total = areas.sum(axis=0)
     inside = (areas > 0.0).all(axis=0) | (areas < 0.0).all(axis=0)
     height = (areas * np.stack([a[:, 2], b[:, 2], c[:, 2]])).sum(axis=0) * np.sign(total)
-    return int(np.sign(total[inside & (height > 0.0)]).sum())
+    return (np.sign(total) * (inside & (height > 0.0))).astype(np.int64)
 
 
-def _generic_rotation() -> Floats:
-    """Return a rotation that lines no edges of usual models up with an axis."""
+def generic_rotation() -> Floats:
+    """Rotation (3, 3) that lines no edges of usual models up with an axis."""
     return np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]

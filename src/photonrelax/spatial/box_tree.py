@@ -77,18 +77,17 @@ class BoxTree:
             Least and greatest coordinates of the queries.
         radius : scalar or (m,) array_like
             Largest Euclidean distance from a query to a box, bound included; boxes that touch are
-            at distance zero.
+            at distance zero. It may be infinite.
         n_threads : int, optional
             Threads; all available by default. The result does not depend on it.
 
         Raises
         ------
         TypeError, ValueError
-            As when a tree is built, and if a radius is negative.
+            As when a tree is built, and if a radius is negative or NaN.
         """
         low, high = _boxes(low, high)
-        radii = np.broadcast_to(validation.float_array(radius, "radius"), (len(low),))
-        radii = validation.not_negative(radii, "radius", (len(low),))
+        radii = validation.distances(radius, "radius", (len(low),))
         threads = thread_count(n_threads)
         return BoxPairs(*_box_tree.pairs_within(self.kernel, low, high, radii, threads))
 

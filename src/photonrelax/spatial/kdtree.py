@@ -252,18 +252,7 @@ def _neighbour_count(k: int, n_queries: int) -> int:
 
 
 def _ranges(value: ArrayLike | None, name: str, shape: tuple[int, ...]) -> Floats | None:
-    if value is None:
-        return None
-    array = validation.float_array(value, name, finite=False)
-    try:
-        array = np.ascontiguousarray(np.broadcast_to(array, shape))
-    except ValueError:
-        raise ValueError(
-            f"{name} should be a number or broadcast to shape {shape}, but has {array.shape}"
-        ) from None
-    if not (array >= 0.0).all():
-        raise ValueError(f"{name} should hold no negative number and no NaN")
-    return array
+    return None if value is None else validation.distances(value, name, shape)
 
 
 def _axis_scale(points: Floats, n_metric: int, n_threads: int) -> Floats:
