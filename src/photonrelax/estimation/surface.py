@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from .._ext.estimation import surface_edges as _edges
 from .._util.validation import Floats
-from ..scene.boundaries import SurfaceBoundary
+from ..surfaces.boundaries import SurfaceBoundary
 from ..scene.scene import Scene
-from ..scene.surface_proximity import SurfaceProximity
+from ..surfaces.surface_proximity import SurfaceProximity
 from ..spatial.box_tree import BoxTree
 
 # Largest radius near edges, over the gather radius: within it a corner of 22.5° has the surface of
@@ -53,7 +53,7 @@ class Surface:
         if not len(ends):
             return None
         tree = BoxTree(ends.min(axis=1), ends.max(axis=1), n_threads=self._n_threads)
-        return _edges.SurfaceEdges(tree.kernel, ends, boundary.normals)
+        return _edges.SurfaceEdges(tree.kernel, ends, boundary.normals, boundary.one_sided)
 
     @cached_property
     def _proximity(self) -> SurfaceProximity:

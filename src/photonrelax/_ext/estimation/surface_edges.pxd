@@ -33,6 +33,7 @@ cdef class SurfaceEdges:
     cdef BoxTree tree
     cdef const double[:, :, ::1] segments
     cdef const double[:, ::1] normals
+    cdef const unsigned char[::1] one_sided
 
 
 cdef void find_edges(

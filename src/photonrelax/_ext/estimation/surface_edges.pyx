@@ -36,6 +36,8 @@ cdef double ON_EDGE = 1e-7
 # Height of an edge over a footprint's plane, in distances from the footprint's middle, up to which
 # it is one of the same surface.
 cdef double SLOPE = 0.5
+# Cosine between normals of the footprint and of a surface that counts, cos 60°, at least.
+cdef double MIN_COSINE = 0.5
 
 cdef double[NODES] nodes
 cdef double[NODES] weights
@@ -55,14 +57,18 @@ cdef class SurfaceEdges:
         Ends, m; the surface is to the left where it is seen from the side of the normal.
     normals : (n, 3) float64 array
         Unit normals of the surface at each.
+    one_sided : (n,) bool array
+        True where only light on the side of the normal has an edge there.
     """
 
-    def __init__(self, tree, segments, normals):
+    def __init__(self, tree, segments, normals, one_sided):
         self.tree = tree
         self.segments = segments
         self.normals = normals
+        self.one_sided = one_sided.view(np.uint8)
         if not (
             self.segments.shape[0] == self.normals.shape[0] == self.tree.n_boxes
+            and self.one_sided.shape[0] == self.tree.n_boxes
             and self.segments.shape[1] == 2 and self.segments.shape[2] == 3
             and self.normals.shape[1] == 3
         ):
@@ -122,7 +128,7 @@ cdef void add_edge(
     cdef double[3] offset
     cdef double along, distance, across
     cdef Py_ssize_t end, place, axis
-    if fabs(cosine) < 0.5:
+    if (cosine if edges.one_sided[i] else fabs(cosine)) < MIN_COSINE:
         return
     for end in range(2):
         for axis in range(3):
