@@ -97,6 +97,40 @@ def test_the_bound_is_the_largest_variance_in_and_around_the_disc():
     np.testing.assert_allclose(larger, np.minimum(2 * expected, radius), rtol=1e-12)
 
 
+def test_around_footprints_spectra_are_searched_within_half_their_diagonal_more():
+    rng = np.random.default_rng(7)
+    photons = with_spectra(lambda xy: rng.uniform(1.0, 50.0, len(xy)), n=2_000)
+    points, normals = plane(rng.random((300, 2)))
+    radius, sides = rng.uniform(0.01, 0.1, (2, 300))
+    field = FrequencyField(photons, PASSES, pr.FrequencySettings(reach=1.5))
+    wider = FrequencyField(photons, PASSES, pr.FrequencySettings(reach=1.0))
+    expected = wider.least_radius(points, normals, 1.5 * radius + np.sqrt(0.5) * sides)
+    found = field.least_radius(points, normals, radius, sides)
+    np.testing.assert_allclose(found, np.minimum(expected, radius), rtol=1e-12)
+    edges = np.zeros((300, 2, 3))
+    edges[:, 0, 0] = edges[:, 1, 1] = sides
+    np.testing.assert_allclose(field.least_radius(points, normals, radius, edges), found)
+
+
+def test_over_footprints_discs_of_smooth_light_stay(interior):
+    points, normals = (array[:3000] for array in interior)
+    photons, footprint = with_spectra(lambda xy: 0.0), np.full(3000, 0.02)
+    lasting = pr.ProgressiveSettings(n_passes=8, alpha=1.0)
+    kept, expected, shrinking = (
+        pr.irradiance_field(photons, method=method, progressive=settings)(
+            points, normals, footprint=footprint
+        )
+        for method, settings in (
+            ("frequency", PASSES),
+            ("progressive", lasting),
+            ("progressive", PASSES),
+        )
+    )
+    assert np.isclose(kept, expected, rtol=1e-12).all(axis=1).mean() > 0.99
+    assert kept[:, 0].std() < shrinking[:, 0].std()
+    assert kept[:, 0].mean() == pytest.approx(1.0, abs=0.01)
+
+
 def test_photons_behind_a_point_bound_nothing():
     photons = with_spectra(lambda xy: 1.0)
     points, normals = plane(np.full((1, 2), 0.5))

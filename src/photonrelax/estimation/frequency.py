@@ -29,6 +29,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from .._ext.estimation.footprint import rectangle_sides
 from .._ext.estimation.frequency import MaxInRadius
 from .._ext.spatial.blocks import to_soa_blocks
 from .._util import validation
@@ -114,10 +115,17 @@ class FrequencyField(ProgressiveField):
         self._variance = np.ascontiguousarray(operators.diffused(carriers.spectrum)[:, :1])
         self._maxima: dict[int, MaxInRadius] = {}
 
-    def least_radius(self, points: Floats, normals: Floats, radius: Floats) -> Floats:
-        """Radii (m,), m, that spectra in and around the discs allow; zero where there are none."""
+    def least_radius(
+        self, points: Floats, normals: Floats, radius: Floats, footprint: Floats | None = None
+    ) -> Floats:
+        """Radii (m,), m, that spectra in and around the discs allow; zero where there are none.
+
+        Around a footprint spectra are searched within half its diagonal more.
+        """
         variance = np.full((len(points), 1), -np.inf)
         reach = self.frequency.reach * radius
+        if footprint is not None:
+            reach += 0.5 * np.linalg.norm(rectangle_sides(normals, footprint), axis=1)
         for part, queries, rows in self._trees.parts(points, normals, np.arange(len(points))):
             self._maximum(part).update(
                 queries, rows, reach, out=variance, n_threads=self._n_threads

@@ -10,6 +10,11 @@ density stays the same (radius reduction)::
 
 Over passes i, R² ~ i^(α - 1) and N ~ i^α, so that both the bias of the estimate, ~ R², and its
 variance, ~ 1/N, vanish: as i^(α - 1) and i^-α. The kernel is constant.
+
+A pass adds Φ/πR² to the estimate, times the photons emitted in all, with its own R. Over a
+footprint that is the mean over it, the density with radius R of `photonrelax.estimation.footprint`,
+and M is the number of photons that a disc of radius R has at their mean density there. So R² goes
+as at points, while the estimates converge to the mean over the footprint.
 """
 
 from __future__ import annotations
@@ -17,8 +22,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from .._ext.estimation import footprint as _footprint
 from .._ext.estimation import progressive as _kernel
 from .._ext.spatial.radius import RadiusGather
 from .._util import validation
@@ -28,6 +34,8 @@ from .._util.validation import Floats
 from ..photons.axes import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import Order, PhotonTrees
+from .field import TreeValues
+from .footprint import Footprints, kernel_integrals, rule_radii
 from .kernels import JUST_SHORT, KERNELS, automatic_gather_radius, kth_distance
 
 # Least initial radius as a fraction of the largest, also where k photons are at the hit point.
@@ -133,12 +141,12 @@ class HitPointStatistics:
 
     def update(
         self,
-        counts: NDArray[np.int64],
+        counts: Floats,
         sums: Floats,
         weight: float,
         least_radius: Floats | None = None,
     ) -> None:
-        """Add the photons of a pass within the discs, numbers (m,) and sums (m, c)."""
+        """Add the photons of a pass, numbers (m,) and sums (m, c); see `PhotonPass.within`."""
         _kernel.update(
             self.n,
             self.tau,
@@ -265,21 +273,57 @@ class PhotonPass:
         self._values = values
         self._n_threads = n_threads
         self._sums: dict[int, RadiusGather] = {}
+        self._with_numbers: dict[int, TreeValues] = {}
 
     def within(
-        self, hits: tuple[Floats, Floats], radius: Floats, order: Order | None = None
-    ) -> tuple[NDArray[np.int64], Floats]:
+        self,
+        hits: tuple[Floats, Floats],
+        radius: Floats,
+        order: Order | None = None,
+        footprint: Floats | None = None,
+    ) -> tuple[Floats, Floats]:
         """Numbers (m,) and sums (m, c) of the photons within radii of positions and normals.
 
-        `order` is the `morton_order` of the positions, if it is known.
+        Over footprints they are those that a disc of the radius has at the mean densities over
+        the footprint. `order` is the `morton_order` of the positions, if it is known.
         """
+        if footprint is not None:
+            return self._over_footprints(hits, radius, order, footprint)
         counts = np.zeros(len(radius), dtype=np.int64)
         sums = np.zeros((len(radius), self._values.shape[1]))
         for number, queries, rows in self._trees.parts(*hits, order):
             self._within(number).sums(
                 queries, rows, radius, out=sums, counts=counts, n_threads=self._n_threads
             )
-        return counts, sums
+        return counts.astype(np.float64), sums
+
+    def _over_footprints(
+        self, hits: tuple[Floats, Floats], radius: Floats, order: Order | None, footprint: Floats
+    ) -> tuple[Floats, Floats]:
+        found = np.zeros((len(radius), self._values.shape[1] + 1))
+        for number, queries, rows in self._trees.parts(*hits, order):
+            tree, laid_out = self._trees.tree(number)[0], self._numbered(number)
+            _footprint.gather_within(
+                *(tree.kernel, laid_out.blocks, queries, rows, found),
+                normals=hits[1],
+                sums=laid_out.node_sums,
+                footprint=footprint,
+                integrals=kernel_integrals(),
+                radius=radius,
+                range_radius=normal_range(tree),
+                n_threads=self._n_threads,
+            )
+        found *= (np.pi * radius**2)[:, np.newaxis]
+        return found[:, -1].copy(), found[:, :-1].copy()
+
+    def _numbered(self, number: int) -> TreeValues:
+        """Values of the photons of a tree, and the numbers of photons that each stands for."""
+        if number not in self._with_numbers:
+            tree, rows = self._trees.tree(number)
+            values = np.column_stack([self._values, np.ones(len(self._values))])
+            summed = self._trees.sums(values, number)
+            self._with_numbers[number] = TreeValues(tree, rows, summed, self._n_threads)
+        return self._with_numbers[number]
 
     def _within(self, number: int) -> RadiusGather:
         if number not in self._sums:
@@ -314,8 +358,9 @@ class InitialRadius:
     """Initial radii at any hit points, from the photons of the first pass.
 
     A radius is just short of the k-th nearest photon, so that the k - 1 photons in the disc, if
-    they are random, give the density without bias. It is at most the `largest`, the
-    `automatic_gather_radius` of the pass: regions farther from light stay black.
+    they are random, give the density without bias. Over a footprint it is just short of the radius
+    of its rule, which does the same (`photonrelax.estimation.footprint`). It is at most the
+    `largest`, the `automatic_gather_radius` of the pass: regions farther from light stay black.
 
     Parameters
     ----------
@@ -351,17 +396,22 @@ class InitialRadius:
         tree = self._trees.whole()
         return automatic_gather_radius(tree, self._settings.k, n_threads=self._n_threads)
 
-    def __call__(self, positions: Floats, normals: Floats) -> Floats:
-        """Radii (m,), m, at positions (m, 3) on surfaces with the given normals."""
+    def __call__(
+        self, positions: Floats, normals: Floats, footprint: Floats | None = None
+    ) -> Floats:
+        """Radii (m,), m, at positions (m, 3) on surfaces with the given normals, or footprints."""
         radius = np.full(len(positions), self.largest)
         if self._settings.radius is not None:
             return radius
         for part, queries, rows in self._trees.parts(positions, normals):
-            distance = kth_distance(
-                *(self._trees.tree(part)[0], queries, rows, self._settings.k),
-                radius=self.largest,
-                n_threads=self._n_threads,
-            )
+            tree, k, threads = self._trees.tree(part)[0], self._settings.k, self._n_threads
+            if footprint is None:
+                distance = kth_distance(
+                    tree, queries, rows, k, radius=self.largest, n_threads=threads
+                )
+            else:
+                footprints = Footprints(queries, normals, footprint, rows)
+                distance = rule_radii(tree, footprints, k, largest=self.largest, n_threads=threads)
             radius[rows] = np.where(distance < np.inf, distance, self.largest)
         np.multiply(radius, JUST_SHORT, out=radius, where=radius < self.largest)
         return np.maximum(radius, _LEAST_RADIUS * self.largest)

@@ -102,7 +102,14 @@ class ProgressiveField(PhotonField):
             trees.build()
             yield rows, trees
 
-    def least_radius(self, points: Floats, normals: Floats, radius: Floats) -> Floats | None:
+    @property
+    def has_footprints(self) -> bool:
+        """Whether there are means over footprints: there are."""
+        return True
+
+    def least_radius(
+        self, points: Floats, normals: Floats, radius: Floats, footprint: Floats | None = None
+    ) -> Floats | None:
         """Radii (m,), m, that those of the hit points do not shrink below; None for no limit."""
         return None
 
@@ -114,16 +121,18 @@ class ProgressiveField(PhotonField):
     def _fill(self, out: Floats, values: Densities, points: Points) -> None:
         position, normal = points.queries[points.rows], points.normals[points.rows]
         normal = validation.unit_vectors(normal, "normals", normal.shape, self._n_threads)
+        footprint = None if points.footprint is None else points.footprint[points.rows]
         hits = HitPointStatistics(
-            self._initial_radius(position, normal),
+            self._initial_radius(position, normal, footprint),
             values.n_channels,
             alpha=self.settings.alpha,
             n_threads=self._n_threads,
         )
         order = np.arange(len(position))
         for number in range(len(self._passes)):
-            counts, sums = values.laid_out(number).within((position, normal), hits.radius, order)
-            least = self.least_radius(position, normal, hits.radius)
+            photons: PhotonPass = values.laid_out(number)
+            counts, sums = photons.within((position, normal), hits.radius, order, footprint)
+            least = self.least_radius(position, normal, hits.radius, footprint)
             # Fluxes are divided by the number of photons emitted in all passes already.
             hits.update(counts, sums, 1.0, least)
         out[points.rows] = hits.n_passes * hits.densities()

@@ -129,24 +129,28 @@ class PassHitPoints(Protocol):
 
 
 class FixedHitPoints:
-    """Hit points that are the same in every pass (PPM), each with statistics of its own."""
+    """Hit points that are the same in every pass (PPM); each piece of surface has statistics.
+
+    Estimates are means over pieces, as in `Band.estimates`.
+    """
 
     def __init__(self, view: View, settings: PassSettings) -> None:
         self._view = view
         self._settings = settings
         view.check_hits_fit()
-        fixed, hits, scale = [], [], []
+        fixed, pieces, hits = [], [], []
+        n_pieces = 0
         for band in view.bands():
             fixed.append(band_layers(band))
-            hits.append((band.hits.position, band.hits.normal, band.hits.pixel))
-            scale.append(band.reflectance)
+            *piece, of_hit = band.pieces()
+            pieces.append(piece)
+            hits.append((n_pieces + of_hit, band.hits.pixel, band.reflectance))
+            n_pieces += len(piece[0])
         self._fixed = concatenate_bands(fixed)
-        position, normal, self._pixel = (
-            np.concatenate(column) for column in zip(*hits, strict=True)
-        )
+        position, normal, self._footprint = map(np.concatenate, zip(*pieces, strict=True))
         self._points = position, normal
         self._order = morton_order(position, view.n_threads)
-        self._scale = np.concatenate(scale)
+        self._piece, self._pixel, self._scale = map(np.concatenate, zip(*hits, strict=True))
 
     def after(self, state: PassState, photons: PhotonMap, number: int) -> PassState:
         gathered = _Gatherer(photons, self._settings, self._view.n_threads)
@@ -154,21 +158,21 @@ class FixedHitPoints:
         if statistics is None:
             if gathered.is_empty:
                 return state
-            radius = gathered.initial_radius()(*self._points)
+            radius = gathered.initial_radius()(*self._points, self._footprint)
             statistics = self._settings.statistics(radius, number, self._view.n_threads)
         statistics = statistics.copy()
-        found = gathered.within(self._points, statistics.radius, self._order)
+        found = gathered.within(self._points, statistics.radius, self._order, self._footprint)
         statistics.update(*found, gathered.weight)
         return PassState(statistics)
 
     def restored(self, arrays: Mapping[str, NDArray], n_passes: int) -> PassState:
-        n_points, threads = len(self._pixel), self._view.n_threads
+        n_points, threads = len(self._footprint), self._view.n_threads
         return PassState(self._settings.restored(arrays, n_points, n_passes, threads))
 
     def layers(self, state: PassState, n_passes: int) -> dict[str, Floats]:
         caustic = np.zeros((*self._view.shape, 3))
         if state.statistics is not None:
-            radiance = self._scale * state.statistics.densities()
+            radiance = self._scale * state.statistics.densities()[self._piece]
             caustic = pixel_sums(self._pixel, radiance, self._view.shape)
         return {"caustic": caustic, **self._fixed}
 
@@ -252,9 +256,9 @@ class _Gatherer:
         self.is_empty = len(photons) == 0
         self.initial_radius = partial(InitialRadius, photons, settings.settings, n_threads, trees)
 
-    def within_pixels(self, band: Band, radius: Floats) -> tuple[NDArray[np.int64], Floats]:
+    def within_pixels(self, band: Band, radius: Floats) -> tuple[Floats, Floats]:
         """Numbers and sums of the photons within the radii of the pixels of a band."""
         hits = band.hits
         counts, sums = self.within((hits.position, hits.normal), radius[hits.pixel])
-        numbers = band.sums(counts[:, np.newaxis].astype(np.float64))
-        return numbers.ravel().astype(np.int64), band.radiance(sums).reshape(-1, 3)
+        numbers = band.sums(counts[:, np.newaxis])
+        return numbers.ravel(), band.radiance(sums).reshape(-1, 3)

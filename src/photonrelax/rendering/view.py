@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,23 @@ _PILOT_SIDE = 64
 _SAME_PIECE, _ALIKE = 0.25, 0.95
 # Position of samples in the cells of the s·s grid of their pixel.
 CENTRE = (0.5, 0.5)
+
+
+class Pieces(NamedTuple):
+    """Pieces of surface, one for all samples of a pixel that are on it.
+
+    Attributes
+    ----------
+    position, normal, footprint : (p, 3), (p, 3), (p, 2, 3) float array
+        Their middles, normals of any length, and edges.
+    of_hit : (m,) intp array
+        The piece of each hit point.
+    """
+
+    position: Floats
+    normal: Floats
+    footprint: Floats
+    of_hit: NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +89,20 @@ class Band:
         hits = self.hits
         if hits.footprint is None or not field.has_footprints:
             return field(hits.position, hits.normal)
-        position, normal, footprint, of_hit = merge_samples(
-            hits, self.supersampling, tolerance=_SAME_PIECE, least_cosine=_ALIKE
+        pieces = self.pieces()
+        estimates: Floats = field(pieces.position, pieces.normal, footprint=pieces.footprint)
+        return estimates[pieces.of_hit]
+
+    def pieces(self) -> Pieces:
+        """Pieces of surface that the hit points, which have footprints, stand for.
+
+        Samples of a pixel that are on one piece of surface share it.
+        """
+        return Pieces(
+            *merge_samples(
+                self.hits, self.supersampling, tolerance=_SAME_PIECE, least_cosine=_ALIKE
+            )
         )
-        estimates: Floats = field(position, normal, footprint=footprint)[of_hit]
-        return estimates
 
     def radiance(self, irradiance: Floats) -> Floats:
         """Radiance (rows, width, 3) of irradiance (m, 3) at the hit points."""

@@ -2,20 +2,20 @@
 
 from cython.parallel cimport prange
 from libc.math cimport sqrt
-from libc.stdint cimport int64_t
 
 from ..common.threads cimport ELEMENTS, team_size
 
 
 def update(
     double[::1] n, double[:, ::1] tau, double[::1] radius, *,
-    const int64_t[::1] counts, const double[:, ::1] sums, const double[::1] least,
+    const double[::1] counts, const double[:, ::1] sums, const double[::1] least,
     double alpha, double weight, int n_threads
 ):
     """Update statistics with the photons that a pass has within the radii, in place.
 
     Arrays have a row per hit point: photons kept N, flux kept τ and radii R; numbers and sums of
     the photons of the pass, the sums to be multiplied by `weight`; least radii, None for zero.
+    Numbers of photons are those of a disc; over footprints they need not be whole.
     """
     cdef Py_ssize_t i
     if not (
@@ -32,7 +32,7 @@ def update(
 
 
 cdef void update_one(
-    Py_ssize_t row, double[::1] n, double[:, ::1] tau, double[::1] radius, int64_t found,
+    Py_ssize_t row, double[::1] n, double[:, ::1] tau, double[::1] radius, double found,
     const double[:, ::1] sums, const double[::1] least, double alpha, double weight
 ) noexcept nogil:
     """Update one hit point; write its row only.
