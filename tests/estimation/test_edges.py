@@ -1,4 +1,4 @@
-"""Estimates beside edges of surfaces: the rule by definition, uniform light, points off surfaces."""
+"""Estimates beside edges: the rule by definition, uniform light, points off all surfaces."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 import photonrelax as pr
 from photonrelax.estimation.kernels import KERNELS
 from tests.helpers import clipped_kernels
-from tests.helpers.clipped_kernels import DEVIATION, profile
+from tests.helpers.footprint_rule import DEVIATION, profile
 from tests.helpers.photon_maps import flat_map, plane, uniform_map
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -113,7 +113,6 @@ def test_means_beside_edges_equal_their_definition(edges, k):
 
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_the_share_of_kernels_at_points_equals_quadrature(kernel):
-    """By light of one strong photon: nothing else but the share and the radius matters."""
     n = 400
     nodes = (np.arange(n) + 0.5) / n * 2.0 - 1.0
     ratio = np.add.outer(nodes**2, nodes**2)
@@ -174,7 +173,7 @@ def along(x, y, n=N_TEXELS):
     return np.column_stack([np.broadcast_to(x, n), np.broadcast_to(y, n)])
 
 
-def mean_and_deviation(scene, places, side, k, area=1.0, lit=None):
+def mean_and_deviation(scene, places, side, k, *, lit=None):
     """Of estimates of uniform light, by the name of places."""
     estimates = {name: [] for name in places}
     for seed in range(N_MAPS):
@@ -342,3 +341,32 @@ def test_sensors_are_surfaces():
         gather=pr.GatherSettings(gather_radius=0.1),
     )
     np.testing.assert_array_equal(field([[0.5, 0.5, 1.0]], [UP]), np.zeros((1, 3)))
+
+
+# Progressive photon mapping
+
+
+@pytest.mark.parametrize("side", [0.0, 0.01])
+def test_uniform_light_in_passes(side):
+    """Up to edges and corners of a square."""
+    half = 0.5 * side
+    inner = np.linspace(0.1, 0.9, N_TEXELS)
+    places = {
+        "middle": along(inner, 0.5),
+        "edge": along(inner, half),
+        "corner": np.array([[x, y] for x in (half, 1.0 - half) for y in (half, 1.0 - half)]),
+    }
+    found = {name: [] for name in places}
+    for seed in range(N_MAPS):
+        field = pr.irradiance_field(
+            uniform_map(N_PHOTONS, "random", seed),
+            method="progressive",
+            scene=scene_of(flat(SQUARE)),
+            progressive=pr.ProgressiveSettings(k=15, n_passes=3),
+        )
+        for name, points in places.items():
+            footprint = None if side == 0.0 else np.full(len(points), side)
+            found[name].append(field(*plane(points), footprint=footprint)[:, 0])
+    for name, estimates in found.items():
+        n = np.size(estimates) / 4
+        assert abs(np.mean(estimates) - 1.0) < 0.02 + 3.0 * np.std(estimates) / np.sqrt(n), name

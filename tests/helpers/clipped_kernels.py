@@ -2,19 +2,8 @@
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import ndtr
 
-DEVIATION = 0.41
-
-
-def profile(x, side, deviation):
-    """Mean of the normal density over a side around x."""
-    if side < 0.1 * deviation:
-        nodes, weights = np.polynomial.legendre.leggauss(8)
-        z = (np.abs(x)[..., np.newaxis] + 0.5 * side * nodes) / deviation
-        return np.exp(-0.5 * z**2) @ weights / (2.0 * np.sqrt(2.0 * np.pi) * deviation)
-    x = np.abs(x)
-    return (ndtr((0.5 * side - x) / deviation) - ndtr((-0.5 * side - x) / deviation)) / side
+from tests.helpers.footprint_rule import DEVIATION, profile
 
 
 def integral(polygon, sides, radius, *, is_area=False):

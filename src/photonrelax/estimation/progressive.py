@@ -37,6 +37,7 @@ from ..photons.photon_trees import Order, PhotonTrees
 from .field import TreeValues
 from .footprint import Footprints, kernel_integrals, rule_radii
 from .kernels import JUST_SHORT, KERNELS, automatic_gather_radius, kth_distance
+from .surface import Surface
 
 # Least initial radius as a fraction of the largest, also where k photons are at the hit point.
 _LEAST_RADIUS = 1e-6
@@ -266,12 +267,19 @@ def pass_weight(photons: PhotonMap) -> float:
 
 
 class PhotonPass:
-    """Photons of one pass, whose values (n, c) are summed within discs."""
+    """Photons of one pass, whose values (n, c) are summed within discs.
 
-    def __init__(self, trees: PhotonTrees, values: Floats, n_threads: int) -> None:
+    Beside edges of a `surface`, if there is one, numbers and sums are those of whole discs with as
+    many photons per area of surface.
+    """
+
+    def __init__(
+        self, trees: PhotonTrees, values: Floats, n_threads: int, surface: Surface | None = None
+    ) -> None:
         self._trees = trees
         self._values = values
         self._n_threads = n_threads
+        self._surface = surface
         self._sums: dict[int, RadiusGather] = {}
         self._with_numbers: dict[int, TreeValues] = {}
 
@@ -295,7 +303,10 @@ class PhotonPass:
             self._within(number).sums(
                 queries, rows, radius, out=sums, counts=counts, n_threads=self._n_threads
             )
-        return counts.astype(np.float64), sums
+        if self._surface is None or self._surface.edges is None:
+            return counts.astype(np.float64), sums
+        shares = self._surface.shares(*hits, radius, KERNELS["constant"])
+        return counts / shares, sums / shares[:, np.newaxis]
 
     def _over_footprints(
         self, hits: tuple[Floats, Floats], radius: Floats, order: Order | None, footprint: Floats
@@ -311,6 +322,7 @@ class PhotonPass:
                 integrals=kernel_integrals(),
                 radius=radius,
                 range_radius=normal_range(tree),
+                surface=None if self._surface is None else self._surface.edges,
                 n_threads=self._n_threads,
             )
         found *= (np.pi * radius**2)[:, np.newaxis]

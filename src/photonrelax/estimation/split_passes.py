@@ -107,6 +107,11 @@ class ProgressiveField(PhotonField):
         """Whether there are means over footprints: there are."""
         return True
 
+    @property
+    def reach(self) -> float:
+        """Largest initial radius, m."""
+        return self._initial_radius.largest
+
     def least_radius(
         self, points: Floats, normals: Floats, radius: Floats, footprint: Floats | None = None
     ) -> Floats | None:
@@ -116,7 +121,7 @@ class ProgressiveField(PhotonField):
     def _lay_out(self, values: Floats, part: int) -> PhotonPass:
         """Photons of a pass with their values."""
         rows, trees = self._passes[part]
-        return PhotonPass(trees, values[rows], self._n_threads)
+        return PhotonPass(trees, values[rows], self._n_threads, self.surface)
 
     def _fill(self, out: Floats, values: Densities, points: Points) -> None:
         position, normal = points.queries[points.rows], points.normals[points.rows]

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from .._ext.estimation import surface_edges as _edges
 from .._util.validation import Floats
-from ..surfaces.boundaries import SurfaceBoundary
 from ..scene.scene import Scene
-from ..surfaces.surface_proximity import SurfaceProximity
 from ..spatial.box_tree import BoxTree
+from ..surfaces.boundaries import SurfaceBoundary
+from ..surfaces.surface_proximity import SurfaceProximity
 
 # Largest radius near edges, over the gather radius: within it a corner of 22.5° has the surface of
 # the disc of the gather radius.
@@ -59,9 +59,7 @@ class Surface:
     def _proximity(self) -> SurfaceProximity:
         return SurfaceProximity(self._scene.objects)
 
-    def near_edges(
-        self, points: Floats, normals: Floats, radius: float
-    ) -> tuple[Rows, Floats]:
+    def near_edges(self, points: Floats, normals: Floats, radius: float) -> tuple[Rows, Floats]:
         """Rows (r,) of points that kernels may hang over an edge at, and their largest radii, m.
 
         That is the radius of the disc with as much surface as one of the given radius has that

@@ -153,7 +153,7 @@ class FixedHitPoints:
         self._piece, self._pixel, self._scale = map(np.concatenate, zip(*hits, strict=True))
 
     def after(self, state: PassState, photons: PhotonMap, number: int) -> PassState:
-        gathered = _Gatherer(photons, self._settings, self._view.n_threads)
+        gathered = _Gatherer(photons, self._settings, self._view)
         statistics = state.statistics
         if statistics is None:
             if gathered.is_empty:
@@ -190,7 +190,7 @@ class StochasticHitPoints:
         self._shift = seed_shift(settings.seed)
 
     def after(self, state: PassState, photons: PhotonMap, number: int) -> PassState:
-        gathered = _Gatherer(photons, self._settings, self._view.n_threads)
+        gathered = _Gatherer(photons, self._settings, self._view)
         offset, statistics = self.offset(number), state.statistics
         if statistics is None and not gathered.is_empty:
             radius = self._least_radius(gathered.initial_radius(), offset)
@@ -249,9 +249,10 @@ def _restored_layer(values: NDArray, name: str, shape: tuple[int, ...]) -> Float
 class _Gatherer:
     """Photons of a pass, ready to be gathered at hit points."""
 
-    def __init__(self, photons: PhotonMap, settings: PassSettings, n_threads: int) -> None:
+    def __init__(self, photons: PhotonMap, settings: PassSettings, view: View) -> None:
+        n_threads = view.n_threads
         trees = PhotonTrees(photons, n_threads)
-        self.within = PhotonPass(trees, photons.flux, n_threads).within
+        self.within = PhotonPass(trees, photons.flux, n_threads, view.surface).within
         self.weight = float(settings.photons_per_pass)
         self.is_empty = len(photons) == 0
         self.initial_radius = partial(InitialRadius, photons, settings.settings, n_threads, trees)

@@ -18,6 +18,7 @@ from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
 from ..estimation.field import Densities, Field
+from ..estimation.surface import Surface
 from ..scene.scene import Scene
 from ..transport.direct_light import direct_irradiance
 from ..transport.hit_points import MAX_DEPTH, FirstSurfaces, HitPoints, trace_hit_points
@@ -223,6 +224,11 @@ class View:
     def caster(self) -> RayCaster:
         """Ray caster of the scene's objects, built on first use."""
         return RayCaster(self.scene.objects)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """Surfaces of the scene that light is estimated on."""
+        return Surface(self.scene, self.n_threads)
 
     def bands(self, offset: tuple[float, float] = CENTRE) -> Iterator[Band]:
         """Trace the camera rays, band by band from the top down.
