@@ -31,6 +31,9 @@ OPENMP = ["-fopenmp"]
 OPENMP_PROBE = "#include <omp.h>\nint main(void) { return omp_get_max_threads() < 1; }\n"
 
 EXT = Path("src/photonrelax/_ext")
+# Extension with Cython's code for memoryviews. Without it each kernel compiles its own copy, which
+# is most of its C.
+UTILITIES = "photonrelax._ext._cyutility"
 SIMD = EXT / "spatial" / "simd"
 SIMD_HEADERS = [str(path) for path in SIMD.glob("*.h")]
 SIMD_SOURCES = [*SIMD_HEADERS, *(str(path) for path in SIMD.glob("*.c"))]
@@ -103,9 +106,10 @@ class BuildKernels(build_ext):
         return str(target)
 
 
-def kernels():
-    """One extension per ``.pyx`` below ``_ext``."""
-    return [
+def extensions():
+    """One extension per ``.pyx`` below ``_ext``, and the code of Cython that they share."""
+    utilities = Extension(UTILITIES, [UTILITIES.replace(".", "/") + ".c"])
+    kernels = [
         Extension(
             ".".join(kernel.relative_to("src").with_suffix("").parts),
             [str(kernel)],
@@ -114,6 +118,7 @@ def kernels():
         )
         for kernel in sorted(EXT.rglob("*.pyx"))
     ]
+    return [utilities, *kernels]
 
 
 # Processes that Cython starts may import this file.
@@ -122,8 +127,9 @@ if __name__ == "__main__":
         cmdclass={"build_ext": BuildKernels},
         options={"build": {"build_base": BUILD_DIR}, "build_ext": {"parallel": os.cpu_count()}},
         ext_modules=cythonize(
-            kernels(),
+            extensions(),
             build_dir=BUILD_DIR,
+            shared_utility_qualified_name=UTILITIES,
             nthreads=os.cpu_count(),
             cache="CYTHON_CACHE_DIR" in os.environ,
             compiler_directives={

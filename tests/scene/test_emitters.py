@@ -80,6 +80,17 @@ def test_direct_light_of_a_new_emitter_is_what_it_says():
     np.testing.assert_array_equal(arriving[:, 0], [3.0, 3.0, 0.0, 0.0])
 
 
+def test_light_of_another_shape_is_refused(monkeypatch):
+    beam = scene(BeamEmitter(0.7, 3.0))
+    monkeypatch.setattr(
+        BeamEmitter, "direct", lambda *_: DirectLight(np.ones((4, 3)), np.ones(4), np.ones(4))
+    )
+    message = r"irradiance of BeamEmitter.direct should have shape \(4, 3\), but has \(4,\)"
+    points, up = np.zeros((4, 3)), np.tile([0.0, 0, 1.0], (4, 1))
+    with pytest.raises(ValueError, match=message):
+        direct_irradiance(beam, RayCaster(beam.objects), points, up)
+
+
 def test_an_image_of_a_new_emitter_has_the_irradiance_of_its_beam():
     image = pr.render(scene(BeamEmitter(2.0, 3.0)), method="standard", n_emitted=20_000)
     caustic = image.layers["caustic"]

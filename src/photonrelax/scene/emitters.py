@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._ext.scene.emitters import towards
 from .._util.frozen import frozen, set_field
 from .._util.validation import Floats, float_array, rgb, unit_vectors
 from .emission_region import (
@@ -196,8 +197,6 @@ def _towards(
 
     Vectors and inverses are zero nearer than the offset.
     """
-    step = np.asarray(emitter) - position
-    distance = np.linalg.norm(step, axis=1)
-    far = distance > emitter_offset
-    inverse = np.divide(1.0, distance, out=np.zeros_like(distance), where=far)[:, None]
-    return step * inverse, distance, inverse
+    points = np.ascontiguousarray(position, dtype=np.float64)
+    direction, distance, inverse = towards(np.asarray(emitter), points, emitter_offset)
+    return direction, distance, inverse[:, np.newaxis]

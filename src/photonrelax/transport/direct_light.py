@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._ext.transport.direct_light import add_unoccluded, shadow_rays
 from .._ext.transport.materials import Materials
 from .._util.parallel import for_each_slice, thread_count
 from .._util.validation import Floats, float_array, unit_vectors
+from ..scene.emitters import DirectLight, Emitter
 from ..scene.scene import Scene
 from .media import MediaFinder
 from .optics import beer_lambert
@@ -54,14 +56,15 @@ def direct_irradiance(
         If shapes differ, values are not finite or a normal is zero.
     """
     position = float_array(position, "position", (None, 3))
-    normal = unit_vectors(normal, "normal", (len(position), 3))
+    threads = thread_count(n_threads)
+    normal = unit_vectors(normal, "normal", (len(position), 3), threads)
     total = np.zeros_like(position)
     light = _DirectLight(scene, caster)
 
     def add(rows: slice) -> None:
         light.add(total[rows], position[rows], normal[rows])
 
-    for_each_slice(add, len(position), _CHUNK, thread_count(n_threads))
+    for_each_slice(add, len(position), _CHUNK, threads)
     return total
 
 
@@ -70,28 +73,47 @@ class _DirectLight:
 
     def __init__(self, scene: Scene, caster: RayCaster) -> None:
         self._caster = caster
-        materials = Materials(scene.material_table())
-        media = MediaFinder(scene, caster, materials).at_emitters()
         self._emitters = [
-            (emitter, scene.emitter_offset(emitter), materials.absorption_in(stack))
-            for emitter, stack in zip(scene.emitters, media, strict=True)
+            (emitter, scene.emitter_offset(emitter), absorption)
+            for emitter, absorption in zip(
+                scene.emitters, _absorption_at_emitters(scene, caster), strict=True
+            )
         ]
 
     def add(self, total: Floats, position: Floats, normal: Floats) -> None:
         """Add the irradiance (m, 3) at points to `total`."""
-        origin_offset = self._caster.resolution.at(position)[:, np.newaxis] * normal
         for emitter, offset, absorption in self._emitters:
-            direction, distance, facing = emitter.direct(position, offset)
-            cosine = np.maximum(np.einsum("ij,ij->i", direction, normal), 0.0)
-            irradiance = facing * cosine[:, None]
-            lit = np.flatnonzero(irradiance.any(axis=1))
+            light = _light_at(emitter, position, offset)
+            rays = shadow_rays(self._caster.frame, position, normal, **light._asdict())
             occluded = self._caster.occluded(
-                position[lit],
-                direction[lit],
-                distance[lit] - offset,
-                origin_offset=origin_offset[lit],
+                rays.origin,
+                rays.direction,
+                rays.distance - offset,
+                origin_offset=rays.origin_offset,
             )
+            irradiance = rays.irradiance
             # No surface lies between: all of the way is in the medium at the emitter.
             if absorption.any():
-                irradiance[lit] *= beer_lambert(absorption, np.minimum(distance[lit], _FARTHEST))
-            total[lit] += np.where(occluded[:, None], 0.0, irradiance[lit])
+                irradiance *= beer_lambert(absorption, np.minimum(rays.distance, _FARTHEST))
+            add_unoccluded(total, rays.row, irradiance, occluded.view(np.uint8))
+
+
+def _light_at(emitter: Emitter, position: Floats, offset: float) -> DirectLight:
+    """Light of an emitter at points (m, 3), as arrays of checked shapes."""
+    direction, distance, irradiance = emitter.direct(position, offset)
+    name, m = f"{type(emitter).__name__}.direct", len(position)
+    return DirectLight(
+        float_array(direction, f"direction of {name}", (m, 3), finite=False),
+        float_array(distance, f"distance of {name}", (m,), finite=False),
+        float_array(irradiance, f"irradiance of {name}", (m, 3), finite=False),
+    )
+
+
+def _absorption_at_emitters(scene: Scene, caster: RayCaster) -> Floats:
+    """Absorption (n_emitters, 3) of the media that emitters lie in, 1/m."""
+    table = scene.material_table()
+    if not table.absorption.any():
+        return np.zeros((len(scene.emitters), 3))
+    materials = Materials(table)
+    media = MediaFinder(scene, caster, materials).at_emitters()
+    return np.array([materials.absorption_in(stack) for stack in media])

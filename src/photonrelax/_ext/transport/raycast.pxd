@@ -39,6 +39,7 @@ cdef class EmbreeFrame:
         float* out_origin, float* out_direction,
     ) noexcept nogil
     cdef double skipped(self, const double* o, const double* d) noexcept nogil
+    cdef double resolution_at(self, const double* position) noexcept nogil
     cdef double step(
         self, const double* a, const double* b, const double* c, const double* p
     ) noexcept nogil

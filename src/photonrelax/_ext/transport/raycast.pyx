@@ -210,6 +210,14 @@ cdef class EmbreeFrame:
                     found += 1
         return rows.base[:found], near.base[:found], limits.base[:found]
 
+    cdef double resolution_at(self, const double* position) noexcept nogil:
+        """Distance, m, that rays resolve at a position, as of `scene.resolution.Resolution`."""
+        cdef double distance = self.least_distance
+        cdef int axis
+        for axis in range(3):
+            distance = max(distance, fabs(position[axis] - self.origin[axis]))
+        return self.local_rounding * distance
+
     cdef double step(
         self, const double* a, const double* b, const double* c, const double* p
     ) noexcept nogil:
