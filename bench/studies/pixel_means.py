@@ -1,4 +1,4 @@
-"""Means over texels against counted photons: error by photons, at points and over footprints."""
+"""Means over texels and pixels against counted photons: errors at points and over footprints."""
 
 from __future__ import annotations
 
@@ -14,21 +14,27 @@ import photonrelax as pr
 from bench.arguments import numbers
 from bench.markdown import markdown_table
 from photonrelax import gallery
+from photonrelax.rendering.view import Band, View, concatenate_bands, resized
 from photonrelax.transport.raycast import RayCaster
 
 SCENES = ("ring", "sphere", "ripples", "prism")
 # Share of the photons that lie beyond the map on each side.
 _MARGIN = 0.02
+# Cells a side of a texel that photons are counted in.
+_CELLS = 4
+# Samples a side of a pixel of reference pictures, and of those compared.
+_REFERENCE_SAMPLES, _SAMPLES = 64, 2
 
 
 @dataclass(frozen=True)
 class Study:
-    """Scenes, numbers of photons emitted and methods; texels of a side; passes of a reference."""
+    """Scenes, numbers of photons emitted, methods; texels and pixels a side; reference passes."""
 
     scenes: tuple[str, ...] = SCENES
     photons: tuple[int, ...] = (300_000, 1_000_000, 3_000_000)
     methods: tuple[str, ...] = ("standard", "relaxation", "parameterised")
     texels: int = 350
+    pixels: int = 200
     reference_passes: int = 40
     photons_per_pass: int = 2_000_000
 
@@ -42,7 +48,9 @@ class Errors(NamedTuple):
 
     @classmethod
     def of(cls, image: NDArray, reference: NDArray) -> Errors:
-        """Errors of an image of one channel."""
+        """Errors of an image of one channel, where its reference is known."""
+        known = np.isfinite(reference)
+        image, reference = image[known], reference[known]
         error = image - reference
         return cls(
             float(np.sqrt(np.mean(error**2)) / reference.mean()),
@@ -82,16 +90,24 @@ class FloorMap:
         return cls((low + high - side) / 2.0, side, height, texels)
 
     def counted(self, photons: pr.PhotonMap) -> NDArray:
-        """Flux of the photons in each texel over its area, (texels, texels), row 0 at least y."""
+        """Flux of the photons in each cell of the texels over its area, row 0 at least y."""
         there = _on_floor(photons)
-        x, y = ((photons.position[there, :2] - self.low) / self.side * self.texels).T
+        cells = _CELLS * self.texels
+        x, y = ((photons.position[there, :2] - self.low) / self.side * cells).T
         counts, _, _ = np.histogram2d(
-            *(y, x),
-            bins=self.texels,
-            range=[(0, self.texels)] * 2,
-            weights=photons.flux[there].mean(axis=1),
+            *(y, x), bins=cells, range=[(0, cells)] * 2, weights=photons.flux[there].mean(axis=1)
         )
-        return counts / (self.side / self.texels) ** 2
+        return counts / (self.side / cells) ** 2
+
+    def at(self, cells: NDArray, points: NDArray) -> NDArray:
+        """Values of cells at points (m, 3), NaN off the map."""
+        n = len(cells)
+        column, row = np.floor((points[:, :2] - self.low) / self.side * n).astype(int).T
+        inside = (np.minimum(row, column) >= 0) & (np.maximum(row, column) < n)
+        inside &= np.abs(points[:, 2] - self.height) < 1e-6 * self.side
+        values = np.full(len(points), np.nan)
+        values[inside] = cells[row[inside], column[inside]]
+        return values
 
     def means(self, field: pr.Field) -> NDArray:
         """Means of a field over the texels."""
@@ -121,8 +137,9 @@ def _on_floor(photons: pr.PhotonMap) -> NDArray[np.bool_]:
 
 
 def reference(study: Study, scene: pr.Scene, caster: RayCaster, floor: FloorMap) -> NDArray:
-    """Counted means (2, texels, texels) of two halves of the passes."""
-    halves = np.zeros((2, floor.texels, floor.texels))
+    """Counted means of two halves of the passes in the cells of texels."""
+    cells = _CELLS * floor.texels
+    halves = np.zeros((2, cells, cells))
     n = study.photons_per_pass
     for number in range(study.reference_passes):
         # Far from the seeds of the maps compared.
@@ -131,21 +148,68 @@ def reference(study: Study, scene: pr.Scene, caster: RayCaster, floor: FloorMap)
     return halves / (study.reference_passes / 2)
 
 
+def texel_means(cells: NDArray) -> NDArray:
+    """Means over texels of the values of their cells."""
+    n = len(cells) // _CELLS
+    return cells.reshape(n, _CELLS, n, _CELLS).mean(axis=(1, 3))
+
+
+class Pictures:
+    """Caustics that the camera of a scene sees, one channel."""
+
+    def __init__(self, scene: pr.Scene, pixels: int) -> None:
+        self._scene = resized(scene, pixels, None)
+        self._bands = list(View(self._scene, supersampling=_SAMPLES).bands())
+
+    def reference(self, floor: FloorMap, cells: NDArray) -> NDArray:
+        """Means over 64 x 64 samples a pixel; NaN unless all that is seen is on the map."""
+        parts = []
+        for band in View(self._scene, supersampling=_REFERENCE_SAMPLES).bands():
+            values = floor.at(cells, band.hits.position)
+            parts.append({"caustic": band.radiance(np.tile(values, (3, 1)).T).mean(axis=2)})
+        return concatenate_bands(parts)["caustic"]
+
+    def points(self, field: pr.Field) -> NDArray:
+        """Means of a field at the samples of each pixel."""
+        return self._picture([field(band.hits.position, band.hits.normal) for band in self._bands])
+
+    def means(self, field: pr.Field) -> NDArray:
+        """Means of a field over the pixels, as of `render`."""
+        return self._picture([band.estimates(field) for band in self._bands])
+
+    def _picture(self, estimates: list[NDArray]) -> NDArray:
+        pairs: list[tuple[Band, NDArray]] = list(zip(self._bands, estimates, strict=True))
+        return np.concatenate([band.radiance(values).mean(axis=2) for band, values in pairs])
+
+
 def rows(study: Study) -> Iterator[list[str]]:
     """Yield the rows of the table."""
     for name in study.scenes:
         scene = gallery.scene(name)
         caster = RayCaster(scene.objects)
         floor = FloorMap.of(pr.trace_photons(scene, 100_000, caster=caster), study.texels)
-        halves = reference(study, scene, caster, floor)
-        exact = halves.mean(axis=0)
-        doubt = Errors.of(halves[0], halves[1])
-        yield [name, "reference", "", f"{doubt.rms / 2:.3f} {doubt.l1 / 2:.3f}", ""]
+        pictures = Pictures(scene, study.pixels)
+        cells = reference(study, scene, caster, floor)
+        texels = texel_means(cells.mean(axis=0))
+        pixels = pictures.reference(floor, cells.mean(axis=0))
+        doubts = [
+            Errors.of(*map(texel_means, cells)),
+            Errors.of(*(pictures.reference(floor, half) for half in cells)),
+        ]
+        of_texels, of_pixels = (f"{d.rms / 2:.3f} {d.l1 / 2:.3f}" for d in doubts)
+        yield [name, "reference", "", "", of_texels, "", of_pixels]
         for n in study.photons:
-            photons = pr.trace_photons(scene, n, caster=caster)
+            photons = pr.trace_photons(
+                scene, n, caster=caster, frequency_share=pr.FrequencySettings().share
+            )
             for method in study.methods:
-                field = pr.irradiance_field(photons, method=method)
-                found = Errors.of(floor.points(field), exact), Errors.of(floor.means(field), exact)
+                field = pr.irradiance_field(photons, method=method, scene=scene)
+                found = (
+                    Errors.of(floor.points(field), texels),
+                    Errors.of(floor.means(field), texels),
+                    Errors.of(pictures.points(field), pixels),
+                    Errors.of(pictures.means(field), pixels),
+                )
                 yield [name, method, f"{n:,}", *map(_cell, found)]
 
 
@@ -175,10 +239,15 @@ def run(options: argparse.Namespace) -> None:
 
 def markdown(study: Study) -> str:
     """Table of the study."""
-    titles = ["scene", "method", "emitted", "2 x 2 points", "footprints"]
+    titles = [
+        *("scene", "method", "emitted", "texels, 2 x 2 points", "texels, footprints"),
+        *("pixels, 2 x 2 points", "pixels, footprints"),
+    ]
     return (
         f"{markdown_table(titles, rows(study))}\n\nRoot mean square error over the mean, relative "
         f"L1 and total energy, against {study.reference_passes} counted passes of "
-        f"{study.photons_per_pass:,} photons; {study.texels} x {study.texels} texels of the floor. "
-        "Reference: half the difference between the halves of its passes.\n"
+        f"{study.photons_per_pass:,} photons; {study.texels} x {study.texels} texels of the floor, "
+        f"and pixels of a picture {study.pixels} wide that see nothing else, whose reference has "
+        f"{_REFERENCE_SAMPLES} x {_REFERENCE_SAMPLES} samples a pixel. Reference: half the "
+        "difference between the halves of its passes.\n"
     )

@@ -10,6 +10,7 @@ from __future__ import annotations
 import warnings
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,8 @@ from ..surfaces.surface_proximity import SurfaceProximity
 _SURFACE_WITHIN = 4.0
 
 Rows = NDArray[np.intp]
+# Edges of scenes in use, which do not change: fields of several methods share them.
+_EDGES: WeakKeyDictionary[Scene, Any] = WeakKeyDictionary()
 
 
 class Surface:
@@ -46,14 +49,11 @@ class Surface:
         self._scene = scene
         self._n_threads = n_threads
 
-    @cached_property
+    @property
     def edges(self) -> Any:
-        boundary = SurfaceBoundary.of(self._scene.objects)
-        ends = boundary.segments
-        if not len(ends):
-            return None
-        tree = BoxTree(ends.min(axis=1), ends.max(axis=1), n_threads=self._n_threads)
-        return _edges.SurfaceEdges(tree.kernel, ends, boundary.normals, boundary.one_sided)
+        if self._scene not in _EDGES:
+            _EDGES[self._scene] = _edges_of(self._scene)
+        return _EDGES[self._scene]
 
     @cached_property
     def _proximity(self) -> SurfaceProximity:
@@ -105,3 +105,13 @@ class Surface:
                 "estimated there is NaN",
                 stacklevel=4,
             )
+
+
+def _edges_of(scene: Scene) -> Any:
+    """Edges of a scene's surfaces as kernels read them, None if there are none."""
+    boundary = SurfaceBoundary.of(scene.objects)
+    ends = boundary.segments
+    if not len(ends):
+        return None
+    tree = BoxTree(ends.min(axis=1), ends.max(axis=1))
+    return _edges.SurfaceEdges(tree.kernel, ends, boundary.normals, boundary.one_sided)
