@@ -12,6 +12,7 @@ python -m bench equal-error       SSO08's Table 1: photons for the error of diff
 python -m bench frequency         frequency-driven and progressive photon mapping, on `reflector`
 python -m bench methods           errors and times of every method on the same photons
 python -m bench refinements       refinements of standard estimates compared with relaxations
+python -m bench kernels           kernels of estimates at points, against analytic irradiance
 python -m bench initial-radius    progressive photon mapping by its initial radius
 python -m bench pixel-means       errors of means over texels by photons, against counted photons
 python -m bench resolution        errors by gaps, thicknesses and widths that float32 tells apart
@@ -28,6 +29,7 @@ from bench.studies import (
     figure7,
     frequency,
     initial_radius,
+    kernels,
     methods,
     pixel_means,
     progressive,
@@ -52,6 +54,7 @@ _COMMANDS = {
     "frequency": frequency,
     "refinements": refinements,
     "initial-radius": initial_radius,
+    "kernels": kernels,
     "pixel-means": pixel_means,
     "resolution": resolution,
     # The processes that `compare` and `memory` start.

@@ -14,7 +14,7 @@ import photonrelax as pr
 from bench.arguments import numbers
 from bench.markdown import markdown_table
 from photonrelax import gallery
-from photonrelax.rendering.view import Band, View, concatenate_bands, resized
+from photonrelax.rendering.view import Band, View, resized
 from photonrelax.transport.raycast import RayCaster
 
 SCENES = ("ring", "sphere", "ripples", "prism")
@@ -28,13 +28,14 @@ _REFERENCE_SAMPLES, _SAMPLES = 64, 2
 
 @dataclass(frozen=True)
 class Study:
-    """Scenes, numbers of photons emitted, methods; texels and pixels a side; reference passes."""
+    """Scenes, numbers of photons emitted, methods; texels and pixels a side; k; passes."""
 
     scenes: tuple[str, ...] = SCENES
     photons: tuple[int, ...] = (300_000, 1_000_000, 3_000_000)
     methods: tuple[str, ...] = ("standard", "relaxation", "parameterised")
     texels: int = 350
-    pixels: int = 200
+    pixels: int = 100
+    k: int = 15
     reference_passes: int = 40
     photons_per_pass: int = 2_000_000
 
@@ -161,13 +162,16 @@ class Pictures:
         self._scene = resized(scene, pixels, None)
         self._bands = list(View(self._scene, supersampling=_SAMPLES).bands())
 
-    def reference(self, floor: FloorMap, cells: NDArray) -> NDArray:
-        """Means over 64 x 64 samples a pixel; NaN unless all that is seen is on the map."""
+    def references(self, floor: FloorMap, halves: NDArray) -> NDArray:
+        """Means (2, height, width) over 64 x 64 samples a pixel, of two maps of cells.
+
+        NaN unless all that a pixel sees is on the map.
+        """
         parts = []
         for band in View(self._scene, supersampling=_REFERENCE_SAMPLES).bands():
-            values = floor.at(cells, band.hits.position)
-            parts.append({"caustic": band.radiance(np.tile(values, (3, 1)).T).mean(axis=2)})
-        return concatenate_bands(parts)["caustic"]
+            values = np.column_stack([floor.at(cells, band.hits.position) for cells in halves])
+            parts.append(band.sums(band.reflectance.mean(axis=1, keepdims=True) * values))
+        return np.moveaxis(np.concatenate(parts), 2, 0)
 
     def points(self, field: pr.Field) -> NDArray:
         """Means of a field at the samples of each pixel."""
@@ -191,11 +195,9 @@ def rows(study: Study) -> Iterator[list[str]]:
         pictures = Pictures(scene, study.pixels)
         cells = reference(study, scene, caster, floor)
         texels = texel_means(cells.mean(axis=0))
-        pixels = pictures.reference(floor, cells.mean(axis=0))
-        doubts = [
-            Errors.of(*map(texel_means, cells)),
-            Errors.of(*(pictures.reference(floor, half) for half in cells)),
-        ]
+        halves = pictures.references(floor, cells)
+        pixels = halves.mean(axis=0)
+        doubts = Errors.of(*map(texel_means, cells)), Errors.of(*halves)
         of_texels, of_pixels = (f"{d.rms / 2:.3f} {d.l1 / 2:.3f}" for d in doubts)
         yield [name, "reference", "", "", of_texels, "", of_pixels]
         for n in study.photons:
@@ -203,7 +205,8 @@ def rows(study: Study) -> Iterator[list[str]]:
                 scene, n, caster=caster, frequency_share=pr.FrequencySettings().share
             )
             for method in study.methods:
-                field = pr.irradiance_field(photons, method=method, scene=scene)
+                gather = pr.GatherSettings(k=study.k)
+                field = pr.irradiance_field(photons, method=method, scene=scene, gather=gather)
                 found = (
                     Errors.of(floor.points(field), texels),
                     Errors.of(floor.means(field), texels),
@@ -223,6 +226,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scenes", default=",".join(default.scenes))
     parser.add_argument("--photons", type=numbers, default=list(default.photons))
     parser.add_argument("--methods", default=",".join(default.methods))
+    parser.add_argument("--k", type=int, default=default.k)
     parser.add_argument("--reference-passes", type=int, default=default.reference_passes)
 
 
@@ -232,6 +236,7 @@ def run(options: argparse.Namespace) -> None:
         scenes=tuple(options.scenes.split(",")),
         photons=tuple(options.photons),
         methods=tuple(options.methods.split(",")),
+        k=options.k,
         reference_passes=options.reference_passes,
     )
     print(markdown(study))
