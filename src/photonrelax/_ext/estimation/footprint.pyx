@@ -33,8 +33,7 @@ cdef enum:
 
 # Deviations inside the edge from which on a weight is one over the area, to 1e-9.
 cdef double DEEP = 6.3
-# Length of a side, in deviations, below which its profile is a series.
-cdef double NARROW = 0.25
+NARROW = 0.25
 # Squared radii first searched between, as shares of a squared guess.
 cdef double LOW = 0.78
 cdef double HIGH = 1.3
@@ -760,7 +759,7 @@ cdef inline double uniform_mean(
     return 1.0 - footprint.bias * exp(-work.bias_decay * sides / sqrt(squared))
 
 
-cdef inline void set_series(double side, double* series) noexcept nogil:
+cdef void set_series(double side, double* series) noexcept nogil:
     """Set the mean of a normal density over a side s, in deviations, over the density.
 
     1 + s²/24 He₂ + s⁴/1920 He₄ + s⁶/322560 He₆ in the Hermite polynomials of the offset; the
