@@ -21,7 +21,13 @@ from ..photons.photon_trees import PhotonTrees
 from ..relaxation.structure import Structure
 from .field import Densities, Points, TreeField
 from .footprint import BIAS_DECAY, kernel_integrals, number_within
-from .kernels import KERNELS, WELL_SPACED_BIAS, automatic_gather_radius, well_spaced_mean
+from .kernels import (
+    KERNELS,
+    WELL_SPACED_BIAS,
+    Number,
+    automatic_gather_radius,
+    well_spaced_mean,
+)
 from .refinement import REFINEMENTS
 
 
@@ -138,27 +144,78 @@ class IrradianceField(TreeField):
 
     @property
     def has_footprints(self) -> bool:
-        """Whether there are means over footprints: without a refinement."""
-        return self.settings.refinement == "none"
+        """Whether there are means over footprints: there are."""
+        return True
 
     def _fill(self, out: Floats, values: Densities, points: Points) -> None:
         laid_out, tree = values.laid_out(points.part), self._trees.tree(points.part)[0]
         where = tree.kernel, laid_out.blocks, points.queries, points.rows, out
-        radius = self.settings.gather_radius
         options: dict[str, Any] = {
-            "radius": np.inf if radius is None else radius,
+            "radius": self._gather_radius,
             "range_radius": normal_range(tree),
             "n_threads": self._n_threads,
         }
-        if points.footprint is not None:
+        if points.footprint is not None and self.settings.refinement != "none":
+            self._fill_refined(out, values, points, points.footprint)
+        elif points.footprint is not None:
             options.update(normals=points.normals, sums=laid_out.node_sums)
-            _footprint.gather(*where, footprint=points.footprint, **self._rule, **options)
+            rule = self._rule(self.settings.k)
+            _footprint.gather(*where, footprint=points.footprint, **rule, **options)
         elif self.settings.refinement == "none":
             scale = 1.0 / self._uniform_mean
             _nearest.gather(*where, kth_scale=scale, **self._kernel, **options)
         else:
             flux = self._flux_of(points.part)
-            _refinement.gather(*where, flux=flux, **self._kernel, **self._refined, **options)
+            bias = WELL_SPACED_BIAS[self.settings.kernel]
+            bias = bias if self.photons.well_spaced else (0.0, 0.0)
+            _refinement.gather(
+                *where, flux=flux, bias=bias, **self._kernel, **self._refined, **options
+            )
+
+    def _fill_refined(
+        self, out: Floats, values: Densities, points: Points, footprint: Floats
+    ) -> None:
+        """Write the means over the footprints of a chunk, by the numbers chosen at their points.
+
+        Where none is chosen k_min photons set the radius, and the gather radius limits it.
+        """
+        laid_out, tree = values.laid_out(points.part), self._trees.tree(points.part)[0]
+        queries, rows = points.queries[points.rows], np.arange(len(points.rows))
+        found = np.zeros((len(rows), values.n_channels))
+        number = self._numbers(points.part, queries)
+        k, k_min, radius = self.settings.k, self.settings.k_min, self._gather_radius
+        rule, chosen = self._rule(np.maximum(number, k_min)), number > 0.0
+        for some, largest in ((chosen, radius * np.sqrt(k / k_min)), (~chosen, radius)):
+            _footprint.gather(
+                *(tree.kernel, laid_out.blocks, queries, rows[some], found),
+                normals=points.normals[points.rows],
+                sums=laid_out.node_sums,
+                footprint=footprint[points.rows],
+                radius=largest,
+                range_radius=normal_range(tree),
+                n_threads=self._n_threads,
+                **rule,
+            )
+        out[points.rows] = found
+
+    def _numbers(self, part: int, queries: Floats) -> Floats:
+        """Numbers of photons (m,) that a refinement chooses at points, zero for none."""
+        tree, number = self._trees.tree(part)[0], np.zeros(len(queries))
+        _refinement.write_numbers(
+            *(tree.kernel, queries, np.arange(len(queries)), number),
+            flux=self._flux_of(part),
+            k=self.settings.k,
+            radius=self._gather_radius,
+            range_radius=normal_range(tree),
+            n_threads=self._n_threads,
+            **self._refined,
+        )
+        return number
+
+    @property
+    def _gather_radius(self) -> float:
+        radius = self.settings.gather_radius
+        return np.inf if radius is None else radius
 
     @property
     def _kernel(self) -> dict[str, Any]:
@@ -173,22 +230,18 @@ class IrradianceField(TreeField):
     @property
     def _refined(self) -> dict[str, Any]:
         """Rule that chooses numbers of photons."""
-        settings, well_spaced = self.settings, self.photons.well_spaced
-        return {
-            "k_min": settings.k_min,
-            "rule": REFINEMENTS[settings.refinement],
-            "bias": WELL_SPACED_BIAS[settings.kernel] if well_spaced else (0.0, 0.0),
-        }
+        return {"k_min": self.settings.k_min, "rule": REFINEMENTS[self.settings.refinement]}
 
-    @property
-    def _rule(self) -> dict[str, Any]:
-        """Rule of means over footprints: its kernel is the Gaussian, whatever that at points is."""
-        k, well_spaced = self.settings.k, self.photons.well_spaced
-        mean = well_spaced_mean(k, "gaussian") if well_spaced else 1.0
+    def _rule(self, k: Number) -> dict[str, Any]:
+        """Rule of means over footprints from k photons, or numbers (m,) of them.
+
+        Its kernel is the Gaussian, whatever that at points is.
+        """
+        bias = 1.0 - well_spaced_mean(k, "gaussian") if self.photons.well_spaced else 0.0
         return {
             "number": number_within(k),
             "integrals": kernel_integrals(),
-            "bias": (1.0 - mean, BIAS_DECAY),
+            "bias": (bias, BIAS_DECAY),
         }
 
     def _flux_of(self, part: int) -> Floats:

@@ -113,7 +113,7 @@ cdef class FootprintGather:
 
 
 def gather(
-    Tree tree, values, queries, rows, out, *, normals, sums, footprint, integrals, double number,
+    Tree tree, values, queries, rows, out, *, normals, sums, footprint, integrals, number,
     bias, double radius, double range_radius, int n_threads
 ):
     """Write densities over the footprints named by `rows`, close ones in sequence, to `out`.
@@ -275,7 +275,7 @@ cdef allocate(FootprintGather work, int n_threads):
     """Allocate a row of scratch memory a thread."""
     work.blocks = np.empty((n_threads, work.tree.n_blocks + BLOCK), dtype=np.int32)
     work.band = np.empty((n_threads, BAND_STRIDE))
-    work.deep = np.empty((n_threads, 1 if work.out is None else work.out.shape[1]))
+    work.deep = np.empty((n_threads, 1 if work.task == RADII else work.out.shape[1]))
     work.n_single = np.zeros(n_threads, dtype=np.int64)
 
 
