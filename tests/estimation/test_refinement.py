@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import photonrelax as pr
+from tests.helpers.footprint_rule import around, radius_of, square
 from tests.helpers.photon_maps import flat_map, plane, uniform_map, unit_square
 
 REFINEMENTS = ("differential-checking", "bias-compensation")
@@ -128,6 +129,67 @@ def test_uniform_light_uses_nearly_all_photons(refinement, interior):
     assert np.mean(noise[refinement]) < 0.4 * np.mean(noise[K_MIN])
 
 
+@pytest.mark.parametrize("well_spaced", [False, True])
+@pytest.mark.parametrize("side", [0.0, 0.003, 0.02, 0.2])
+@pytest.mark.parametrize("refinement", REFINEMENTS)
+def test_means_over_footprints_are_of_the_numbers_chosen_at_their_points(
+    refinement, side, well_spaced, step
+):
+    """Of the least number, within the gather radius, where that holds fewer photons."""
+    photons, points, normals = step
+    photons = photons.replace(well_spaced=well_spaced)
+    radius = 0.034
+    reach = radius * np.sqrt(K / K_MIN)
+    field = pr.IrradianceField(photons, refined(refinement, gather_radius=radius))
+    found = field(points, normals, footprint=np.full(len(points), side))
+    for point, normal, mean in zip(points, normals, found, strict=True):
+        squared = ((photons.position - point) ** 2).sum(axis=1)
+        order = np.argsort(squared)[:K]
+        order = order[squared[order] <= reach**2]
+        k, largest = K_MIN, radius
+        if len(order) >= K_MIN and squared[order[K_MIN - 1]] <= radius**2:
+            k = chosen(refinement, squared[order], photons.flux[order].mean(axis=1))
+            largest = reach
+        seen = around(photons, point, normal, square(side))
+        bandwidth, at_photon = radius_of(seen.squared, seen.sides, k, largest)
+        expected = seen.weights(bandwidth, with_rim=not at_photon) @ photons.flux[seen.rows]
+        if well_spaced and bandwidth < largest:
+            expected /= 1.0 - 0.32 * k**-1.35 * np.exp(-3.6 * side / bandwidth)
+        np.testing.assert_allclose(mean, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["random", "halton"])
+@pytest.mark.parametrize("refinement", REFINEMENTS)
+def test_uniform_light_has_its_own_value_over_footprints(refinement, kind, interior):
+    """But for what is chosen by chance, as at points."""
+    points, normals = (array[:2000] for array in interior)
+    means = np.empty((4, 4))
+    for seed, row in enumerate(means):
+        photons = uniform_map(100_000, kind, seed)
+        inside = (np.abs(photons.position[:, :2] - 0.5) < 0.35).all(axis=1).mean() / 0.7**2
+        field = pr.IrradianceField(photons, refined(refinement))
+        for i, size in enumerate((0.1, 1.0, 10.0, 100.0)):
+            footprint = np.full(2000, np.sqrt(size / 100_000))
+            row[i] = field(points, normals, footprint=footprint)[:, 0].mean() / inside
+    np.testing.assert_allclose(means.mean(axis=0), 1.0, atol=0.012)
+
+
+@pytest.mark.parametrize("refinement", REFINEMENTS)
+def test_a_map_has_the_flux_that_points_have(refinement):
+    """Of a disc of light, 2.6 % of which is lost at points: fewer photons where light is dim."""
+    xy = unit_square(60_000, "random")
+    photons = flat_map(xy[np.linalg.norm(xy - 0.5, axis=1) < 0.35], 60_000)
+    middle = (np.arange(100) + 0.5) / 100
+    points, normals = plane(np.stack(np.meshgrid(middle, middle), -1).reshape(-1, 2))
+    field = pr.IrradianceField(photons, refined(refinement))
+    over, at = (
+        field(points, normals, footprint=footprint)[:, 0].mean()
+        for footprint in (np.full(10_000, 0.01), None)
+    )
+    assert over == pytest.approx(at, rel=5e-3)
+    assert over == pytest.approx(photons.flux[:, 0].sum(), rel=0.03)
+
+
 @pytest.mark.parametrize("refinement", REFINEMENTS)
 def test_an_edge_is_sharper_than_with_the_most_photons(refinement):
     """1 W/m² left of x = 1/2: fewer photons right of it, and less light beyond the edge."""
@@ -171,6 +233,15 @@ def test_same_bytes_for_every_number_of_threads_and_order_of_photons(refinement,
         for some, t in ((photons, 1), (photons, 2), (photons, 7), (shuffled, 2))
     ]
     assert all(other == one for other in others)
+    footprint = np.linspace(0.0, 0.1, len(points))
+    one, *others = [
+        pr.IrradianceField(photons, refined(refinement), n_threads=t)(
+            points, normals, footprint=footprint
+        )
+        for t in (1, 2, 7)
+    ]
+    for other in others:
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("refinement", REFINEMENTS)
@@ -194,6 +265,9 @@ def test_faces_turned_away_and_maps_with_next_to_nothing(refinement):
     here = plane(np.array([[0.5, 0.5]]))
     found = pr.estimate_irradiance(coincident, *here, refined(refinement, gather_radius=0.1))
     np.testing.assert_allclose(found, 20 * 2 / (np.pi * 0.1**2))
+    for photons in (empty, black):
+        field = pr.IrradianceField(photons, refined(refinement))
+        assert (field(points, normals, footprint=np.full(200, 0.01)) == 0.0).all()
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,11 @@ A1–A2), which is exact for parallel light on curved surfaces, except for photo
 from beyond h. Light from behind the plane does not count. Photons that come in at less than 6° to
 the plane are projected no farther than at 6°; those without a direction along the normal of the
 plane; those that came from below their own surface along their own normal.
+
+Over a footprint the bandwidth is the radius of its rule (`photonrelax.estimation.footprint`). Its
+kernel is the mean over the footprint of a Gaussian of covariance (0.41 h)² D, cut off at the
+Mahalanobis distance h from it, and no narrower than the footprint: no eigenvalue of D is less than
+(s/2h)², s the longest side. Where that is one, the estimate is that of the rule with radius h.
 """
 
 from __future__ import annotations
@@ -36,6 +41,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .._ext.estimation import diffusion as _diffusion
+from .._ext.estimation import diffusion_footprint as _diffusion_footprint
+from .._ext.estimation import footprint as _footprint
 from .._ext.estimation import tangent_plane as _tangent
 from .._util import validation
 from .._util.frozen import set_field
@@ -46,7 +53,8 @@ from ..photons.axes import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
 from .field import Densities, Points, TreeField, check_points
-from .kernels import Scale, automatic_gather_radius, bandwidths
+from .footprint import Footprints, kernel_integrals, rule_radii
+from .kernels import JUST_SHORT, Scale, automatic_gather_radius, bandwidths
 
 NORMALISATIONS = ("maximum", "local")
 # Noise scale over integration scale, by default: SSO08 §6.4 wants it lower.
@@ -90,7 +98,7 @@ class DiffusionSettings:
     least_eigenvalue : float
         Least eigenvalue of D, in (0, 1]: kernels are no narrower than its square root times the
         bandwidth. SJ13 adjusts this, "the minimum diameter of the anisotropic kernel", to compare
-        methods.
+        methods. Over footprints it is raised to their width.
     """
 
     k: int | None = 500
@@ -209,17 +217,74 @@ class DiffusionField(TreeField):
         out = np.zeros((len(points), 2, 3))
         shape, report = self._kernel_shape(), Reporter(None, "axes", len(points))
         for chunk in self._chunks(points, normals, report):
-            around = self._evaluation_points(chunk)
+            widths = self._bandwidths(chunk, self._integration_scale())
+            around = self._evaluation_points(chunk, widths)
             photons = self._photons_with_gradients(chunk.part)
             _diffusion.half_axes(photons, around, shape, out, self._n_threads)
         return out
 
+    @property
+    def has_footprints(self) -> bool:
+        """Whether there are means over footprints: there are."""
+        return True
+
     def _fill(self, out: Floats, values: Densities, points: Points) -> None:
-        around = self._evaluation_points(points)
+        if points.footprint is not None:
+            self._fill_footprints(out, values, points, points.footprint)
+            return
+        widths = self._bandwidths(points, self._integration_scale())
+        around = self._evaluation_points(points, widths)
         photons = self._photons_with_gradients(points.part)
         blocks = values.laid_out(points.part).blocks
         shape = self._kernel_shape()
         _diffusion.densities(photons, blocks, around, shape, out, n_threads=self._n_threads)
+
+    def _fill_footprints(
+        self, out: Floats, values: Densities, points: Points, footprint: Floats
+    ) -> None:
+        """Write the means over the footprints of a chunk, whose kernels have no shape if wide."""
+        rows = points.rows
+        widths = self._footprint_bandwidths(points, footprint)
+        sides = _footprint.rectangle_sides(points.normals[rows], footprint[rows])
+        wide = sides.max(axis=1) >= 2.0 * widths
+        blocks = values.laid_out(points.part).blocks
+        self._fill_wide(out, values, points._replace(rows=rows[wide]), widths[wide])
+        narrow = self._evaluation_points(points._replace(rows=rows[~wide]), widths[~wide])
+        photons, shape = self._photons_with_gradients(points.part), self._kernel_shape()
+        kernels = _diffusion_footprint.FootprintKernels(shape, footprint, kernel_integrals())
+        _diffusion_footprint.densities(
+            *(photons, blocks, narrow, kernels, out), n_threads=self._n_threads
+        )
+
+    def _fill_wide(self, out: Floats, values: Densities, points: Points, widths: Floats) -> None:
+        """Write the means over footprints that are wider than kernels, all of whose photons count.
+
+        They are those of the rule of footprints with the bandwidths as radii.
+        """
+        tree, laid_out = self._trees.tree(points.part)[0], values.laid_out(points.part)
+        radius = np.empty(len(points.queries))
+        radius[points.rows] = widths
+        _footprint.gather_within(
+            *(tree.kernel, laid_out.blocks, points.queries, points.rows, out),
+            normals=points.normals,
+            sums=laid_out.node_sums,
+            footprint=points.footprint,
+            integrals=kernel_integrals(),
+            radius=radius,
+            range_radius=normal_range(tree),
+            n_threads=self._n_threads,
+        )
+
+    def _footprint_bandwidths(self, points: Points, footprint: Floats) -> Floats:
+        """Bandwidths (r,) over footprints, m; as those at points, by the rule of footprints."""
+        largest, k = self._integration_scale()
+        if k is None:
+            return np.full(len(points.rows), largest)
+        tree = self._trees.tree(points.part)[0]
+        footprints = Footprints(points.queries, points.normals, footprint, points.rows)
+        radius = rule_radii(tree, footprints, k, largest=largest, n_threads=self._n_threads)
+        short = (radius > 0.0) & (radius < largest)
+        return np.where(short, JUST_SHORT * radius, largest)
 
     def _with_bandwidth(self, settings: DiffusionSettings) -> DiffusionSettings:
         """Settings with the k and the largest bandwidth of the map, if that is left open."""
@@ -282,20 +347,21 @@ class DiffusionField(TreeField):
         largest, k = self._integration_scale()
         return _NOISE_RATIO * largest, None if k is None else max(round(_NOISE_RATIO**2 * k), 2)
 
-    def _evaluation_points(self, points: Points) -> _tangent.EvaluationPoints:
-        """Points of a chunk, whose normals may have any length."""
+    def _evaluation_points(self, points: Points, widths: Floats) -> _tangent.EvaluationPoints:
+        """Points of a chunk, whose normals may have any length, with bandwidths (r,)."""
         normals = points.normals[points.rows]
         normals = validation.unit_vectors(normals, "normals", normals.shape, self._n_threads)
-        return self._around(points, self._integration_scale(), normals)
-
-    def _around(
-        self, points: Points, scale: Scale, normals: Floats | None = None
-    ) -> _tangent.EvaluationPoints:
-        """Points of a chunk with the bandwidths of their kernels; normals are unit vectors."""
-        tree = self._trees.tree(points.part)[0]
-        widths = bandwidths(tree, points.queries, points.rows, scale, n_threads=self._n_threads)
-        normals = points.normals[points.rows] if normals is None else normals
         return _tangent.EvaluationPoints(points.queries, points.rows, normals, widths)
+
+    def _around(self, points: Points, scale: Scale) -> _tangent.EvaluationPoints:
+        """Points of a chunk with the bandwidths of their kernels; normals are unit vectors."""
+        widths, normals = self._bandwidths(points, scale), points.normals[points.rows]
+        return _tangent.EvaluationPoints(points.queries, points.rows, normals, widths)
+
+    def _bandwidths(self, points: Points, scale: Scale) -> Floats:
+        """Bandwidths (r,) of the kernels at the points of a chunk, m."""
+        tree = self._trees.tree(points.part)[0]
+        return bandwidths(tree, points.queries, points.rows, scale, n_threads=self._n_threads)
 
     def _photons_with_gradients(self, part: int) -> _tangent.TangentPhotons:
         """Photons of a tree with their mean flux and its gradients."""

@@ -31,6 +31,7 @@ from .._util import validation
 from .._util.validation import Floats
 from ..photons.axes import normal_range
 from ..spatial.kdtree import KDTree
+from .kernels import Number
 
 # Rate at which the bias of evenly spaced photons falls with the sides over r.
 BIAS_DECAY = 3.6
@@ -42,7 +43,7 @@ _NODES = 48
 _SHORT = 1e-3
 
 
-def number_within(k: int) -> float:
+def number_within(k: Number) -> Number:
     """Photons that a disc has to hold for its radius to be that of k nearest, k - ½.
 
     For A = 0 the radius is the distance to the k-th photon, whatever is between k - 1 and k.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,8 @@ from ..photons.axes import normal_range
 from ..spatial.kdtree import KDTree
 
 Rows = NDArray[np.intp]
+# One for all points, or one for each.
+Number = TypeVar("Number", float, Floats)
 # The largest bandwidth, m; the number of photons whose distance it is elsewhere, None for a fixed
 # bandwidth.
 Scale = tuple[float, int | None]
@@ -39,7 +43,7 @@ _SHARE_OF_PHOTONS = 0.95
 _SHARE_OF_AREA = 0.05
 
 
-def well_spaced_mean(k: int, kernel: str) -> float:
+def well_spaced_mean(k: Number, kernel: str) -> Number:
     """Mean k-nearest estimate of a uniform field from evenly spaced photons, over its value.
 
     It is one for independent photons and any kernel. Evenly spaced photons number k − 1/2, not

@@ -25,6 +25,7 @@ from .kernels import (
     JUST_SHORT,
     KERNELS,
     WELL_SPACED_BIAS,
+    Number,
     automatic_gather_radius,
     kth_distance,
     well_spaced_mean,
@@ -146,49 +147,101 @@ class IrradianceField(TreeField):
 
     @property
     def has_footprints(self) -> bool:
-        """Whether there are means over footprints: without a refinement."""
-        return self.settings.refinement == "none"
+        """Whether there are means over footprints: there are."""
+        return True
 
     def _fill(self, out: Floats, values: Densities, points: Points) -> None:
         laid_out, tree = values.laid_out(points.part), self._trees.tree(points.part)[0]
         where = tree.kernel, laid_out.blocks, points.queries, points.rows, out
-        radius = self.settings.gather_radius
         options: dict[str, Any] = {
-            "radius": np.inf if radius is None else radius,
+            "radius": self.reach,
             "range_radius": normal_range(tree),
             "n_threads": self._n_threads,
         }
-        if points.footprint is not None:
+        if points.footprint is not None and self.settings.refinement != "none":
+            self._fill_refined(out, values, points, points.footprint)
+        elif points.footprint is not None:
             options.update(normals=points.normals, sums=laid_out.node_sums)
-            options["surface"] = None if self.surface is None else self.surface.edges
-            _footprint.gather(*where, footprint=points.footprint, **self._rule, **options)
+            options["surface"] = self._edges
+            rule = self._rule(self.settings.k)
+            _footprint.gather(*where, footprint=points.footprint, **rule, **options)
         elif self.settings.refinement == "none":
             scale = 1.0 / self._uniform_mean
             _nearest.gather(*where, kth_scale=scale, **self._kernel, **options)
-            if self.surface is not None:
-                self._fill_near_edges(out, values, points, self.surface)
         else:
             flux = self._flux_of(points.part)
-            _refinement.gather(*where, flux=flux, **self._kernel, **self._refined, **options)
+            bias = WELL_SPACED_BIAS[self.settings.kernel]
+            bias = bias if self.photons.well_spaced else (0.0, 0.0)
+            _refinement.gather(
+                *where, flux=flux, bias=bias, **self._kernel, **self._refined, **options
+            )
+        if points.footprint is None and self.surface is not None:
+            self._fill_near_edges(out, values, points, self.surface)
+
+    def _fill_refined(
+        self, out: Floats, values: Densities, points: Points, footprint: Floats
+    ) -> None:
+        """Write the means over the footprints of a chunk, by the numbers chosen at their points.
+
+        Where none is chosen k_min photons set the radius, and the gather radius limits it.
+        """
+        laid_out, tree = values.laid_out(points.part), self._trees.tree(points.part)[0]
+        queries, rows = points.queries[points.rows], np.arange(len(points.rows))
+        found = np.zeros((len(rows), values.n_channels))
+        number = self._numbers(points.part, queries)
+        k, k_min, radius = self.settings.k, self.settings.k_min, self.reach
+        rule, chosen = self._rule(np.maximum(number, k_min)), number > 0.0
+        for some, largest in ((chosen, radius * np.sqrt(k / k_min)), (~chosen, radius)):
+            _footprint.gather(
+                *(tree.kernel, laid_out.blocks, queries, rows[some], found),
+                normals=points.normals[points.rows],
+                sums=laid_out.node_sums,
+                footprint=footprint[points.rows],
+                radius=largest,
+                range_radius=normal_range(tree),
+                surface=self._edges,
+                n_threads=self._n_threads,
+                **rule,
+            )
+        out[points.rows] = found
+
+    def _numbers(self, part: int, queries: Floats) -> Floats:
+        """Numbers of photons (m,) that a refinement chooses at points, zero for none."""
+        tree, number = self._trees.tree(part)[0], np.zeros(len(queries))
+        _refinement.write_numbers(
+            *(tree.kernel, queries, np.arange(len(queries)), number),
+            flux=self._flux_of(part),
+            k=self.settings.k,
+            radius=self.reach,
+            range_radius=normal_range(tree),
+            n_threads=self._n_threads,
+            **self._refined,
+        )
+        return number
 
     def _fill_near_edges(
         self, out: Floats, values: Densities, points: Points, surface: Surface
     ) -> None:
         """Write the densities at those points of a chunk whose kernels may hang over an edge."""
-        queries = points.queries[points.rows]
         normals = validation.unit_vectors(
-            points.normals[points.rows], "normals", (len(queries), 3), self._n_threads
+            points.normals[points.rows], "normals", (len(points.rows), 3), self._n_threads
         )
-        place = np.ascontiguousarray(queries[:, :3])
-        near, largest = surface.near_edges(place, normals, self.reach)
-        if not len(near):
+        place = np.ascontiguousarray(points.queries[points.rows, :3])
+        near, largest = surface.near_edges(place, normals, self._largest_reach)
+        rows = points.rows[near]
+        if not len(rows):
             return
-        radius, is_kth = self._radii(points.part, queries[near], largest)
+        if self.settings.refinement != "none":
+            # Over footprints of no extent, whose kernel is the Gaussian.
+            sides = np.zeros(len(points.queries))
+            self._fill_refined(out, values, points._replace(rows=rows), sides)
+            return
+        radius, is_kth = self._radii(points.part, points.queries[rows], largest)
         kernel = KERNELS[self.settings.kernel]
-        densities = values.laid_out(points.part).within(queries[near], radius, kernel)
+        densities = values.laid_out(points.part).within(points.queries[rows], radius, kernel)
         shares = surface.shares(place[near], normals[near], radius, kernel)
         densities /= (shares * np.where(is_kth, self._uniform_mean, 1.0))[:, np.newaxis]
-        out[points.rows[near]] = densities
+        out[rows] = densities
 
     def _radii(
         self, part: int, queries: Floats, largest: Floats
@@ -211,6 +264,18 @@ class IrradianceField(TreeField):
         return np.inf if radius is None else radius
 
     @property
+    def _largest_reach(self) -> float:
+        """Largest distance of a photon; that of k photons where k_min are at the gather radius."""
+        settings = self.settings
+        far = 1.0 if settings.refinement == "none" else np.sqrt(settings.k / settings.k_min)
+        return self.reach * float(far)
+
+    @property
+    def _edges(self) -> Any:
+        """Edges of the surface as kernels read them."""
+        return None if self.surface is None else self.surface.edges
+
+    @property
     def _kernel(self) -> dict[str, Any]:
         return {"k": self.settings.k, "kernel": KERNELS[self.settings.kernel]}
 
@@ -223,22 +288,18 @@ class IrradianceField(TreeField):
     @property
     def _refined(self) -> dict[str, Any]:
         """Rule that chooses numbers of photons."""
-        settings, well_spaced = self.settings, self.photons.well_spaced
-        return {
-            "k_min": settings.k_min,
-            "rule": REFINEMENTS[settings.refinement],
-            "bias": WELL_SPACED_BIAS[settings.kernel] if well_spaced else (0.0, 0.0),
-        }
+        return {"k_min": self.settings.k_min, "rule": REFINEMENTS[self.settings.refinement]}
 
-    @property
-    def _rule(self) -> dict[str, Any]:
-        """Rule of means over footprints: its kernel is the Gaussian, whatever that at points is."""
-        k, well_spaced = self.settings.k, self.photons.well_spaced
-        mean = well_spaced_mean(k, "gaussian") if well_spaced else 1.0
+    def _rule(self, k: Number) -> dict[str, Any]:
+        """Rule of means over footprints from k photons, or numbers (m,) of them.
+
+        Its kernel is the Gaussian, whatever that at points is.
+        """
+        bias = 1.0 - well_spaced_mean(k, "gaussian") if self.photons.well_spaced else 0.0
         return {
             "number": number_within(k),
             "integrals": kernel_integrals(),
-            "bias": (1.0 - mean, BIAS_DECAY),
+            "bias": (bias, BIAS_DECAY),
         }
 
     def _flux_of(self, part: int) -> Floats:

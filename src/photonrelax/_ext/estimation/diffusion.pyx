@@ -40,12 +40,6 @@ cdef class KernelShape:
         Both eigenvalues of the diffusion tensor are the one across the structure (§7.3).
     """
 
-    cdef double edge_threshold
-    cdef double exponent
-    cdef double least_eigenvalue
-    cdef double largest
-    cdef bint isotropic
-
     def __init__(self, *, edge_threshold, exponent, least_eigenvalue, largest, isotropic):
         self.edge_threshold = edge_threshold
         self.exponent = exponent
@@ -121,25 +115,6 @@ cdef void add_slope(
 
 
 # --- structure and diffusion tensors -----------------------------------------------------------
-
-
-cdef struct Tensor:
-    Plane plane
-    # Mean flux and gradient, (n_blocks, 4, 16).
-    const double* columns
-    # Sums of the weights, of weighted flux, and of the weighted products of gradients.
-    double weight
-    double flux
-    double uu
-    double uv
-    double vv
-    # Direction across the structure; λ₁ of the structure tensor; eigenvalues of the diffusion
-    # tensor along the structure and across.
-    double cosine
-    double sine
-    double edge
-    double length
-    double width
 
 
 cdef void measure(

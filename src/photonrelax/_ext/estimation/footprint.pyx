@@ -30,8 +30,7 @@ cdef enum:
     # Points of the polynomials that interpolate the table of integrals.
     STENCIL = 6
 
-# Length of a side, in deviations, below which its profile is a series.
-cdef double NARROW = 0.25
+NARROW = 0.25
 # Half the thickness of the slab of photons that are on a footprint, over half its diagonal: the
 # sagitta over the half chord of a cap whose normals turn by 60° at its rim, tan 30°.
 cdef double SAGITTA = 0.58
@@ -247,7 +246,7 @@ cdef allocate(FootprintGather work, int n_threads):
     """Allocate a row of scratch memory a thread."""
     work.blocks = np.empty((n_threads, work.tree.n_blocks + BLOCK), dtype=np.int32)
     work.band = np.empty((n_threads, BAND_STRIDE))
-    work.deep = np.empty((n_threads, 1 if work.out is None else work.out.shape[1]))
+    work.deep = np.empty((n_threads, 1 if work.task == RADII else work.out.shape[1]))
     work.n_single = np.zeros(n_threads, dtype=np.int64)
     n_edges = 1 if work.surface is None else max(work.surface.tree.n_boxes, 1)
     work.found = np.empty((n_threads, n_edges), dtype=np.int32)
@@ -479,7 +478,7 @@ cdef inline double uniform_mean(
     return 1.0 - footprint.bias * exp(-work.bias_decay * sides / sqrt(squared))
 
 
-cdef inline void set_series(double side, double* series) noexcept nogil:
+cdef void set_series(double side, double* series) noexcept nogil:
     """Set the mean of a normal density over a side s, in deviations, over the density.
 
     1 + s²/24 He₂ + s⁴/1920 He₄ + s⁶/322560 He₆ in the Hermite polynomials of the offset; the

@@ -57,7 +57,7 @@ cdef extern from *:
 
 @final
 cdef class RefinedGather(BatchWork):
-    """Weighted sums over a number of nearest photons that is chosen for each query."""
+    """Numbers of nearest photons that are chosen for each query, or weighted sums over them."""
 
     # (n_blocks, c, 16) and (n,), in tree order.
     cdef const double[:, :, ::1] values
@@ -73,15 +73,21 @@ cdef class RefinedGather(BatchWork):
     cdef double bias_factor
     cdef double bias_exponent
     cdef const Py_ssize_t[::1] rows
+    # Densities, or numbers alone.
     cdef double[:, ::1] out
+    cdef double[::1] numbers
+    cdef bint only_numbers
 
     cdef void finish(self, Batch* batch, Py_ssize_t first, int thread) noexcept nogil:
-        """Write the densities at the queries of a batch."""
+        """Write the densities at the queries of a batch, or the numbers chosen."""
         cdef Py_ssize_t i, count
         cdef NearPhoton* near = <NearPhoton*> &self.lists[thread, 0]
         for i in range(batch.n_queries):
             count = self.list_nearest(batch, i, near)
-            self.write_densities(near, count, &self.out[self.rows[first + i], 0])
+            if self.only_numbers:
+                self.numbers[self.rows[first + i]] = self.chosen_number(near, count)
+            else:
+                self.write_densities(near, count, &self.out[self.rows[first + i], 0])
 
     cdef Py_ssize_t list_nearest(self, Batch* batch, Py_ssize_t i, NearPhoton* near) noexcept nogil:
         """Write the neighbours of a query, nearest first, with sums; return their number."""
@@ -112,10 +118,9 @@ cdef class RefinedGather(BatchWork):
         The bandwidth is the distance to the last of the number chosen, or the radius where that
         holds fewer than k_min, or k_min are at the query itself, as in nearest.pyx.
         """
-        cdef Py_ssize_t k_min = self.k_min, n, channel
+        cdef Py_ssize_t n = self.chosen_number(near, count) - 1, channel
         cdef double squared = self.squared_gather_radius, scale = 1.0
-        if count >= k_min and 0.0 < near[k_min - 1].squared <= squared:
-            n = self.chosen_number(near, count) - 1
+        if n >= 0:
             squared = near[n].squared
             scale = 1.0 / (1.0 - self.bias_factor * (n + 1.0) ** self.bias_exponent)
         else:
@@ -125,7 +130,10 @@ cdef class RefinedGather(BatchWork):
             out[channel] *= scale / (M_PI * squared)
 
     cdef Py_ssize_t chosen_number(self, const NearPhoton* near, Py_ssize_t count) noexcept nogil:
-        """Number of photons that suits a query with at least k_min neighbours."""
+        """Number of photons that suits a query; zero where the bandwidth is the radius."""
+        cdef Py_ssize_t last = self.k_min - 1
+        if count <= last or not 0.0 < near[last].squared <= self.squared_gather_radius:
+            return 0
         if self.rule == CHECKING:
             return check_differentials(near, self.k_min, count)
         return compensate_bias(near, self.k_min, count)
@@ -169,29 +177,59 @@ def gather(
     bias : (float, float)
         a, b: estimates of K photons are divided by 1 - a K^b.
     """
-    if not (
-        queries.shape[0] == out.shape[0] and queries.shape[1] >= tree.n_axes
-        and values.shape[0] == tree.n_blocks and values.shape[1] == out.shape[1]
-        and flux.shape[0] == tree.n_points
-    ):
-        raise ValueError("queries, densities and photon values do not fit one another")
     cdef RefinedGather work = RefinedGather(
         tree, k=min(k, tree.n_points), radius=radius, range_radius=range_radius
     )
-    work.squared_gather_radius = work.squared_radius
-    # As far as k photons are if they are as dense as k_min within the gather radius.
-    work.squared_radius = work.squared_radius * k / k_min
+    set_rule(work, flux, k_min, k, rule, n_threads)
+    if not (
+        queries.shape[0] == out.shape[0] and queries.shape[1] >= tree.n_axes
+        and values.shape[0] == tree.n_blocks and values.shape[1] == out.shape[1]
+    ):
+        raise ValueError("queries, densities and photon values do not fit one another")
     work.values = values
-    work.flux = flux
-    work.places = np.arange(BLOCK * tree.n_blocks)
-    work.lists = np.empty((n_threads, max(work.k, 1) * sizeof(NearPhoton)), dtype=np.uint8)
-    work.k_min = k_min
-    work.rule = rule
     work.kernel = kernel
     work.bias_factor, work.bias_exponent = bias
     work.rows = rows
     work.out = out
     search_queries(work, queries, rows, n_threads)
+
+
+def write_numbers(
+    Tree tree, const double[:, ::1] queries, const Py_ssize_t[::1] rows, double[::1] out, *,
+    const double[::1] flux, Py_ssize_t k_min, Py_ssize_t k, int rule, double radius,
+    double range_radius, int n_threads
+):
+    """Write the numbers of photons chosen for the queries named by `rows` to `out` (m,).
+
+    They are zero where the bandwidth is the radius. See `gather` for the arguments.
+    """
+    cdef RefinedGather work = RefinedGather(
+        tree, k=min(k, tree.n_points), radius=radius, range_radius=range_radius
+    )
+    set_rule(work, flux, k_min, k, rule, n_threads)
+    if queries.shape[0] != out.shape[0] or queries.shape[1] < tree.n_axes:
+        raise ValueError("queries and numbers do not fit one another")
+    work.rows = rows
+    work.numbers = out
+    work.only_numbers = True
+    search_queries(work, queries, rows, n_threads)
+
+
+cdef set_rule(
+    RefinedGather work, const double[::1] flux, Py_ssize_t k_min, Py_ssize_t k, int rule,
+    int n_threads
+):
+    """Set what numbers are chosen by; raises ValueError if there is no flux for each photon."""
+    if flux.shape[0] != work.tree.n_points:
+        raise ValueError("flux and photons do not fit one another")
+    work.squared_gather_radius = work.squared_radius
+    # As far as k photons are if they are as dense as k_min within the gather radius.
+    work.squared_radius = work.squared_radius * k / k_min
+    work.flux = flux
+    work.places = np.arange(BLOCK * work.tree.n_blocks)
+    work.lists = np.empty((n_threads, max(work.k, 1) * sizeof(NearPhoton)), dtype=np.uint8)
+    work.k_min = k_min
+    work.rule = rule
 
 
 cdef Py_ssize_t count_within(

@@ -869,6 +869,44 @@ static void rectangle_sum(const double *coords, const int32_t *blocks, int64_t n
                            n_channels, 1, out + channel);
 }
 
+/* Exponential function from -56 to 0, and its value at -56 below. */
+INLINE f64x8 far_exponential(f64x8 x)
+{
+    f64x8 y = exponential(f64x8_mul(f64x8_max(x, f64x8_set1(-56.0)), f64x8_set1(0.0625)));
+    for (int i = 0; i < 4; ++i) y = f64x8_mul(y, y);
+    return y;
+}
+
+static void slanted_weights(const double *first, const double *second,
+                            const SlantedWeights *weights, double *out)
+{
+    for (int lane = 0; lane < BLOCK; lane += LANES) {
+        f64x8 sum = f64x8_set1(0.0);
+        for (int64_t i = 0; i < weights->n_nodes; ++i) {
+            const f64x8 node = f64x8_set1(weights->first_half * weights->nodes[i]);
+            f64x8 along = f64x8_sub(f64x8_load(first + lane), node), squared, own;
+            f64x8 beside = f64x8_sub(f64x8_load(second + lane),
+                                     f64x8_mul(along, f64x8_set1(weights->slope)));
+            beside = f64x8_mul(beside, f64x8_set1(weights->second_scale));
+            along = f64x8_mul(along, f64x8_set1(weights->first_scale));
+            squared = f64x8_mul(along, along);
+            if (weights->is_narrow) {
+                own = f64x8_mul(beside, beside);
+                squared = f64x8_add(squared, own);
+                own = polynomial(weights->series, 4, own);
+            } else {
+                f64x8 denominator;
+                own = side_profile(beside, weights->half, &denominator);
+                own = f64x8_div(own, denominator);
+            }
+            own = f64x8_mul(own, f64x8_set1(weights->weights[i]));
+            squared = f64x8_mul(squared, f64x8_set1(-0.5));
+            sum = f64x8_add(sum, f64x8_mul(own, far_exponential(squared)));
+        }
+        f64x8_store(out + lane, sum);
+    }
+}
+
 const SimdKernels SIMD_KERNELS = {
     .name = SIMD_NAME,
     .overlapping_boxes = overlapping_boxes,
@@ -891,4 +929,5 @@ const SimdKernels SIMD_KERNELS = {
     .boxes_near_rectangle = boxes_near_rectangle,
     .rectangle_band = rectangle_band,
     .rectangle_sum = rectangle_sum,
+    .slanted_weights = slanted_weights,
 };

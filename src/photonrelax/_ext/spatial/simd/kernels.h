@@ -118,6 +118,18 @@ typedef struct {
     double series[2][4];
 } RectangleWeights;
 
+/* Mean over a rectangle of a Gaussian of any covariance, but for a factor: over the first side by
+ * nodes, in [-1, 1], and weights; over the second, `half` a side in deviations, by the normal
+ * distribution given the offset along the first. Its middle is at `slope` times that offset. Scales
+ * are inverse deviations. Where `is_narrow` it is the density times a polynomial in the squared
+ * offset, `series`. */
+typedef struct {
+    int64_t n_nodes;
+    const double *nodes, *weights;
+    double first_half, first_scale, slope, second_scale, half, series[4];
+    int64_t is_narrow;
+} SlantedWeights;
+
 /* Kernels of one instruction set. `blocks` with `bits` are those of 16 blocks whose bits are set. */
 typedef struct {
     const char *name;
@@ -196,6 +208,9 @@ typedef struct {
     void (*rectangle_sum)(const double *coords, const int32_t *blocks, int64_t n,
                           const Rectangle *rectangle, const RectangleWeights *weights,
                           const double *values, int64_t n_channels, double *out);
+    /* Weights at 16 offsets along both sides. */
+    void (*slanted_weights)(const double *first, const double *second,
+                            const SlantedWeights *weights, double *out);
 } SimdKernels;
 
 static inline int lowest_bit(unsigned bits) { return __builtin_ctz(bits); }

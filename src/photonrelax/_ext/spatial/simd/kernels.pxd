@@ -76,6 +76,18 @@ cdef extern from "kernels.h" nogil:
         int64_t[2] is_narrow
         double[2][4] series
 
+    ctypedef struct SlantedWeights:
+        int64_t n_nodes
+        const double* nodes
+        const double* weights
+        double first_half
+        double first_scale
+        double slope
+        double second_scale
+        double half
+        double[4] series
+        int64_t is_narrow
+
     ctypedef struct SimdKernels:
         const char* name
         unsigned int (*overlapping_boxes)(
@@ -137,6 +149,9 @@ cdef extern from "kernels.h" nogil:
         void (*rectangle_sum)(
             const double*, const int32_t*, int64_t, const Rectangle*, const RectangleWeights*,
             const double*, int64_t, double*
+        ) noexcept nogil
+        void (*slanted_weights)(
+            const double*, const double*, const SlantedWeights*, double*
         ) noexcept nogil
 
     int64_t farthest_candidate(const Candidates* found, const int64_t* ids)
