@@ -14,20 +14,27 @@ import photonrelax as pr
 from bench.arguments import numbers
 from bench.markdown import markdown_table
 from photonrelax import gallery
+from photonrelax.estimation.methods import METHODS, Settings
+from photonrelax.estimation.refinement import REFINEMENTS as ALL_REFINEMENTS
 from photonrelax.transport.raycast import RayCaster
 
 SCENES = ("ring", "sphere", "ripples", "prism")
+# Refinements, and their largest number of photons.
+REFINEMENTS = tuple(name for name in ALL_REFINEMENTS if name != "none")
+MOST_PHOTONS = 200
 # Share of the photons that lie beyond the map on each side.
 _MARGIN = 0.02
 
 
 @dataclass(frozen=True)
 class Study:
-    """Scenes, numbers of photons emitted and methods; texels of a side; passes of a reference."""
+    """Scenes, numbers of photons emitted, methods or refinements of the standard one; texels of a
+    side; passes of a reference.
+    """
 
     scenes: tuple[str, ...] = SCENES
     photons: tuple[int, ...] = (300_000, 1_000_000, 3_000_000)
-    methods: tuple[str, ...] = ("standard", "relaxation", "parameterised")
+    methods: tuple[str, ...] = (*METHODS, *REFINEMENTS)
     texels: int = 350
     reference_passes: int = 40
     photons_per_pass: int = 2_000_000
@@ -142,11 +149,27 @@ def rows(study: Study) -> Iterator[list[str]]:
         doubt = Errors.of(halves[0], halves[1])
         yield [name, "reference", "", f"{doubt.rms / 2:.3f} {doubt.l1 / 2:.3f}", ""]
         for n in study.photons:
-            photons = pr.trace_photons(scene, n, caster=caster)
+            photons = pr.trace_photons(
+                scene, n, caster=caster, frequency_share=frequency_share(study)
+            )
             for method in study.methods:
-                field = pr.irradiance_field(photons, method=method)
+                field = field_of(photons, method)
                 found = Errors.of(floor.points(field), exact), Errors.of(floor.means(field), exact)
                 yield [name, method, f"{n:,}", *map(_cell, found)]
+
+
+def frequency_share(study: Study) -> float:
+    """Share of the photons that carry spectra, if a method needs these."""
+    shares = [METHODS[m].frequency_share(Settings()) for m in study.methods if m in METHODS]
+    return max(shares, default=0.0)
+
+
+def field_of(photons: pr.PhotonMap, name: str) -> pr.Field:
+    """Field of a method, or of a refinement of the standard estimate."""
+    if name in REFINEMENTS:
+        gather = pr.GatherSettings(k=MOST_PHOTONS, refinement=name)
+        return pr.irradiance_field(photons, method="standard", gather=gather)
+    return pr.irradiance_field(photons, method=name)
 
 
 def _cell(errors: Errors) -> str:
