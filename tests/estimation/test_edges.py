@@ -370,3 +370,48 @@ def test_uniform_light_in_passes(side):
     for name, estimates in found.items():
         n = np.size(estimates) / 4
         assert abs(np.mean(estimates) - 1.0) < 0.02 + 3.0 * np.std(estimates) / np.sqrt(n), name
+
+
+# Diffusion
+
+
+@pytest.mark.parametrize("method", ["diffusion", "isotropic-diffusion"])
+@pytest.mark.parametrize("side", [0.0, 0.01, 0.3])
+def test_uniform_light_by_diffusion(method, side):
+    """At points, over footprints smaller than kernels, and over wider ones, up to an edge."""
+    half, found = 0.5 * side, []
+    points = np.array([[x, half] for x in np.linspace(0.2, 0.8, 10)] + [[half, half]])
+    for seed in range(10):
+        field = pr.irradiance_field(
+            uniform_map(N_PHOTONS, "random", seed), method=method, scene=scene_of(flat(SQUARE))
+        )
+        footprint = None if side == 0.0 else np.full(len(points), side)
+        found.append(field(*plane(points), footprint=footprint)[:, 0])
+    mean, noise = np.mean(found, axis=0), np.std(found, axis=0) / np.sqrt(len(found))
+    assert abs(mean[:-1].mean() - 1.0) < 0.02 + 3.0 * noise[:-1].mean()
+    assert abs(mean[-1] - 1.0) < 0.02 + 4.0 * noise[-1]
+
+
+def test_kernels_of_any_shape_are_divided_by_their_surface():
+    """By the part of their ellipses on the square, of light with an oblique edge."""
+    rng = np.random.default_rng(3)
+    points = rng.random((40_000, 2))
+    points = points[(points @ [1.0, 0.5] < 0.8) | (rng.random(len(points)) < 0.05)]
+    photons = flat_map(points, len(points))
+    places = np.array([[0.75, 0.02], [0.7, 0.1], [0.3, 0.99], [0.31, 0.97]])
+    settings = {"method": "diffusion", "diffusion": pr.DiffusionSettings(k=300)}
+    bare = pr.irradiance_field(photons, **settings)
+    field = pr.irradiance_field(photons, scene=scene_of(flat(SQUARE)), **settings)
+    n = 400
+    nodes = (np.arange(n) + 0.5) / n * 2.0 - 1.0
+    disc = np.stack(np.meshgrid(nodes, nodes), -1).reshape(-1, 2)
+    weight = np.maximum(1.0 - np.square(disc).sum(axis=1), 0.0)
+    axes = bare.half_axes(*plane(places))[:, :, :2]
+    assert (np.linalg.norm(axes[:, 0], axis=1) > 1.2 * np.linalg.norm(axes[:, 1], axis=1)).any()
+    inside = [
+        ((at + disc @ pair >= 0.0) & (at + disc @ pair <= 1.0)).all(axis=1)
+        for at, pair in zip(places, axes, strict=True)
+    ]
+    share = np.array(inside) @ weight / weight.sum()
+    ratio = bare(*plane(places)) / field(*plane(places))
+    np.testing.assert_allclose(ratio, np.tile(share, (3, 1)).T, atol=0.005)

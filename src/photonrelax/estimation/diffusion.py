@@ -44,6 +44,7 @@ from .._ext.estimation import diffusion as _diffusion
 from .._ext.estimation import diffusion_footprint as _diffusion_footprint
 from .._ext.estimation import footprint as _footprint
 from .._ext.estimation import tangent_plane as _tangent
+from .._ext.estimation.surface_edges import EdgeSearch
 from .._util import validation
 from .._util.frozen import set_field
 from .._util.parallel import thread_count
@@ -228,6 +229,11 @@ class DiffusionField(TreeField):
         """Whether there are means over footprints: there are."""
         return True
 
+    @property
+    def reach(self) -> float:
+        """Largest bandwidth, m."""
+        return self._integration_scale()[0]
+
     def _fill(self, out: Floats, values: Densities, points: Points) -> None:
         if points.footprint is not None:
             self._fill_footprints(out, values, points, points.footprint)
@@ -272,6 +278,7 @@ class DiffusionField(TreeField):
             integrals=kernel_integrals(),
             radius=radius,
             range_radius=normal_range(tree),
+            surface=self.edges,
             n_threads=self._n_threads,
         )
 
@@ -282,7 +289,9 @@ class DiffusionField(TreeField):
             return np.full(len(points.rows), largest)
         tree = self._trees.tree(points.part)[0]
         footprints = Footprints(points.queries, points.normals, footprint, points.rows)
-        radius = rule_radii(tree, footprints, k, largest=largest, n_threads=self._n_threads)
+        radius = rule_radii(
+            *(tree, footprints, k), largest=largest, edges=self.edges, n_threads=self._n_threads
+        )
         short = (radius > 0.0) & (radius < largest)
         return np.where(short, JUST_SHORT * radius, largest)
 
@@ -351,7 +360,8 @@ class DiffusionField(TreeField):
         """Points of a chunk, whose normals may have any length, with bandwidths (r,)."""
         normals = points.normals[points.rows]
         normals = validation.unit_vectors(normals, "normals", normals.shape, self._n_threads)
-        return _tangent.EvaluationPoints(points.queries, points.rows, normals, widths)
+        search = None if self.edges is None else EdgeSearch(self.edges, self._n_threads)
+        return _tangent.EvaluationPoints(points.queries, points.rows, normals, widths, search)
 
     def _around(self, points: Points, scale: Scale) -> _tangent.EvaluationPoints:
         """Points of a chunk with the bandwidths of their kernels; normals are unit vectors."""

@@ -146,6 +146,11 @@ class Field(ABC):
         return False
 
     @property
+    def edges(self) -> Any:
+        """Edges of the surfaces as kernels read them; None if no surface or no edge is known."""
+        return None if self.surface is None else self.surface.edges
+
+    @property
     def reach(self) -> float:
         """Largest distance, m, from a footprint of what counts in its estimate."""
         return np.inf

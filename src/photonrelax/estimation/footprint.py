@@ -20,7 +20,7 @@ Its derivation: docs/methods/footprints.md.
 from __future__ import annotations
 
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -106,21 +106,29 @@ class Footprints(NamedTuple):
 
 
 def rule_radii(
-    tree: KDTree, footprints: Footprints, k: int, *, largest: float, n_threads: int
+    tree: KDTree,
+    footprints: Footprints,
+    k: int,
+    *,
+    largest: float,
+    edges: Any = None,
+    n_threads: int,
 ) -> Floats:
     """Radii (r,) of the rule for k photons, m; zero where all of these are at a point.
 
-    Where no radius up to the largest holds enough photons it is the largest.
+    Where no radius up to the largest holds enough photons it is the largest. `edges` are those of
+    the surface, as of `Field.edges`.
     """
-    queries, normals, edges, rows = footprints
+    queries, normals, footprint, rows = footprints
     radius = np.empty(len(queries))
     _footprint.write_radii(
         *(tree.kernel, queries, rows, radius),
         normals=normals,
-        footprint=edges,
+        footprint=footprint,
         number=number_within(k),
         radius=largest,
         range_radius=normal_range(tree),
+        surface=edges,
         n_threads=n_threads,
     )
     return radius[rows]

@@ -162,7 +162,7 @@ class IrradianceField(TreeField):
             self._fill_refined(out, values, points, points.footprint)
         elif points.footprint is not None:
             options.update(normals=points.normals, sums=laid_out.node_sums)
-            options["surface"] = self._edges
+            options["surface"] = self.edges
             rule = self._rule(self.settings.k)
             _footprint.gather(*where, footprint=points.footprint, **rule, **options)
         elif self.settings.refinement == "none":
@@ -199,7 +199,7 @@ class IrradianceField(TreeField):
                 footprint=footprint[points.rows],
                 radius=largest,
                 range_radius=normal_range(tree),
-                surface=self._edges,
+                surface=self.edges,
                 n_threads=self._n_threads,
                 **rule,
             )
@@ -269,11 +269,6 @@ class IrradianceField(TreeField):
         settings = self.settings
         far = 1.0 if settings.refinement == "none" else np.sqrt(settings.k / settings.k_min)
         return self.reach * float(far)
-
-    @property
-    def _edges(self) -> Any:
-        """Edges of the surface as kernels read them."""
-        return None if self.surface is None else self.surface.edges
 
     @property
     def _kernel(self) -> dict[str, Any]:

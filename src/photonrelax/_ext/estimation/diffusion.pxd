@@ -1,5 +1,6 @@
 """Structure tensors around points, and the shapes of kernels that follow from them."""
 
+from .surface_edges cimport NearEdges
 from .tangent_plane cimport EvaluationPoints, Plane, TangentPhotons
 
 
@@ -34,3 +35,6 @@ cdef void measure(
     Tensor* tensor, TangentPhotons photons, EvaluationPoints points, Py_ssize_t i
 ) noexcept nogil
 cdef void shape(Tensor* tensor, TangentPhotons photons, KernelShape kernel_shape) noexcept nogil
+cdef void find_near(
+    EvaluationPoints points, const Tensor* tensor, const double* half, int thread, NearEdges* near
+) noexcept nogil

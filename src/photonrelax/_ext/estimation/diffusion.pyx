@@ -11,8 +11,9 @@ from libc.math cimport M_PI, pow, sqrt
 from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
 from ..relaxation.structure cimport Components, decompose
 from ..spatial.radius cimport visit_radius
-from ..spatial.simd.kernels cimport BLOCK, lowest_bit
+from ..spatial.simd.kernels cimport BLOCK, EPANECHNIKOV_WEIGHTS, Rectangle, lowest_bit
 from ..spatial.tree cimport Tree
+from .surface_edges cimport NearEdges, share_of_radial, transform
 from .tangent_plane cimport (
     EvaluationPoints, Plane, TangentPhotons, along, fit, open_plane, project,
 )
@@ -283,13 +284,13 @@ def densities(
         num_threads=team_size(n_threads, points.rows.shape[0], GRAIN)
     ):
         if goes_on(&watch, threadid() == 0):
-            write_densities(photons, values, points, kernel_shape, i, &out[points.rows[i], 0])
+            write_densities(photons, values, points, kernel_shape, i, out, threadid())
     close_watch(&watch)
 
 
 cdef void write_densities(
     TangentPhotons photons, const double[:, :, ::1] values, EvaluationPoints points,
-    KernelShape kernel_shape, Py_ssize_t i, double* out
+    KernelShape kernel_shape, Py_ssize_t i, double[:, ::1] densities, int thread
 ) noexcept nogil:
     """Write the densities at one point (SSO08 Eq. 20, with D inverted as in Eq. 19).
 
@@ -297,7 +298,10 @@ cdef void write_densities(
     """
     cdef Tensor tensor
     cdef Estimate estimate
+    cdef NearEdges near
+    cdef double[2] half = [0.0, 0.0]
     cdef double area
+    cdef double* out = &densities[points.rows[i], 0]
     cdef Py_ssize_t channel
     estimate.tensor = &tensor
     estimate.values = &values[0, 0, 0]
@@ -310,8 +314,38 @@ cdef void write_densities(
     visit_radius(photons.tree, &tensor.plane.bounds, add_weighted, &estimate)
     area = M_PI * tensor.plane.bandwidth * tensor.plane.bandwidth
     area *= sqrt(tensor.length * tensor.width)
+    if points.surface is not None:
+        find_near(points, &tensor, half, thread, &near)
+        area *= share_of_radial(&near, 1.0, EPANECHNIKOV_WEIGHTS)
     for channel in range(estimate.n_channels):
         out[channel] *= 2.0 / area
+
+
+cdef void find_near(
+    EvaluationPoints points, const Tensor* tensor, const double* half, int thread, NearEdges* near
+) noexcept nogil:
+    """Find the edges within a bandwidth of a footprint, in coordinates in which D is the unit.
+
+    These are along the eigenvectors of D, in bandwidths; `half` are half the sides of the
+    footprint, in bandwidths.
+    """
+    cdef Rectangle rectangle
+    cdef double[4] matrix
+    cdef double across = tensor.plane.scale / sqrt(tensor.width)
+    cdef double forth = tensor.plane.scale / sqrt(tensor.length)
+    cdef int axis
+    for axis in range(9):
+        rectangle.axes[axis] = tensor.plane.frame[axis]
+    for axis in range(2):
+        rectangle.half[axis] = half[axis] * tensor.plane.bandwidth
+    rectangle.half[2] = 0.0
+    rectangle.at = tensor.plane.at
+    points.surface.find(&rectangle, tensor.plane.bandwidth, thread, near)
+    matrix[0] = tensor.cosine * across
+    matrix[1] = tensor.sine * across
+    matrix[2] = -tensor.sine * forth
+    matrix[3] = tensor.cosine * forth
+    transform(near, matrix)
 
 
 cdef void add_weighted(

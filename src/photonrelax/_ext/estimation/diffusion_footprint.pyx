@@ -14,9 +14,10 @@ from ..common.vec3 cimport dot
 from ..spatial.radius cimport visit_radius
 from ..spatial.simd.kernels cimport BLOCK, GAUSSIAN_DEVIATION, SlantedWeights, lowest_bit
 from ..spatial.tree cimport Tree
-from .diffusion cimport KernelShape, Tensor, measure, shape
+from .diffusion cimport KernelShape, Tensor, find_near, measure, shape
 from .footprint cimport NARROW, kernel_integral, set_series
-from .rectangle cimport Footprint, open_rectangle
+from .rectangle cimport Footprint, fit_rectangle, open_rectangle
+from .surface_edges cimport NearEdges, share_on_surface, transform
 from .tangent_plane cimport EvaluationPoints, TangentPhotons, fit, project
 
 cdef enum:
@@ -111,19 +112,21 @@ def densities(
         num_threads=team_size(n_threads, points.rows.shape[0], GRAIN)
     ):
         if goes_on(&watch, threadid() == 0):
-            write_densities(photons, values, points, kernels, i, &out[points.rows[i], 0])
+            write_densities(photons, values, points, kernels, i, out, threadid())
     close_watch(&watch)
 
 
 cdef void write_densities(
     TangentPhotons photons, const double[:, :, ::1] values, EvaluationPoints points,
-    FootprintKernels kernels, Py_ssize_t i, double* out
+    FootprintKernels kernels, Py_ssize_t i, double[:, ::1] densities, int thread
 ) noexcept nogil:
     """Write the densities over one footprint."""
     cdef Tensor tensor
     cdef Mean mean
     cdef Footprint footprint
+    cdef NearEdges near
     cdef double scale, reach
+    cdef double* out = &densities[points.rows[i], 0]
     cdef Py_ssize_t channel
     measure(&tensor, photons, points, i)
     shape(&tensor, photons, kernels.kernel_shape)
@@ -139,6 +142,11 @@ cdef void write_densities(
     visit_radius(photons.tree, &tensor.plane.bounds, add_weighted, &mean)
     scale = mean.scale * tensor.plane.scale * tensor.plane.scale
     scale /= whole(&mean, kernels.integrals)
+    if points.surface is not None:
+        find_near(points, &tensor, mean.half, thread, &near)
+        open_whitened(&mean, &footprint)
+        turn_edges(&near, &footprint)
+        scale /= share_on_surface(&near, footprint.sides, 1.0)
     for channel in range(mean.n_channels):
         out[channel] *= scale
 
@@ -226,6 +234,34 @@ cdef double whole(const Mean* mean, const double[:, ::1] integrals) noexcept nog
     footprint.sides[0] = sqrt(0.5 * (xx + yy) + sqrt(apart * apart + xy * xy))
     footprint.sides[1] = area / footprint.sides[0] if footprint.sides[0] > 0.0 else 0.0
     return kernel_integral(integrals, &footprint, 1.0)
+
+
+cdef void open_whitened(const Mean* mean, Footprint* footprint) noexcept nogil:
+    """Set the rectangle of a footprint in coordinates in which D is the unit.
+
+    There it is a parallelogram, and a rectangle of the same area stands for it. The coordinates are
+    those of `diffusion.find_near`.
+    """
+    cdef const Tensor* tensor = mean.tensor
+    cdef double[6] edges
+    cdef double cosine = mean.cosine * tensor.cosine + mean.sine * tensor.sine
+    cdef double sine = mean.cosine * tensor.sine - mean.sine * tensor.cosine
+    cdef int i
+    for i in range(9):
+        footprint.rectangle.axes[i] = 1.0 if i % 4 == 0 else 0.0
+    edges[0] = 2.0 * mean.half[0] * cosine / sqrt(tensor.width)
+    edges[1] = -2.0 * mean.half[0] * sine / sqrt(tensor.length)
+    edges[3] = 2.0 * mean.half[1] * sine / sqrt(tensor.width)
+    edges[4] = 2.0 * mean.half[1] * cosine / sqrt(tensor.length)
+    edges[2] = edges[5] = 0.0
+    fit_rectangle(footprint, edges)
+
+
+cdef inline void turn_edges(NearEdges* near, const Footprint* footprint) noexcept nogil:
+    """Turn edges to the axes of a rectangle."""
+    cdef const double* axes = footprint.rectangle.axes
+    cdef double[4] matrix = [axes[0], axes[1], axes[3], axes[4]]
+    transform(near, matrix)
 
 
 cdef void add_weighted(

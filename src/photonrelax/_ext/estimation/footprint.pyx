@@ -20,7 +20,7 @@ from .footprint_photons cimport (
 )
 from .footprint_radius cimport find_squared_radius
 from .rectangle cimport Footprint, open_rectangle
-from .surface_edges cimport SurfaceEdges, share_on_surface
+from .surface_edges cimport EdgeSearch, SurfaceEdges, share_on_surface
 
 DEVIATION = GAUSSIAN_DEVIATION
 
@@ -56,6 +56,8 @@ cdef class FootprintGather(FootprintPhotons):
     cdef const Py_ssize_t[::1] rows
     cdef double[:, ::1] out
     cdef const double[:, ::1] integrals
+    # None without a scene.
+    cdef SurfaceEdges edges_of_surface
     # Radii given, and those of the rule.
     cdef const double[::1] given_radius
     cdef double[::1] radius
@@ -68,8 +70,6 @@ cdef class FootprintGather(FootprintPhotons):
     cdef int32_t[:, ::1] blocks
     cdef double[:, ::1] band
     cdef double[:, ::1] deep
-    cdef int32_t[:, ::1] found
-    cdef double[:, ::1] ends
     cdef int64_t[::1] n_single
 
 
@@ -196,7 +196,7 @@ cdef FootprintGather open_work(
     if footprint.shape[1:] not in ((), (2, 3)) or not footprints_fit(work):
         raise ValueError("queries and footprints do not fit one another")
     work.squared_range = range_radius * range_radius if range_radius >= 0.0 else -1.0
-    work.surface = surface
+    work.edges_of_surface = surface
     work.slack = 1e-14 * np.abs([tree.low[:3], tree.high[:3]]).max()
     return work
 
@@ -248,9 +248,8 @@ cdef allocate(FootprintGather work, int n_threads):
     work.band = np.empty((n_threads, BAND_STRIDE))
     work.deep = np.empty((n_threads, 1 if work.task == RADII else work.out.shape[1]))
     work.n_single = np.zeros(n_threads, dtype=np.int64)
-    n_edges = 1 if work.surface is None else max(work.surface.tree.n_boxes, 1)
-    work.found = np.empty((n_threads, n_edges), dtype=np.int32)
-    work.ends = np.empty((n_threads, 4 * n_edges))
+    if work.edges_of_surface is not None:
+        work.surface = EdgeSearch(work.edges_of_surface, n_threads)
 
 
 cdef int gather_all(FootprintGather work, int n_threads) except -1:
@@ -274,8 +273,7 @@ cdef void gather_chunk(FootprintGather work, Py_ssize_t first, int thread) noexc
     scratch.blocks = &work.blocks[thread, 0]
     scratch.band = &work.band[thread, 0]
     scratch.deep = &work.deep[thread, 0]
-    scratch.edges = &work.found[thread, 0]
-    footprint.near.ends = &work.ends[thread, 0]
+    scratch.thread = thread
     scratch.n_single = scratch.n_blocks = scratch.n_deep = 0
     scratch.squared_guess = spacing_near(work.tree, &work.queries[work.rows[first], 0])
     if work.task != DENSITIES_WITHIN:
@@ -423,13 +421,9 @@ cdef inline double share_of_kernel(
     FootprintGather work, Footprint* footprint, Scratch* scratch, double squared
 ) noexcept nogil:
     """Part of a kernel that is on surface; one where none of it is."""
-    cdef double share
     footprint.squared_known = squared
     find_near(work, footprint, scratch)
-    if footprint.near.n == 0:
-        return 1.0
-    share = share_on_surface(&footprint.near, footprint.sides, sqrt(squared))
-    return share if share > 0.0 else 1.0
+    return share_on_surface(&footprint.near, footprint.sides, sqrt(squared))
 
 
 cdef void list_for_sums(

@@ -9,7 +9,7 @@ from libc.stdint cimport int32_t, int64_t
 from ..spatial.simd.kernels cimport BLOCK, GAUSSIAN_DEVIATION
 from ..spatial.tree cimport Tree
 from .rectangle cimport Footprint
-from .surface_edges cimport SurfaceEdges, find_edges
+from .surface_edges cimport EdgeSearch
 
 cdef enum:
     # Distances that are sorted at once; more are divided first.
@@ -31,8 +31,7 @@ cdef struct Scratch:
     double* band
     # Squared radius of the last query.
     double squared_guess
-    # Numbers of edges that may be near.
-    int32_t* edges
+    int thread
     # Whether a photon is at the radius, and whether the radius is the largest allowed.
     bint at_photon
     bint is_limited
@@ -53,7 +52,7 @@ cdef class FootprintPhotons:
     # Sums of the photons' values over nodes; None if only radii are wanted.
     cdef const double[:, :, ::1] sums
     # None without a scene.
-    cdef SurfaceEdges surface
+    cdef EdgeSearch surface
     cdef double squared_gather_radius
     cdef double squared_range
     # Bound on the error of distances of boxes.
@@ -86,7 +85,6 @@ cdef inline double deep_margin(const Footprint* footprint, double squared) noexc
 cdef inline void find_near(
     FootprintPhotons work, Footprint* footprint, Scratch* scratch
 ) noexcept nogil:
-    find_edges(
-        work.surface, &footprint.rectangle, sqrt(footprint.squared_known), scratch.edges,
-        &footprint.near
+    work.surface.find(
+        &footprint.rectangle, sqrt(footprint.squared_known), scratch.thread, &footprint.near
     )

@@ -36,9 +36,20 @@ cdef class SurfaceEdges:
     cdef const unsigned char[::1] one_sided
 
 
-cdef void find_edges(
-    SurfaceEdges edges, const Rectangle* rectangle, double radius, int32_t* found, NearEdges* near
-) noexcept nogil
+cdef class EdgeSearch:
+    cdef SurfaceEdges edges
+    # Rows per thread.
+    cdef int32_t[:, ::1] found
+    cdef double[:, ::1] ends
+
+    cdef void find(
+        self, const Rectangle* rectangle, double radius, int thread, NearEdges* near
+    ) noexcept nogil
+
+
+cdef void transform(NearEdges* near, const double* matrix) noexcept nogil
+
+cdef double share_of_radial(const NearEdges* near, double radius, int kernel) noexcept nogil
 
 cdef double area_on_surface(
     const NearEdges* near, const double* sides, double radius

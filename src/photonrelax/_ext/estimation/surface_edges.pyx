@@ -75,6 +75,29 @@ cdef class SurfaceEdges:
             raise ValueError("segments, normals and their tree do not fit one another")
 
 
+cdef class EdgeSearch:
+    """Edges near footprints, with scratch memory for each thread.
+
+    Parameters
+    ----------
+    edges : SurfaceEdges
+    n_threads : int
+    """
+
+    def __init__(self, SurfaceEdges edges, int n_threads):
+        cdef Py_ssize_t room = max(edges.tree.n_boxes, 1)
+        self.edges = edges
+        self.found = np.empty((n_threads, room), dtype=np.int32)
+        self.ends = np.empty((n_threads, 4 * room))
+
+    cdef void find(
+        self, const Rectangle* rectangle, double radius, int thread, NearEdges* near
+    ) noexcept nogil:
+        """Find the edges within a radius of a footprint."""
+        near.ends = &self.ends[thread, 0]
+        find_edges(self.edges, rectangle, radius, &self.found[thread, 0], near)
+
+
 # Edges near a footprint
 
 cdef struct Nearest:
@@ -177,6 +200,18 @@ cdef void shift_edges(NearEdges* near, const double* direction, double length) n
         near.ends[2 * i + 1] += length * direction[1]
 
 
+cdef void transform(NearEdges* near, const double* matrix) noexcept nogil:
+    """Transform the plane by a matrix of two rows, which keeps orientations."""
+    cdef double* end
+    cdef double x
+    cdef Py_ssize_t i
+    for i in range(2 * near.n):
+        end = &near.ends[2 * i]
+        x = matrix[0] * end[0] + matrix[1] * end[1]
+        end[1] = matrix[2] * end[0] + matrix[3] * end[1]
+        end[0] = x
+
+
 # Integrals
 
 cdef struct Kernel:
@@ -199,10 +234,14 @@ cdef double area_on_surface(
 cdef double share_on_surface(
     const NearEdges* near, const double* sides, double radius
 ) noexcept nogil:
-    """Integral over the surface of a footprint's kernel, whose integral over the plane is one."""
+    """Part of a footprint's kernel that lies on surface; one where none of it does."""
     cdef Kernel kernel
+    cdef double share
+    if near.n == 0:
+        return 1.0
     set_kernel(&kernel, sides, radius, GAUSSIAN_DEVIATION * radius)
-    return integral(&kernel, near) / (2.0 * mass_beyond(&kernel, 0.0))
+    share = integral(&kernel, near) / (2.0 * mass_beyond(&kernel, 0.0))
+    return share if share > 0.0 else 1.0
 
 
 cdef double squared_of_disc(const NearEdges* near, double radius, double most) noexcept nogil:
@@ -473,21 +512,16 @@ cdef inline Py_ssize_t n_panels(
 
 @final
 cdef class PointsNearEdges:
-    """Points on surfaces, with scratch memory for each thread."""
+    """Points on surfaces, and the edges near them."""
 
-    cdef SurfaceEdges edges
+    cdef EdgeSearch search
     cdef const double[:, ::1] points
     cdef const double[:, ::1] normals
-    cdef int32_t[:, ::1] found
-    cdef double[:, ::1] ends
 
     def __init__(self, SurfaceEdges edges, points, normals, int n_threads):
-        cdef Py_ssize_t room = max(edges.tree.n_boxes, 1)
-        self.edges = edges
+        self.search = EdgeSearch(edges, n_threads)
         self.points = points
         self.normals = normals
-        self.found = np.empty((n_threads, room), dtype=np.int32)
-        self.ends = np.empty((n_threads, 4 * room))
         if not (
             self.points.shape[0] == self.normals.shape[0]
             and self.points.shape[1] == self.normals.shape[1] == 3
@@ -505,8 +539,7 @@ cdef class PointsNearEdges:
             rectangle.half[axis] = 0.0
         orthonormal_frame(&rectangle.axes[0], &rectangle.axes[3], &rectangle.axes[6])
         rectangle.at = &self.points[row, 0]
-        near.ends = &self.ends[thread, 0]
-        find_edges(self.edges, &rectangle, radius, &self.found[thread, 0], near)
+        self.search.find(&rectangle, radius, thread, near)
 
 
 def shares(
@@ -564,20 +597,20 @@ cdef double largest_at_point(
 cdef double share_at_point(
     PointsNearEdges work, Py_ssize_t i, double radius, int kernel, int thread
 ) noexcept nogil:
-    """Part of a radial kernel that lies on surface; one where none of it does."""
     cdef NearEdges near
-    cdef double[2] sides = [0.0, 0.0]
-    cdef double share
-    cdef Py_ssize_t edge
     work.find(i, radius, thread, &near)
-    if near.n == 0:
-        return 1.0
+    return share_of_radial(&near, radius, kernel)
+
+
+cdef double share_of_radial(const NearEdges* near, double radius, int kernel) noexcept nogil:
+    """Part of a kernel at a point that lies on surface; one where none of it does."""
+    cdef double[2] sides = [0.0, 0.0]
+    cdef double share = 1.0 if near.inside else 0.0
+    cdef Py_ssize_t i
     if kernel == GAUSSIAN_WEIGHTS:
-        share = share_on_surface(&near, sides, radius)
-    else:
-        share = 1.0 if near.inside else 0.0
-        for edge in range(near.n):
-            share -= radial_flow(&near.ends[4 * edge], radius, kernel)
+        return share_on_surface(near, sides, radius)
+    for i in range(near.n):
+        share -= radial_flow(&near.ends[4 * i], radius, kernel)
     return share if share > 0.0 else 1.0
 
 

@@ -3,6 +3,7 @@
 from ..common.vec3 cimport dot
 from ..spatial.tree cimport Tree
 from ..spatial.simd.kernels cimport BLOCK, SearchBounds
+from .surface_edges cimport EdgeSearch
 
 cdef enum:
     # Inverse sine of the least angle of light to the plane, 6°: light that comes in flatter is
@@ -15,6 +16,8 @@ cdef class EvaluationPoints:
     cdef const Py_ssize_t[::1] rows
     cdef const double[:, ::1] normals
     cdef const double[::1] bandwidth
+    # None without a scene.
+    cdef EdgeSearch surface
 
 
 cdef class TangentPhotons:

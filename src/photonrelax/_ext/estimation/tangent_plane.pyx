@@ -19,9 +19,12 @@ cdef class EvaluationPoints:
         Their unit normals.
     bandwidth : (r,) float64 array
         Positive; m.
+    surface : EdgeSearch, optional
+        Edges of the surface, which without it has none.
     """
 
-    def __init__(self, queries, rows, normals, bandwidth):
+    def __init__(self, queries, rows, normals, bandwidth, surface=None):
+        self.surface = surface
         self.queries = queries
         self.rows = rows
         self.normals = normals
