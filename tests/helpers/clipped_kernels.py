@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.optimize import brentq
 
-from tests.helpers.footprint_rule import DEVIATION, profile
+from tests.helpers.footprint_rule import DEVIATION, gauss, profile
 
 
 def integral(polygon, sides, radius, *, is_area=False):
@@ -65,7 +65,7 @@ def _breaks(polygon, sides, radius):
 
 def _nodes(breaks, n=48):
     """Nodes and weights between breaks, close together towards these, for roots there."""
-    nodes, weights = np.polynomial.legendre.leggauss(n)
+    nodes, weights = gauss(n)
     u, weights = 0.5 * (nodes + 1.0), 0.5 * weights
     smooth, rate = u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u)
     breaks = np.array(breaks)

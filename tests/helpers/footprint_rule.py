@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+from functools import cache
+
 import numpy as np
 from scipy.special import ndtr
 
@@ -35,10 +37,16 @@ def rectangle(edges, normal):
     return np.array([first, np.cross(normal, first), normal]), sides
 
 
+@cache
+def gauss(n):
+    """Nodes and weights of Gauss's quadrature on [-1, 1]."""
+    return np.polynomial.legendre.leggauss(n)
+
+
 def profile(x, side, deviation):
     """Mean of the normal density over a side around x."""
     if side < 0.1 * deviation:
-        nodes, weights = np.polynomial.legendre.leggauss(8)
+        nodes, weights = gauss(8)
         z = (np.abs(x)[..., np.newaxis] + 0.5 * side * nodes) / deviation
         return np.exp(-0.5 * z**2) @ weights / (2.0 * np.sqrt(2.0 * np.pi) * deviation)
     x = np.abs(x)
@@ -47,7 +55,7 @@ def profile(x, side, deviation):
 
 def panels(edges, n=40):
     """Nodes and weights of Gauss's quadrature between each two edges and the next."""
-    nodes, weights = np.polynomial.legendre.leggauss(n)
+    nodes, weights = gauss(n)
     half = 0.5 * np.diff(edges)[:, np.newaxis]
     return ((nodes + 1) * half + np.array(edges)[:-1, np.newaxis]).ravel(), (weights * half).ravel()
 
