@@ -1,8 +1,7 @@
 """Means over footprints by definition, and maps and footprints that they are tested with."""
 
-from typing import NamedTuple
-
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
