@@ -15,6 +15,7 @@ python -m bench refinements       refinements of standard estimates compared wit
 python -m bench kernels           kernels of estimates at points, against analytic irradiance
 python -m bench initial-radius    progressive photon mapping by its initial radius
 python -m bench pixel-means       errors of means over texels by photons, against counted photons
+python -m bench error-times       errors of irradiance maps over the time they take
 python -m bench resolution        errors by gaps, thicknesses and widths that float32 tells apart
 """
 
@@ -26,6 +27,7 @@ import sys
 from bench.speed import contention, memory, memory_stage, side_by_side, simd, versions
 from bench.studies import (
     equal_error,
+    error_times,
     figure7,
     frequency,
     initial_radius,
@@ -56,6 +58,7 @@ _COMMANDS = {
     "initial-radius": initial_radius,
     "kernels": kernels,
     "pixel-means": pixel_means,
+    "error-times": error_times,
     "resolution": resolution,
     # The processes that `compare` and `memory` start.
     "simd": simd,
