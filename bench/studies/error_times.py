@@ -53,18 +53,18 @@ def results(request: Request) -> list[Result]:
         floor = FloorMap.of(pr.trace_photons(scene, 100_000, caster=caster), study.texels)
         exact = texel_means(reference(study, scene, caster, floor).mean(axis=0))
         for n in request.photons:
-            field, prepared = timed(lambda n=n: _field(scene, n, caster))
+            field, prepared = timed(_field, scene, n, caster)
             for way, evaluate in WAYS.items():
-                image, seconds = timed(lambda evaluate=evaluate: evaluate(floor, field))
+                image, seconds = timed(evaluate, floor, field)
                 errors = Errors.of(image, exact)
                 found.append(Result(name, way, n, prepared + seconds, errors))
     return found
 
 
-def timed(make: Callable[[], Any]) -> tuple[Any, float]:
-    """A result, and the seconds that it took."""
+def timed(make: Callable[..., Any], *arguments: object) -> tuple[Any, float]:
+    """Result of a call, and the seconds that it took."""
     started = perf_counter()
-    made = make()
+    made = make(*arguments)
     return made, perf_counter() - started
 
 
