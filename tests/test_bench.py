@@ -17,6 +17,7 @@ from bench.studies import (
     frequency,
     initial_radius,
     methods,
+    pixel_means,
     refinements,
     resolution,
     shapes,
@@ -25,6 +26,7 @@ from bench.studies import (
 
 import photonrelax as pr
 from photonrelax import gallery
+from photonrelax.estimation.methods import METHODS
 from photonrelax.evaluation import gallery_subject
 from photonrelax.evaluation.reference import ReferenceSettings
 
@@ -408,6 +410,15 @@ def test_counted_floors_and_pictures_are_the_same_way_up():
     shown = floor.image(pr.IrradianceField(photons, pr.GatherSettings(k=50)))
     np.testing.assert_allclose(shown[:2, 8:], counted[:2, 8:], atol=0.25)
     assert shown[4:, :6].max() == 0.0
+
+
+def test_means_over_texels_have_a_row_for_every_method():
+    study = pixel_means.Study(
+        ("ring",), (2_000,), texels=8, reference_passes=2, photons_per_pass=5_000
+    )
+    lines = pixel_means.markdown(study).splitlines()
+    names = [line.split("|")[2].strip() for line in lines[2:] if line.startswith("|")]
+    assert names == ["reference", *METHODS, "differential-checking", "bias-compensation"]
 
 
 def test_errors_of_resolution_are_small_where_there_is_no_warning():

@@ -14,10 +14,15 @@ import photonrelax as pr
 from bench.arguments import numbers
 from bench.markdown import markdown_table
 from photonrelax import gallery
+from photonrelax.estimation.methods import METHODS
+from photonrelax.estimation.refinement import REFINEMENTS as ALL_REFINEMENTS
 from photonrelax.rendering.view import Band, View, resized
 from photonrelax.transport.raycast import RayCaster
 
 SCENES = ("ring", "sphere", "ripples", "prism")
+# Refinements, and their largest number of photons.
+REFINEMENTS = tuple(name for name in ALL_REFINEMENTS if name != "none")
+MOST_PHOTONS = 200
 # Share of the photons that lie beyond the map on each side.
 _MARGIN = 0.02
 # Cells a side of a texel that photons are counted in.
@@ -28,11 +33,13 @@ _REFERENCE_SAMPLES, _SAMPLES = 64, 2
 
 @dataclass(frozen=True)
 class Study:
-    """Scenes, numbers of photons emitted, methods; texels and pixels a side; k; passes."""
+    """Scenes, numbers of photons emitted, methods and refinements of the standard one; texels and
+    pixels a side; k; passes.
+    """
 
     scenes: tuple[str, ...] = SCENES
     photons: tuple[int, ...] = (300_000, 1_000_000, 3_000_000)
-    methods: tuple[str, ...] = ("standard", "relaxation", "parameterised")
+    methods: tuple[str, ...] = (*METHODS, *REFINEMENTS)
     texels: int = 350
     pixels: int = 100
     k: int = 15
@@ -205,8 +212,7 @@ def rows(study: Study) -> Iterator[list[str]]:
                 scene, n, caster=caster, frequency_share=pr.FrequencySettings().share
             )
             for method in study.methods:
-                gather = pr.GatherSettings(k=study.k)
-                field = pr.irradiance_field(photons, method=method, scene=scene, gather=gather)
+                field = field_of(study, photons, method, scene)
                 found = (
                     Errors.of(floor.points(field), texels),
                     Errors.of(floor.means(field), texels),
@@ -214,6 +220,15 @@ def rows(study: Study) -> Iterator[list[str]]:
                     Errors.of(pictures.means(field), pixels),
                 )
                 yield [name, method, f"{n:,}", *map(_cell, found)]
+
+
+def field_of(study: Study, photons: pr.PhotonMap, name: str, scene: pr.Scene) -> pr.Field:
+    """Field of a method, or of a refinement of the standard estimate."""
+    if name in METHODS:
+        gather = pr.GatherSettings(k=study.k)
+        return pr.irradiance_field(photons, method=name, scene=scene, gather=gather)
+    gather = pr.GatherSettings(k=MOST_PHOTONS, refinement=name)
+    return pr.irradiance_field(photons, method="standard", scene=scene, gather=gather)
 
 
 def _cell(errors: Errors) -> str:

@@ -1,6 +1,7 @@
 """Images made in passes: what they show, and that stopping and resuming leaves no trace."""
 
 import gc
+import json
 import multiprocessing
 import os
 import signal
@@ -329,6 +330,18 @@ def test_another_run_is_not_resumed(ring, change, message, tmp_path):
     with pytest.raises(ValueError, match=message):
         pr.render_progressive(ring, **{"n_passes": 3, "checkpoints": state, **FEW, **change})
     assert (tmp_path / "run.npz").read_bytes() == before
+
+
+def test_statistics_of_points_are_not_resumed(ring, tmp_path):
+    """Those that fixed hit points had before they were means over footprints."""
+    state = pr.Checkpoints(state=tmp_path / "run.npz")
+    pr.render_progressive(ring, n_passes=1, checkpoints=state, **FEW)
+    arrays = dict(np.load(state.state))
+    identity = json.loads(str(arrays.pop("identity")))
+    del identity["estimates"]
+    np.savez(state.state, identity=json.dumps(identity), **arrays)
+    with pytest.raises(ValueError, match="its estimates is None, not over footprints"):
+        pr.render_progressive(ring, n_passes=2, checkpoints=state, **FEW)
 
 
 def test_another_scene_is_not_resumed(ring, tmp_path):

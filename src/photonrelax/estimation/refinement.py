@@ -32,6 +32,9 @@ flux. (Exactly it has K - 2 and L - 2, for the variance of E_K is E² / (K - 2);
 as two.) After noise the search continues among more photons, after bias among fewer. z is 2.576,
 which one deviation in a hundred exceeds; Schregle draws a random number against the probability.
 
+Over a footprint K is that of its point, and the radius that of the rule of
+`photonrelax.estimation.footprint` with K photons.
+
 docs/measurements/refinements.md has the numbers of photons and the errors measured in uniform light
 and at an edge.
 """

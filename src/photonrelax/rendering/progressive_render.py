@@ -98,9 +98,10 @@ def render_progressive(
     settings : ProgressiveSettings, optional
         Initial radius and radius reduction.
     supersampling, stochastic, max_depth : int, bool, int
-        s·s samples a pixel. Jitter them in their pixel in every pass: memory is then proportional
-        to the number of pixels, edges become smooth, and one sample a pixel suffices. Maximum
-        number of specular surfaces on a camera path.
+        s·s samples a pixel, whose estimates are means over their footprints. Jitter samples in
+        their pixel in every pass instead: memory is then proportional to the number of pixels,
+        edges become smooth, and one sample a pixel suffices. Maximum number of specular surfaces on
+        a camera path.
     checkpoints : Checkpoints, optional
         File to save the run to and to resume from; use of the image so far.
     n_threads, progress : int, callable, optional
@@ -307,12 +308,16 @@ class _Run:
     def identity(self) -> dict[str, Any]:
         """Parameters that a run must share to be resumed."""
         scene = self._view.scene
-        return {
+        identity = {
             "version": __version__,
             "scene": scene.name,
             **scene_digests(scene),
             **self._settings.to_dict(),
         }
+        if not self._settings.stochastic:
+            # Runs saved before had statistics of points.
+            identity["estimates"] = "over footprints"
+        return identity
 
     def advance(self) -> None:
         """Do the next pass."""
