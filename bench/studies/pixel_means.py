@@ -14,7 +14,7 @@ import photonrelax as pr
 from bench.arguments import numbers
 from bench.markdown import markdown_table
 from photonrelax import gallery
-from photonrelax.estimation.methods import METHODS, Settings
+from photonrelax.estimation.methods import METHODS
 from photonrelax.estimation.refinement import REFINEMENTS as ALL_REFINEMENTS
 from photonrelax.rendering.view import Band, View, resized
 from photonrelax.transport.raycast import RayCaster
@@ -33,8 +33,8 @@ _REFERENCE_SAMPLES, _SAMPLES = 64, 2
 
 @dataclass(frozen=True)
 class Study:
-    """Scenes, numbers of photons emitted, methods or refinements of the standard one; texels and
-    pixels of a side; photons in an estimate; passes of a reference.
+    """Scenes, numbers of photons emitted, methods and refinements of the standard one; texels and
+    pixels a side; k; passes.
     """
 
     scenes: tuple[str, ...] = SCENES
@@ -209,10 +209,10 @@ def rows(study: Study) -> Iterator[list[str]]:
         yield [name, "reference", "", "", of_texels, "", of_pixels]
         for n in study.photons:
             photons = pr.trace_photons(
-                scene, n, caster=caster, frequency_share=frequency_share(study)
+                scene, n, caster=caster, frequency_share=pr.FrequencySettings().share
             )
             for method in study.methods:
-                field = field_of(photons, method, scene, study.k)
+                field = field_of(study, photons, method, scene)
                 found = (
                     Errors.of(floor.points(field), texels),
                     Errors.of(floor.means(field), texels),
@@ -222,18 +222,13 @@ def rows(study: Study) -> Iterator[list[str]]:
                 yield [name, method, f"{n:,}", *map(_cell, found)]
 
 
-def frequency_share(study: Study) -> float:
-    """Share of the photons that carry spectra, if a method needs these."""
-    shares = [METHODS[m].frequency_share(Settings()) for m in study.methods if m in METHODS]
-    return max(shares, default=0.0)
-
-
-def field_of(photons: pr.PhotonMap, name: str, scene: pr.Scene, k: int) -> pr.Field:
+def field_of(study: Study, photons: pr.PhotonMap, name: str, scene: pr.Scene) -> pr.Field:
     """Field of a method, or of a refinement of the standard estimate."""
-    if name in REFINEMENTS:
-        gather = pr.GatherSettings(k=MOST_PHOTONS, refinement=name)
-        return pr.irradiance_field(photons, method="standard", scene=scene, gather=gather)
-    return pr.irradiance_field(photons, method=name, scene=scene, gather=pr.GatherSettings(k=k))
+    if name in METHODS:
+        gather = pr.GatherSettings(k=study.k)
+        return pr.irradiance_field(photons, method=name, scene=scene, gather=gather)
+    gather = pr.GatherSettings(k=MOST_PHOTONS, refinement=name)
+    return pr.irradiance_field(photons, method="standard", scene=scene, gather=gather)
 
 
 def _cell(errors: Errors) -> str:
