@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._ext.scene.camera import film_points
 from .._util.frozen import frozen, set_field
 from .._util.validation import MAX_REPEATS, Floats, count, float_array, positive, unit_vectors
 
@@ -119,7 +120,7 @@ def pixel_rays(
     x = ((2 * (column + (j + offset[0]) / s) - camera.width) / camera.height).ravel()
     y = (1 - 2 * (row + (i + offset[1]) / s) / camera.height).ravel()
     pixel = (row * camera.width + column).astype(np.int64).ravel()
-    return *_film_rays(camera, x[:, None], y[:, None]), pixel
+    return *_film_rays(camera, x, y), pixel
 
 
 def sample_changes(camera: Camera, supersampling: int) -> tuple[Floats, Floats]:
@@ -138,17 +139,17 @@ def film_corners(camera: Camera) -> Floats:
     """Origins (4, 3) of the rays at the corners of the image."""
     x, y = np.meshgrid([-1.0, 1.0], [-1.0, 1.0])
     x *= camera.width / camera.height
-    return _film_rays(camera, x.reshape(-1, 1), y.reshape(-1, 1))[0]
+    return _film_rays(camera, x.ravel(), y.ravel())[0]
 
 
 def _film_rays(camera: Camera, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Origins and unit directions of rays at film coordinates (m,), in half heights."""
     right, up, forward = camera.axes()
     origin = np.asarray(camera.origin)
     if camera.orthographic_height is not None:
         half = 0.5 * camera.orthographic_height
-        origins = origin + half * (x * right + y * up)
+        origins = film_points(x, y, centre=origin, right=right, up=up, half_height=half, unit=False)
         return origins, np.tile(forward, (len(x), 1))
     half = np.tan(np.radians(0.5 * camera.vertical_fov))
-    directions = forward + half * (x * right + y * up)
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = film_points(x, y, centre=forward, right=right, up=up, half_height=half, unit=True)
     return np.tile(origin, (len(x), 1)), directions
