@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 
 import photonrelax as pr
 from photonrelax.estimation.kernels import KERNELS
+from photonrelax.estimation.surface import Surface
 from tests.helpers import clipped_kernels
 from tests.helpers.footprint_rule import DEVIATION, profile
 from tests.helpers.photon_maps import flat_map, plane, uniform_map
@@ -415,3 +416,53 @@ def test_kernels_of_any_shape_are_divided_by_their_surface():
     share = np.array(inside) @ weight / weight.sum()
     ratio = bare(*plane(places)) / field(*plane(places))
     np.testing.assert_allclose(ratio, np.tile(share, (3, 1)).T, atol=0.005)
+
+
+# Seams and edges in any direction
+
+
+def turned(polygon):
+    """A polygon in a plane in no special direction."""
+    return polygon @ np.array([[0.6, 0.8], [-0.8, 0.6]]) + [0.1, 0.3]
+
+
+BESIDE = np.add(SQUARE, [1.0, 0.0])
+SEAMS = {
+    "whole": [SQUARE, BESIDE],
+    "with a T": [SQUARE, np.roll(np.append(BESIDE, [[1.0, 0.5]], axis=0), -1, axis=0)],
+}
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("seam", SEAMS.values(), ids=SEAMS)
+def test_seams_have_no_edge_wherever_points_are(seam, kernel):
+    """On the seam, beside it on regular grids, at its ends, and beside the vertex of a T."""
+    y = np.linspace(0.2, 0.8, 31)
+    points = np.concatenate([along(x, y, 31) for x in (0.8, 0.9, 0.95, 0.999, 1.0, 1.0 + 1e-9)])
+    scene = scene_of(*(flat(turned(part)) for part in seam))
+    where = plane(turned(points))
+    field = Surface(scene, 1)
+    radius = np.full(len(points), 0.1)
+    shares = field.shares(*where, radius, KERNELS[kernel])
+    np.testing.assert_allclose(shares, 1.0, atol=1e-5)
+    ends = plane(turned(np.array([[1.0, 0.0], [1.0, 1.0], [0.5, 0.0], [1.0 + 1e-12, 0.0]])))
+    np.testing.assert_allclose(
+        field.shares(*ends, np.full(4, 0.1), KERNELS[kernel]), 0.5, atol=1e-3
+    )
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-12, 1e-8, 3e-8])
+def test_points_just_off_an_edge_are_on_it(off):
+    """As positions are that were rounded to float32."""
+    points = turned(along(np.linspace(0.2, 0.8, 31), -off, 31))
+    shares = Surface(scene_of(flat(turned(SQUARE))), 1).shares(
+        *plane(points), np.full(31, 0.02), KERNELS["epanechnikov"]
+    )
+    np.testing.assert_allclose(shares, 0.5, atol=1e-3)
+
+
+def test_estimates_are_divided_by_no_less_than_a_sixteenth():
+    """Where next to nothing of a kernel is on surface."""
+    where = plane(np.array([[-0.0999, 0.5], [-0.2, 0.5]]))
+    shares = Surface(scene_of(flat(SQUARE)), 1).shares(*where, np.full(2, 0.1), KERNELS["constant"])
+    np.testing.assert_array_equal(shares, [1 / 16, 1.0])

@@ -258,6 +258,7 @@ class TreeValues:
         self._rows = rows
         self._values = values
         self._n_threads = n_threads
+        self._gathers: dict[int, RadiusGather] = {}
 
     @cached_property
     def node_sums(self) -> Floats:
@@ -267,14 +268,15 @@ class TreeValues:
 
     def within(self, queries: Floats, radius: Floats, kernel: int) -> Floats:
         """Densities (r, c), of a kernel and radii (r,) at queries (r, axes)."""
-        gather = RadiusGather(
-            *(self._tree.kernel, self._values, self._rows, kernel),
-            normal_range=normal_range(self._tree),
-            n_threads=self._n_threads,
-        )
+        if kernel not in self._gathers:
+            self._gathers[kernel] = RadiusGather(
+                *(self._tree.kernel, self._values, self._rows, kernel),
+                normal_range=normal_range(self._tree),
+                n_threads=self._n_threads,
+            )
         out = np.empty((len(queries), self._values.shape[1]))
         counts = np.empty(len(queries), dtype=np.int64)
-        gather.sums(
+        self._gathers[kernel].sums(
             *(queries, np.arange(len(queries)), radius),
             out=out,
             counts=counts,

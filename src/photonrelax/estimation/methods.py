@@ -25,7 +25,7 @@ from .frequency import FrequencyField, FrequencySettings
 from .nearest import GatherSettings, IrradianceField
 from .progressive import ProgressiveSettings
 from .split_passes import ProgressiveField
-from .surface import Surface
+from .surface import Surface, lit_objects
 
 DEFAULT_METHOD = "parameterised"
 PLAIN_METHOD = "standard"
@@ -329,5 +329,6 @@ def prepare(name: str, inputs: MethodInput) -> PhotonField:
     """Do the preparation of the method of a name; raises ValueError if there is none."""
     field = method_named(name).prepare(inputs)
     if inputs.scene is not None:
-        field.surface = Surface(inputs.scene, thread_count(inputs.n_threads))
+        lit = lit_objects(inputs.scene, inputs.photons)
+        field.surface = Surface(inputs.scene, thread_count(inputs.n_threads), lit)
     return field

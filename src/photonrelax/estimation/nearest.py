@@ -19,7 +19,7 @@ from ..photons.axes import normal_range
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
 from ..relaxation.structure import Structure
-from .field import Densities, Points, TreeField
+from .field import Densities, Points, Rows, TreeField
 from .footprint import BIAS_DECAY, kernel_integrals, number_within
 from .kernels import (
     JUST_SHORT,
@@ -223,12 +223,9 @@ class IrradianceField(TreeField):
         self, out: Floats, values: Densities, points: Points, surface: Surface
     ) -> None:
         """Write the densities at those points of a chunk whose kernels may hang over an edge."""
-        normals = validation.unit_vectors(
-            points.normals[points.rows], "normals", (len(points.rows), 3), self._n_threads
-        )
         place = np.ascontiguousarray(points.queries[points.rows, :3])
-        near, largest = surface.near_edges(place, normals, self._largest_reach)
-        rows = points.rows[near]
+        near = surface.near_edges(place, self._largest_reach)
+        rows, place = points.rows[near], place[near]
         if not len(rows):
             return
         if self.settings.refinement != "none":
@@ -236,26 +233,39 @@ class IrradianceField(TreeField):
             sides = np.zeros(len(points.queries))
             self._fill_refined(out, values, points._replace(rows=rows), sides)
             return
-        radius, is_kth = self._radii(points.part, points.queries[rows], largest)
+        normals = validation.unit_vectors(
+            points.normals[rows], "normals", place.shape, self._n_threads
+        )
+        radius, is_kth = self._radii(points, rows, (place, normals), surface)
         kernel = KERNELS[self.settings.kernel]
         densities = values.laid_out(points.part).within(points.queries[rows], radius, kernel)
-        shares = surface.shares(place[near], normals[near], radius, kernel)
+        shares = surface.shares(place, normals, radius, kernel)
         densities /= (shares * np.where(is_kth, self._uniform_mean, 1.0))[:, np.newaxis]
+        # Of an infinite disc with fewer photons the density is zero.
+        densities[~is_kth & np.isinf(self.reach)] = 0.0
         out[rows] = densities
 
     def _radii(
-        self, part: int, queries: Floats, largest: Floats
+        self, points: Points, rows: Rows, places: tuple[Floats, Floats], surface: Surface
     ) -> tuple[Floats, NDArray[np.bool_]]:
-        """Radii (r,) of queries, and whether they are those of the k-th photon."""
-        distance = kth_distance(
-            *(self._trees.tree(part)[0], queries, np.arange(len(queries)), self.settings.k),
-            radius=largest.max(),
-            n_threads=self._n_threads,
-        )
-        is_kth = (distance > 0.0) & (distance <= largest) & np.isfinite(distance)
-        # Of an infinite disc with fewer photons the density is zero.
-        limit = np.minimum(largest, validation.RADII[1])
-        return np.where(is_kth, JUST_SHORT * distance, limit), is_kth
+        """Radii (r,) at rows of points, and whether they are those of the k-th photon.
+
+        They are 1 m where they are not limited and there are fewer photons. `places` are positions
+        and unit normals of the rows.
+        """
+        tree, k, threads = self._trees.tree(points.part)[0], self.settings.k, self._n_threads
+        radius = kth_distance(tree, points.queries, rows, k, radius=self.reach, n_threads=threads)
+        is_kth = (radius > 0.0) & np.isfinite(radius)
+        rest = np.flatnonzero(~is_kth)
+        if len(rest) and np.isfinite(self.reach):
+            largest = surface.largest_radii(places[0][rest], places[1][rest], self.reach)
+            further = kth_distance(
+                tree, points.queries, rows[rest], k, radius=largest.max(), n_threads=threads
+            )
+            is_kth[rest] = (further > 0.0) & (further <= largest)
+            radius[rest] = np.where(is_kth[rest], further, largest)
+        radius = np.where(is_kth, JUST_SHORT * radius, radius)
+        return np.where(np.isfinite(radius) & (radius > 0.0), radius, 1.0), is_kth
 
     @property
     def reach(self) -> float:

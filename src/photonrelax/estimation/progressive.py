@@ -20,6 +20,7 @@ as at points, while the estimates converge to the mean over the footprint.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -409,9 +410,16 @@ class InitialRadius:
         return automatic_gather_radius(tree, self._settings.k, n_threads=self._n_threads)
 
     def __call__(
-        self, positions: Floats, normals: Floats, footprint: Floats | None = None
+        self,
+        positions: Floats,
+        normals: Floats,
+        footprint: Floats | None = None,
+        edges: Any = None,
     ) -> Floats:
-        """Radii (m,), m, at positions (m, 3) on surfaces with the given normals, or footprints."""
+        """Radii (m,), m, at positions (m, 3) on surfaces with the given normals, or footprints.
+
+        `edges` are those of the surface, as of `Field.edges`.
+        """
         radius = np.full(len(positions), self.largest)
         if self._settings.radius is not None:
             return radius
@@ -423,7 +431,12 @@ class InitialRadius:
                 )
             else:
                 footprints = Footprints(queries, normals, footprint, rows)
-                distance = rule_radii(tree, footprints, k, largest=self.largest, n_threads=threads)
+                distance = rule_radii(
+                    *(tree, footprints, k),
+                    largest=self.largest,
+                    edges=edges,
+                    n_threads=threads,
+                )
             radius[rows] = np.where(distance < np.inf, distance, self.largest)
         np.multiply(radius, JUST_SHORT, out=radius, where=radius < self.largest)
         return np.maximum(radius, _LEAST_RADIUS * self.largest)

@@ -110,7 +110,7 @@ class ProgressiveField(PhotonField):
     @property
     def reach(self) -> float:
         """Largest initial radius, m."""
-        return self._initial_radius.largest
+        return self._initial_radius.largest if len(self.photons) else np.inf
 
     def least_radius(
         self, points: Floats, normals: Floats, radius: Floats, footprint: Floats | None = None
@@ -128,7 +128,7 @@ class ProgressiveField(PhotonField):
         normal = validation.unit_vectors(normal, "normals", normal.shape, self._n_threads)
         footprint = None if points.footprint is None else points.footprint[points.rows]
         hits = HitPointStatistics(
-            self._initial_radius(position, normal, footprint),
+            self._initial_radius(position, normal, footprint, self.edges),
             values.n_channels,
             alpha=self.settings.alpha,
             n_threads=self._n_threads,

@@ -8,6 +8,7 @@ photons set follow from areas of surface; docs/methods/edges.md has the derivati
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterable
 from functools import cached_property
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -16,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._ext.estimation import surface_edges as _edges
-from .._util.validation import Floats
+from .._util.validation import RADII, Floats
+from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
 from ..spatial.box_tree import BoxTree
 from ..surfaces.boundaries import SurfaceBoundary
@@ -26,9 +28,8 @@ from ..surfaces.surface_proximity import SurfaceProximity
 # the disc of the gather radius.
 _SURFACE_WITHIN = 4.0
 
-Rows = NDArray[np.intp]
-# Edges of scenes in use, which do not change: fields of several methods share them.
-_EDGES: WeakKeyDictionary[Scene, Any] = WeakKeyDictionary()
+# Edges of scenes in use by the ids of the objects, which do not change: fields share them.
+_EDGES: WeakKeyDictionary[Scene, dict[frozenset[int], Any]] = WeakKeyDictionary()
 
 
 class Surface:
@@ -38,6 +39,8 @@ class Surface:
     ----------
     scene : Scene
     n_threads : int
+    among : iterable of int, optional
+        Ids of the objects whose edges count, by default all but sensors; see `lit_objects`.
 
     Attributes
     ----------
@@ -45,38 +48,44 @@ class Surface:
         Free edges, creases and contact lines as kernels read them; None if there are none.
     """
 
-    def __init__(self, scene: Scene, n_threads: int) -> None:
+    def __init__(self, scene: Scene, n_threads: int, among: Iterable[int] | None = None) -> None:
         self._scene = scene
         self._n_threads = n_threads
+        self._among = frozenset(_no_sensors(scene) if among is None else among)
 
     @property
     def edges(self) -> Any:
-        if self._scene not in _EDGES:
-            _EDGES[self._scene] = _edges_of(self._scene)
-        return _EDGES[self._scene]
+        known = _EDGES.setdefault(self._scene, {})
+        if self._among not in known:
+            known[self._among] = _edges_of(self._scene, self._among, self._n_threads)
+        return known[self._among]
 
     @cached_property
     def _proximity(self) -> SurfaceProximity:
         return SurfaceProximity(self._scene.objects)
 
-    def near_edges(self, points: Floats, normals: Floats, radius: float) -> tuple[Rows, Floats]:
-        """Rows (r,) of points that kernels may hang over an edge at, and their largest radii, m.
-
-        That is the radius of the disc with as much surface as one of the given radius has that
-        lies on surface as a whole.
-        """
+    def near_edges(self, points: Floats, radius: float) -> NDArray[np.bool_]:
+        """Mask (m,) of the points with an edge within reach of kernels up to a radius."""
         if self.edges is None:
-            return np.empty(0, dtype=np.intp), np.empty(0)
+            return np.zeros(len(points), dtype=bool)
+        reach = min(_SURFACE_WITHIN * radius, RADII[1])
+        near: NDArray[np.bool_] = _edges.near_edges(self.edges, points, reach, self._n_threads)
+        return near
+
+    def largest_radii(self, points: Floats, normals: Floats, radius: float) -> Floats:
+        """Radii (m,), m, of the discs with as much surface as one without edges has.
+
+        The radius itself if it is infinite.
+        """
         if not np.isfinite(radius):
-            return np.arange(len(points)), np.full(len(points), radius)
-        largest = _edges.largest_radii(
+            return np.full(len(points), radius)
+        radii: Floats = _edges.largest_radii(
             *(self.edges, points, normals),
             radius=radius,
             most=_SURFACE_WITHIN,
             n_threads=self._n_threads,
         )
-        rows = np.flatnonzero(largest != radius)
-        return rows, largest[rows]
+        return radii
 
     def shares(self, points: Floats, normals: Floats, radius: Floats, kernel: int) -> Floats:
         """Parts (m,) that are on surface of the kernels of given radii (m,) at points."""
@@ -95,7 +104,9 @@ class Surface:
         dark = np.flatnonzero(~densities.any(axis=1))
         if not len(dark):
             return
-        near = self._proximity.within(points[dark], normals[dark], radius[dark])
+        near = self._proximity.within(
+            points[dark], normals[dark], radius[dark], n_threads=self._n_threads
+        )
         absent = dark[~near]
         if len(absent):
             densities[absent] = np.nan
@@ -107,11 +118,24 @@ class Surface:
             )
 
 
-def _edges_of(scene: Scene) -> Any:
+def lit_objects(scene: Scene, photons: PhotonMap) -> list[int]:
+    """Ids of the objects that photons may be on: sensors if any are, others if any others are."""
+    on_sensor = photons.on_sensor
+    if photons.object_id is None or not on_sensor.any():
+        return _no_sensors(scene)
+    sensors = np.unique(photons.object_id[on_sensor]).tolist()
+    return sensors if on_sensor.all() else [*_no_sensors(scene), *sensors]
+
+
+def _no_sensors(scene: Scene) -> list[int]:
+    return [i for i in range(len(scene.objects)) if i not in scene.sensors]
+
+
+def _edges_of(scene: Scene, among: frozenset[int], n_threads: int) -> Any:
     """Edges of a scene's surfaces as kernels read them, None if there are none."""
-    boundary = SurfaceBoundary.of(scene.objects)
+    boundary = SurfaceBoundary.of(scene.objects, among)
     ends = boundary.segments
     if not len(ends):
         return None
-    tree = BoxTree(ends.min(axis=1), ends.max(axis=1))
+    tree = BoxTree(ends.min(axis=1), ends.max(axis=1), n_threads=n_threads)
     return _edges.SurfaceEdges(tree.kernel, ends, boundary.normals, boundary.one_sided)

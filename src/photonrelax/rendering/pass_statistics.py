@@ -158,7 +158,8 @@ class FixedHitPoints:
         if statistics is None:
             if gathered.is_empty:
                 return state
-            radius = gathered.initial_radius()(*self._points, self._footprint)
+            edges = self._view.surface.edges
+            radius = gathered.initial_radius()(*self._points, self._footprint, edges)
             statistics = self._settings.statistics(radius, number, self._view.n_threads)
         statistics = statistics.copy()
         found = gathered.within(self._points, statistics.radius, self._order, self._footprint)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,10 +57,21 @@ class SurfaceBoundary:
     one_sided: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, objects: Sequence[SceneObject]) -> SurfaceBoundary:
-        """Boundary of the diffuse objects and sensors among the objects of a scene."""
-        items = [item for item in objects if not item.material.has_inside]
-        stores = [i for i, item in enumerate(items) if not item.material.is_specular]
+    def of(
+        cls, objects: Sequence[SceneObject], among: Container[int] | None = None
+    ) -> SurfaceBoundary:
+        """Boundary of the diffuse objects and sensors among the objects of a scene.
+
+        With `among` only of those whose numbers are in it; the others cover parts of them all the
+        same.
+        """
+        numbers = [i for i, item in enumerate(objects) if not item.material.has_inside]
+        items = [objects[i] for i in numbers]
+        stores = [
+            i
+            for i, item in enumerate(items)
+            if not item.material.is_specular and (among is None or numbers[i] in among)
+        ]
         if not stores:
             return cls(*NO_SEGMENTS, np.empty(0, dtype=bool))
         scene = _Surfaces(items, stores)

@@ -278,6 +278,8 @@ def densities(
         and values.shape[0] == photons.columns.shape[0] and fit(photons, points, 4)
     ):
         raise ValueError("photons, values, points and densities do not fit one another")
+    if points.surface is not None and points.surface.n_threads < n_threads:
+        raise ValueError("the edges were opened for fewer threads")
     cdef Watch watch = open_watch()
     for i in prange(
         points.rows.shape[0], nogil=True, schedule="dynamic", chunksize=GRAIN,

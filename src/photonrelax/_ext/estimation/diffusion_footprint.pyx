@@ -15,7 +15,7 @@ from ..spatial.radius cimport visit_radius
 from ..spatial.simd.kernels cimport BLOCK, GAUSSIAN_DEVIATION, SlantedWeights, lowest_bit
 from ..spatial.tree cimport Tree
 from .diffusion cimport KernelShape, Tensor, find_near, measure, shape
-from .footprint cimport NARROW, kernel_integral, set_series
+from .footprint cimport NARROW, STENCIL, kernel_integral, set_series
 from .rectangle cimport Footprint, fit_rectangle, open_rectangle
 from .surface_edges cimport NearEdges, share_on_surface, transform
 from .tangent_plane cimport EvaluationPoints, TangentPhotons, fit, project
@@ -59,6 +59,8 @@ cdef class FootprintKernels:
         self.rules = quadrature_rules()
         if footprint.shape[1:] not in ((), (2, 3)):
             raise ValueError("footprints should be edge vectors or sides")
+        if not self.integrals.shape[0] == self.integrals.shape[1] > STENCIL:
+            raise ValueError("integrals should be a square table")
 
 
 def quadrature_rules():
@@ -107,6 +109,8 @@ def densities(
         and values.shape[0] == photons.columns.shape[0] and fit(photons, points, 4)
     ):
         raise ValueError("photons, values, footprints and densities do not fit one another")
+    if points.surface is not None and points.surface.n_threads < n_threads:
+        raise ValueError("the edges were opened for fewer threads")
     cdef Watch watch = open_watch()
     for i in prange(
         points.rows.shape[0], nogil=True, schedule="dynamic", chunksize=GRAIN,

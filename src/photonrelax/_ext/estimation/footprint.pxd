@@ -2,6 +2,10 @@
 
 from .rectangle cimport Footprint
 
+cdef enum:
+    # Points of the polynomials that interpolate the table of integrals.
+    STENCIL = 6
+
 # Length of a side, in deviations, below which its profile is a series.
 cdef double NARROW
 

@@ -27,8 +27,6 @@ DEVIATION = GAUSSIAN_DEVIATION
 cdef enum:
     # Queries that a thread takes at a time; each starts its search from the radius of the last.
     GRAIN = 64
-    # Points of the polynomials that interpolate the table of integrals.
-    STENCIL = 6
 
 NARROW = 0.25
 # Half the thickness of the slab of photons that are on a footprint, over half its diagonal: the
@@ -177,7 +175,7 @@ def write_radii(
     if work.radius.shape[0] != work.queries.shape[0]:
         raise ValueError("radii and queries do not fit one another")
     if tree.n_points == 0:
-        work.radius[...] = radius
+        np.asarray(work.radius)[np.asarray(work.rows)] = radius
     work.number = np.broadcast_to(number, len(queries))
     work.squared_gather_radius = radius * radius
     do_all(work, n_threads)
@@ -207,7 +205,7 @@ cdef set_values(FootprintGather work, values, sums, integrals, out):
     if not values_fit(work):
         raise ValueError("queries, densities and photon values do not fit one another")
     if work.tree.n_points == 0:
-        work.out[...] = 0.0
+        np.asarray(work.out)[np.asarray(work.rows)] = 0.0
 
 
 cdef bint footprints_fit(FootprintGather work):

@@ -38,6 +38,7 @@ cdef class SurfaceEdges:
 
 cdef class EdgeSearch:
     cdef SurfaceEdges edges
+    cdef readonly int n_threads
     # Rows per thread.
     cdef int32_t[:, ::1] found
     cdef double[:, ::1] ends

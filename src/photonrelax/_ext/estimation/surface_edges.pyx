@@ -31,8 +31,17 @@ cdef double PANEL = 1.5
 cdef double DEEP = 6.3
 # Length of a side, in deviations, below which its profile is a series.
 cdef double NARROW = 0.25
-# Distance from an edge, in radii, up to which a point is on it.
-cdef double ON_EDGE = 1e-7
+# Distance from an edge up to which a point is on it: in radii, in coordinates, for positions that
+# were rounded to float32, and in radii at most.
+cdef double ON_EDGE = 1e-6
+cdef double ROUNDED = 1.2e-7
+cdef double AT_MOST = 1e-3
+# Length of the sum of unit normals of edges below which they run against one another.
+cdef double NO_DIRECTION = 0.1
+# Part along edges of the step that points on them are moved by: where edges meet it is along none.
+cdef double SLANT = 0.05
+# Least part of a kernel on surface that estimates are divided by.
+cdef double LEAST_SHARE = 1.0 / 16.0
 # Height of an edge over a footprint's plane, in distances from the footprint's middle, up to which
 # it is one of the same surface.
 cdef double SLOPE = 0.5
@@ -87,6 +96,7 @@ cdef class EdgeSearch:
     def __init__(self, SurfaceEdges edges, int n_threads):
         cdef Py_ssize_t room = max(edges.tree.n_boxes, 1)
         self.edges = edges
+        self.n_threads = n_threads
         self.found = np.empty((n_threads, room), dtype=np.int32)
         self.ends = np.empty((n_threads, 4 * room))
 
@@ -101,9 +111,11 @@ cdef class EdgeSearch:
 # Edges near a footprint
 
 cdef struct Nearest:
-    # Distance of the nearest edges; sums over them of their normals into the surface and of the
-    # distances from the middle to their lines, negative on the other side.
+    # Distance of the nearest edges; the normal into the surface of one of them, and the sums of all
+    # normals and of the distances from the middle to their lines, negative on the other side. An
+    # edge whose end is nearest counts half, as there are two of them.
     double distance
+    double[2] normal_of_one
     double[2] normal
     double height
 
@@ -115,13 +127,12 @@ cdef void find_edges(
     cdef double reach = radius + sqrt(
         rectangle.half[0] * rectangle.half[0] + rectangle.half[1] * rectangle.half[1]
     )
-    cdef double on_edge = ON_EDGE * radius
+    cdef double on_edge = fmin(ON_EDGE * radius + ROUNDED * size_of(rectangle.at), AT_MOST * radius)
     cdef Py_ssize_t n = boxes_within(
         edges.tree, rectangle.at, reach, found, edges.segments.shape[0]
     )
     cdef Nearest nearest
     cdef Py_ssize_t i
-    cdef double length
     near.n = 0
     near.inside = True
     nearest.distance = reach
@@ -133,11 +144,9 @@ cdef void find_edges(
     for i in range(near.n):
         compare_edge(&near.ends[4 * i], on_edge, &nearest)
     near.inside = nearest.height >= -on_edge
-    length = sqrt(nearest.normal[0] * nearest.normal[0] + nearest.normal[1] * nearest.normal[1])
-    if nearest.distance <= on_edge and length > NARROW:
-        # A point on the edge is moved off it, onto the surface.
+    if nearest.distance <= on_edge:
         near.inside = True
-        shift_edges(near, nearest.normal, -2.0 * on_edge / length)
+        leave_edge(near, &nearest, 2.0 * on_edge)
 
 
 cdef void add_edge(
@@ -185,19 +194,39 @@ cdef inline double distance_of(const double* ends, double* along) noexcept nogil
 cdef void compare_edge(const double* ends, double on_edge, Nearest* nearest) noexcept nogil:
     """Add an edge to the sums over the nearest ones, if it is one of them."""
     cdef double along, dx = ends[2] - ends[0], dy = ends[3] - ends[1]
-    cdef double length = sqrt(dx * dx + dy * dy)
-    if length == 0.0 or distance_of(ends, &along) > nearest.distance + on_edge:
+    cdef double length = sqrt(dx * dx + dy * dy), weight, end
+    cdef double limit = nearest.distance + on_edge
+    if length == 0.0 or distance_of(ends, &along) > limit:
         return
-    nearest.normal[0] -= dy / length
-    nearest.normal[1] += dx / length
-    nearest.height += (dy * ends[0] - dx * ends[1]) / length
+    end = fmin(
+        ends[0] * ends[0] + ends[1] * ends[1], ends[2] * ends[2] + ends[3] * ends[3]
+    )
+    weight = 0.5 if end <= limit * limit else 1.0
+    nearest.normal_of_one[0] = -dy / length
+    nearest.normal_of_one[1] = dx / length
+    nearest.normal[0] += weight * nearest.normal_of_one[0]
+    nearest.normal[1] += weight * nearest.normal_of_one[1]
+    nearest.height += weight * (dy * ends[0] - dx * ends[1]) / length
 
 
-cdef void shift_edges(NearEdges* near, const double* direction, double length) noexcept nogil:
+cdef void leave_edge(NearEdges* near, const Nearest* nearest, double step) noexcept nogil:
+    """Move the middle off the edges that it is on, onto the surface."""
+    cdef double x = nearest.normal[0], y = nearest.normal[1]
+    cdef double length = sqrt(x * x + y * y)
     cdef Py_ssize_t i
-    for i in range(2 * near.n):
-        near.ends[2 * i] += length * direction[0]
-        near.ends[2 * i + 1] += length * direction[1]
+    if length < NO_DIRECTION:
+        # On a seam: either side is surface.
+        x, y = nearest.normal_of_one[0], nearest.normal_of_one[1]
+        length = 1.0
+    for i in range(near.n):
+        near.ends[4 * i] -= step * (x - SLANT * y) / length
+        near.ends[4 * i + 1] -= step * (y + SLANT * x) / length
+        near.ends[4 * i + 2] -= step * (x - SLANT * y) / length
+        near.ends[4 * i + 3] -= step * (y + SLANT * x) / length
+
+
+cdef inline double size_of(const double* at) noexcept nogil:
+    return fmax(fabs(at[0]), fmax(fabs(at[1]), fabs(at[2])))
 
 
 cdef void transform(NearEdges* near, const double* matrix) noexcept nogil:
@@ -234,14 +263,12 @@ cdef double area_on_surface(
 cdef double share_on_surface(
     const NearEdges* near, const double* sides, double radius
 ) noexcept nogil:
-    """Part of a footprint's kernel that lies on surface; one where none of it does."""
+    """Part of a footprint's kernel that lies on surface, or the least that counts."""
     cdef Kernel kernel
-    cdef double share
     if near.n == 0:
         return 1.0
     set_kernel(&kernel, sides, radius, GAUSSIAN_DEVIATION * radius)
-    share = integral(&kernel, near) / (2.0 * mass_beyond(&kernel, 0.0))
-    return share if share > 0.0 else 1.0
+    return fmax(integral(&kernel, near) / (2.0 * mass_beyond(&kernel, 0.0)), LEAST_SHARE)
 
 
 cdef double squared_of_disc(const NearEdges* near, double radius, double most) noexcept nogil:
@@ -586,6 +613,26 @@ def largest_radii(
     return np.asarray(out)
 
 
+def near_edges(
+    SurfaceEdges edges, const double[:, ::1] points, double radius, int n_threads
+):
+    """Mask (m,) of the points (m, 3) that the box of an edge is within a radius of."""
+    cdef Py_ssize_t n = points.shape[0], i
+    if points.shape[1] != 3:
+        raise ValueError("points should have three coordinates")
+    found = np.empty(n, dtype=bool)
+    cdef unsigned char[::1] out = found.view(np.uint8)
+    cdef Watch watch = open_watch()
+    for i in prange(
+        n, nogil=True, schedule="dynamic", chunksize=GRAIN,
+        num_threads=team_size(n_threads, n, GRAIN)
+    ):
+        if goes_on(&watch, threadid() == 0):
+            out[i] = boxes_within(edges.tree, &points[i, 0], radius, NULL, 0) > 0
+    close_watch(&watch)
+    return found
+
+
 cdef double largest_at_point(
     PointsNearEdges work, Py_ssize_t i, double radius, double most, int thread
 ) noexcept nogil:
@@ -603,7 +650,7 @@ cdef double share_at_point(
 
 
 cdef double share_of_radial(const NearEdges* near, double radius, int kernel) noexcept nogil:
-    """Part of a kernel at a point that lies on surface; one where none of it does."""
+    """Part of a kernel at a point that lies on surface, or the least that counts."""
     cdef double[2] sides = [0.0, 0.0]
     cdef double share = 1.0 if near.inside else 0.0
     cdef Py_ssize_t i
@@ -611,7 +658,7 @@ cdef double share_of_radial(const NearEdges* near, double radius, int kernel) no
         return share_on_surface(near, sides, radius)
     for i in range(near.n):
         share -= radial_flow(&near.ends[4 * i], radius, kernel)
-    return share if share > 0.0 else 1.0
+    return fmax(share, LEAST_SHARE)
 
 
 cdef double radial_flow(const double* ends, double radius, int kernel) noexcept nogil:
