@@ -93,7 +93,6 @@ def test_flux_within_circles_is_that_of_the_photons_there(field, tmp_path, capsy
         (["--on", "wall"], "should have the name or number 'wall', but none has: objects[0]"),
         (["--on", "7"], "number '7'"),
         (["--on", "ring"], "should be flat for an irradiance map"),
-        (["--method", "diffusion"], "estimates at points only"),
         (["--plot", "map.exr"], "should be named *.png"),
         (["--plot", "map.png"], "--plot and the preview"),
     ],

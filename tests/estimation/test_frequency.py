@@ -144,6 +144,13 @@ def test_threads_change_no_bit(interior):
     points, normals = interior
     one, many = (irradiance(photons, (points[:3000], normals[:3000]), n_threads=n) for n in (1, 3))
     assert one.tobytes() == many.tobytes()
+    one, many = (
+        pr.irradiance_field(photons, method="frequency", progressive=PASSES, n_threads=n)(
+            points[:3000], normals[:3000], footprint=np.linspace(0.0, 0.1, 3000)
+        )
+        for n in (1, 3)
+    )
+    assert one.tobytes() == many.tobytes()
 
 
 PEAKS = 4
