@@ -27,7 +27,8 @@ cdef enum:
     FEW_NODES = 3
     MANY_NODES = 8
 
-# Length of a side, in deviations, for each node more; means are then within 3e-5.
+# Length of a side, in deviations, for each node more; weights are then within 5e-5 of
+# the largest.
 cdef double SIDE_PER_NODE = 0.95
 
 
@@ -222,8 +223,8 @@ cdef inline void set_weights(Mean* mean, FootprintKernels kernels) noexcept nogi
 cdef double whole(const Mean* mean, const double[:, ::1] integrals) noexcept nogil:
     """Integral of a cut kernel over the plane.
 
-    Where D is the unit the footprint is a parallelogram. The integral is that of a rectangle of the
-    same area and moments, whose sides are the singular values of the edges.
+    In coordinates in which D is the unit the footprint is a parallelogram. The integral is that of
+    a rectangle of the same area and moments, whose sides are the singular values of the edges.
     """
     cdef Footprint footprint
     cdef double xx = 4.0 * mean.half[0] * mean.half[0] * mean.yy / mean.determinant
