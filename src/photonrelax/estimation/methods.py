@@ -101,9 +101,8 @@ def irradiance_field(
     PhotonField
         Called as ``field(points, normals)``, with (m, 3) arrays each, the points in m; returns
         irradiance (m, 3), W/m². With ``footprint=…``, edge vectors or sides of pixels, its means
-        over them. What photons carry beside their
-        flux, (n, c), has its densities (m, c) per m² by ``field.densities(values)(points,
-        normals)``.
+        over them. What photons carry beside their flux, (n, c), has its densities (m, c) per m² by
+        ``field.densities(values)(points, normals)``.
 
     Raises
     ------
