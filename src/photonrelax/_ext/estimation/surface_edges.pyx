@@ -385,6 +385,8 @@ cdef double mass_beyond(const Kernel* kernel, double x) noexcept nogil:
     cdef int panel, i
     if x >= kernel.half[0] + kernel.radius:
         return 0.0
+    if kernel.deviation == 0.0:
+        return 2.0 * area_of_columns(kernel, x, kernel.half[0] + kernel.radius)
     if x < kernel.half[0]:
         total = profile_integral(kernel, 0, kernel.half[0]) - profile_integral(kernel, 0, x)
         total *= profile_integral(kernel, 1, kernel.half[1] + kernel.radius)
@@ -401,6 +403,30 @@ cdef double mass_beyond(const Kernel* kernel, double x) noexcept nogil:
                 * profile_integral(kernel, 1, kernel.half[1] + kernel.radius * cosine)
             )
     return 2.0 * total
+
+
+cdef inline double area_of_columns(
+    const Kernel* kernel, double low, double high
+) noexcept nogil:
+    """Area of the upper halves of the columns of what is within the radius, from one x to another.
+
+    Both on one side of the middle or on the rectangle; negative if they are in falling order.
+    """
+    cdef double area = kernel.half[1] * (high - low)
+    cdef double flat = fmin(high, kernel.half[0]) - fmin(low, kernel.half[0])
+    area += kernel.radius * flat
+    return area + half_segment(kernel, high) - half_segment(kernel, low)
+
+
+cdef inline double half_segment(const Kernel* kernel, double x) noexcept nogil:
+    """Area of a quarter of the corner's disc up to x, none of it before the rectangle's end."""
+    cdef double beyond = fmin(fmax(x - kernel.half[0], 0.0), kernel.radius)
+    if beyond == 0.0:
+        return 0.0
+    return 0.5 * (
+        beyond * sqrt((kernel.radius - beyond) * (kernel.radius + beyond))
+        + kernel.radius * kernel.radius * asin(beyond / kernel.radius)
+    )
 
 
 cdef double column_integral(const Kernel* kernel, const double* ends) noexcept nogil:
@@ -498,8 +524,13 @@ cdef double panels_integral(
     cdef double dx = ends[2] - ends[0], dy = ends[3] - ends[1], total = 0.0
     cdef double low = ends[0] + first * dx, high = ends[0] + last * dx
     cdef double side = copysign(1.0, low + high), half, at, x, y, scale = 1.0
-    cdef Py_ssize_t n = n_panels(kernel, ends, first, last), i
+    cdef Py_ssize_t n, i
     cdef int node
+    if kernel.deviation == 0.0:
+        return side * area_of_columns(kernel, side * low, side * high) - (high - low) * fabs(
+            ends[1] + 0.5 * (first + last) * dy
+        )
+    n = n_panels(kernel, ends, first, last)
     if is_beside:
         low = asin(fmin(fmax(side * low - kernel.half[0], 0.0) / kernel.radius, 1.0))
         high = asin(fmin(fmax(side * high - kernel.half[0], 0.0) / kernel.radius, 1.0))
@@ -526,8 +557,6 @@ cdef inline Py_ssize_t n_panels(
     """Number of panels for a piece of an edge."""
     cdef double length = 0.0, middle = 0.5 * (first + last), at
     cdef int axis
-    if kernel.deviation == 0.0:
-        return 2
     for axis in range(2):
         at = fabs(ends[axis] + middle * (ends[2 + axis] - ends[axis]))
         if at > kernel.half[axis] - DEEP * kernel.deviation:
