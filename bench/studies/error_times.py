@@ -76,6 +76,7 @@ def _field(scene: pr.Scene, n: int, caster: RayCaster) -> pr.Field:
 def save_plot(found: list[Result], path: Path) -> None:
     """Plot both errors over seconds, a panel for each scene."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FormatStrFormatter, NullFormatter
 
     scenes = list(dict.fromkeys(result.scene for result in found))
     figure = Figure(figsize=(4.2 * len(scenes), 3.8), layout="constrained")
@@ -86,7 +87,10 @@ def save_plot(found: list[Result], path: Path) -> None:
             axes.plot(seconds, [r.errors.rms for r in line], "o-", c=colour, label=f"rms, {way}")
             axes.plot(seconds, [r.errors.l1 for r in line], "s--", c=colour, label=f"L1, {way}")
         axes.set(xscale="log", yscale="log", xlabel="s", ylabel="relative error", title=scene)
-        axes.grid(which="major", alpha=0.3)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter(FormatStrFormatter("%g"))
+            axis.set_minor_formatter(NullFormatter())
+        axes.grid(which="both", alpha=0.3)
         axes.legend(fontsize="small")
     figure.savefig(path, dpi=90)
 
