@@ -17,16 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._ext.estimation import surface_edges as _edges
-from .._util.validation import RADII, Floats
+from .._util.validation import Floats
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
 from ..spatial.box_tree import BoxTree
 from ..surfaces.boundaries import SurfaceBoundary
 from ..surfaces.surface_proximity import SurfaceProximity
-
-# Largest radius near edges, over the gather radius: within it a corner of 22.5° has the surface of
-# the disc of the gather radius.
-_SURFACE_WITHIN = 4.0
 
 # Edges of scenes in use by the ids of the objects, which do not change: fields share them.
 _EDGES: WeakKeyDictionary[Scene, dict[frozenset[int], Any]] = WeakKeyDictionary()
@@ -68,8 +64,7 @@ class Surface:
         """Mask (m,) of the points with an edge within reach of kernels up to a radius."""
         if self.edges is None:
             return np.zeros(len(points), dtype=bool)
-        reach = min(_SURFACE_WITHIN * radius, RADII[1])
-        near: NDArray[np.bool_] = _edges.near_edges(self.edges, points, reach, self._n_threads)
+        near: NDArray[np.bool_] = _edges.near_edges(self.edges, points, radius, self._n_threads)
         return near
 
     def largest_radii(self, points: Floats, normals: Floats, radius: float) -> Floats:
@@ -82,7 +77,6 @@ class Surface:
         radii: Floats = _edges.largest_radii(
             *(self.edges, points, normals),
             radius=radius,
-            most=_SURFACE_WITHIN,
             n_threads=self._n_threads,
         )
         return radii

@@ -32,7 +32,7 @@ def _margin(segments: Segments, resolution: Resolution) -> Floats:
 
 
 def _without(segments: Segments, spans: Spans, least_length: Floats) -> Spans:
-    """What spans leave of segments, without pieces that are shorter than `least_length` (n,)."""
+    """Rest of segments without spans, but for pieces shorter than `least_length` (n,)."""
     left = between(spans, len(segments.ends))
     a, b = np.moveaxis(segments.ends[left.row], 1, 0)
     length = (left.end - left.start) * np.linalg.norm(b - a, axis=1)

@@ -13,36 +13,23 @@ from ..scene.meshes import bounding_box, triangle_bounds
 from ..scene.welding import HalfEdges, Ids
 from ..scene.winding import generic_rotation, signed_crossings
 from ..spatial.box_tree import BoxTree
+from .triangles import Triangles
 
 # Faces looked at to tell whether all of an object is in another.
 _MAX_SAMPLES = 1024
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
-    """Closed surfaces and what they enclose.
+class Solid(Triangles):
+    """Closed surfaces, wound outwards, and what they enclose.
 
     Attributes
     ----------
-    corners, normals : (f, 3, 3), (f, 3)
-        Triangles, wound outwards, m, and their unit normals.
     beyond : (f, 3, 3)
         For each edge of a face the corner of the face beyond it that is not on the edge.
     """
 
-    corners: Floats
-    normals: Floats
     beyond: Floats
-
-    @cached_property
-    def bounds(self) -> tuple[Floats, Floats]:
-        """Least and greatest coordinates, (3,) both."""
-        return bounding_box(self.corners)
-
-    @cached_property
-    def tree(self) -> BoxTree:
-        """The bounding boxes of the faces."""
-        return BoxTree(*triangle_bounds(self.corners))
 
     @cached_property
     def _turned(self) -> tuple[Floats, Floats, BoxTree]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,37 +10,31 @@ from numpy.typing import NDArray
 from .._util.validation import Floats
 from ..photons.axes import MIN_NORMAL_COSINE
 from ..scene.meshes import (
-    bounding_box,
     face_normals,
     in_unit_cube,
     nondegenerate_faces,
-    triangle_bounds,
 )
 from ..scene.scene import SceneObject
 from ..scene.welding import HalfEdges, weld
 from ..scene.winding import closed_faces
-from ..spatial.box_tree import BoxTree
 from .segments import Segments
 from .solid import Solid, corners_beyond
+from .triangles import Triangles
 
 # Rounding error of the cosine between normals: the sides of a hexagonal prism, at 60°, continue.
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class Side(Triangles):
     """Faces as light sees them that arrives on the side of their normals.
 
     Attributes
     ----------
-    corners, normals : (f, 3, 3), (f, 3)
-        Triangles, m, wound anticlockwise as seen from the tips of their unit normals.
     ends : (f, 3) bool
         True for edges at which the surface ends or turns.
     """
 
-    corners: Floats
-    normals: Floats
     ends: NDArray[np.bool_]
 
     def back(self) -> Side:
@@ -52,16 +45,6 @@ class Side:
     def rows(self, which: NDArray) -> Side:
         """The faces of a mask."""
         return Side(self.corners[which], self.normals[which], self.ends[which])
-
-    @cached_property
-    def bounds(self) -> tuple[Floats, Floats]:
-        """Least and greatest coordinates, (3,) both."""
-        return bounding_box(self.corners)
-
-    @cached_property
-    def tree(self) -> BoxTree:
-        """The bounding boxes of the faces."""
-        return BoxTree(*triangle_bounds(self.corners))
 
     def edges(self) -> Segments:
         """The edges at which the surface ends or turns."""

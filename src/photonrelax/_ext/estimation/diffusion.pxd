@@ -1,6 +1,6 @@
 """Structure tensors around points, and the shapes of kernels that follow from them."""
 
-from .surface_edges cimport NearEdges
+from .surface_integrals cimport NearEdges
 from .tangent_plane cimport EvaluationPoints, Plane, TangentPhotons
 
 

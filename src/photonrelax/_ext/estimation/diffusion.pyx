@@ -13,7 +13,8 @@ from ..relaxation.structure cimport Components, decompose
 from ..spatial.radius cimport visit_radius
 from ..spatial.simd.kernels cimport BLOCK, EPANECHNIKOV_WEIGHTS, Rectangle, lowest_bit
 from ..spatial.tree cimport Tree
-from .surface_edges cimport NearEdges, share_of_radial, transform
+from .surface_edges cimport transform
+from .surface_integrals cimport NearEdges, share_of_radial
 from .tangent_plane cimport (
     EvaluationPoints, Plane, TangentPhotons, along, fit, open_plane, project,
 )

@@ -17,7 +17,8 @@ from ..spatial.tree cimport Tree
 from .diffusion cimport KernelShape, Tensor, find_near, measure, shape
 from .footprint cimport NARROW, STENCIL, kernel_integral, set_series
 from .rectangle cimport Footprint, fit_rectangle, open_rectangle
-from .surface_edges cimport NearEdges, share_on_surface, transform
+from .surface_edges cimport transform
+from .surface_integrals cimport NearEdges, share_on_surface
 from .tangent_plane cimport EvaluationPoints, TangentPhotons, fit, project
 
 cdef enum:

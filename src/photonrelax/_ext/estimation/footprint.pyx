@@ -20,7 +20,8 @@ from .footprint_photons cimport (
 )
 from .footprint_radius cimport find_squared_radius
 from .rectangle cimport Footprint, open_rectangle
-from .surface_edges cimport EdgeSearch, SurfaceEdges, share_on_surface
+from .surface_edges cimport EdgeSearch, SurfaceEdges
+from .surface_integrals cimport share_on_surface
 
 DEVIATION = GAUSSIAN_DEVIATION
 

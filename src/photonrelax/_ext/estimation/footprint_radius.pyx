@@ -8,7 +8,7 @@ from .footprint_photons cimport (
     BAND, Bracket, FootprintPhotons, Scratch, find_band, find_near, squared_reach,
 )
 from .rectangle cimport Footprint
-from .surface_edges cimport area_on_surface, squared_of_disc
+from .surface_integrals cimport SURFACE_WITHIN, area_on_surface, squared_of_disc
 
 cdef enum:
     # Steps of a search for a root, at most.
@@ -19,9 +19,6 @@ cdef double LOW = 0.78
 cdef double HIGH = 1.3
 # Squared radius that edges are first searched within, over that where there are none.
 cdef double EDGES_WITHIN = 2.0
-# Squared radius, over the largest squared radius, within which the area of that disc is to be
-# surface: that of a corner of 22.5°.
-cdef double SURFACE_WITHIN = 16.0
 # Relative error of the squared radius of a number of photons near edges.
 cdef double ROOT = 1e-13
 
@@ -29,16 +26,16 @@ cdef double[2] NO_SIDES = [0.0, 0.0]
 
 
 cdef inline bint is_enough(
-    FootprintPhotons work, const Footprint* footprint, double n, double squared
+    const Footprint* footprint, double n, double squared
 ) noexcept nogil:
     """Whether n photons within a squared radius are enough for it."""
     if footprint.near.n == 0:
-        return squared_root(work, footprint, n) <= squared
+        return squared_root(footprint, n) <= squared
     return excess_on_surface(footprint, n, sqrt(squared)) >= 0.0
 
 
 cdef inline double squared_root(
-    FootprintPhotons work, const Footprint* footprint, double n
+    const Footprint* footprint, double n
 ) noexcept nogil:
     """Squared radius at which n photons are just enough; infinite where they never are."""
     cdef double excess = M_PI * (n - footprint.number)
@@ -94,7 +91,7 @@ cdef double squared_root_on_surface(
 
 
 cdef inline double squared_expected(
-    FootprintPhotons work, const Footprint* footprint, double squared, double n
+    const Footprint* footprint, double squared, double n
 ) noexcept nogil:
     """Squared radius to expect where n photons are within a squared radius."""
     cdef double sides = 2.0 * (footprint.sides[0] + footprint.sides[1])
@@ -102,7 +99,7 @@ cdef inline double squared_expected(
     return footprint.number * around / (M_PI * n) if n > 0.0 else INFINITY
 
 
-cdef inline double largest_radius(FootprintPhotons work, const Footprint* footprint) noexcept nogil:
+cdef inline double squared_limit(FootprintPhotons work, const Footprint* footprint) noexcept nogil:
     """Squared radius that none is searched beyond."""
     if footprint.near.n > 0:
         return fmin(footprint.squared_largest, footprint.squared_known)
@@ -120,7 +117,7 @@ cdef double search_squared_radius(
     small and the second large enough: brackets are moved until they are such and hold few photons.
     It depends on the photons alone, not on the brackets.
     """
-    cdef double largest = largest_radius(work, footprint)
+    cdef double largest = squared_limit(work, footprint)
     # Known to be too small, and large enough.
     cdef double below = 0.0, above = INFINITY, expected
     cdef Bracket bracket
@@ -132,35 +129,35 @@ cdef double search_squared_radius(
     bracket.low = fmin(LOW * scratch.squared_guess, 0.5 * bracket.high)
     while True:
         find_band(work, footprint, scratch, &bracket)
-        if not is_enough(work, footprint, bracket.n_low + bracket.n_band, bracket.high):
+        if not is_enough(footprint, bracket.n_low + bracket.n_band, bracket.high):
             if bracket.high == largest:
-                return limited_radius(work, footprint, scratch, bracket.n_low + bracket.n_band)
+                return limited_radius(footprint, scratch, bracket.n_low + bracket.n_band)
             below = bracket.low = bracket.high
-            expected = squared_expected(work, footprint, below, bracket.n_low + bracket.n_band)
+            expected = squared_expected(footprint, below, bracket.n_low + bracket.n_band)
             bracket.high = fmax(fmin(HIGH * expected, 16.0 * below), 1.5 * below)
             bracket.high = fmin(fmin(bracket.high, above), largest)
-        elif bracket.low > below and is_enough(work, footprint, bracket.n_low, bracket.low):
+        elif bracket.low > below and is_enough(footprint, bracket.n_low, bracket.low):
             above = bracket.high = bracket.low
-            expected = squared_expected(work, footprint, above, bracket.n_low)
+            expected = squared_expected(footprint, above, bracket.n_low)
             bracket.low = fmax(fmin(LOW * expected, 0.75 * above), below)
         elif bracket.n_band <= BAND:
             return radius_in_band(work, footprint, scratch, &bracket)
         elif bracket.low < 0.5 * (bracket.low + bracket.high) < bracket.high:
             above = bracket.high
-            narrow(work, footprint, &bracket)
+            narrow(footprint, &bracket)
         else:
             scratch.at_photon = True
             return bracket.high
 
 
 cdef inline void narrow(
-    FootprintPhotons work, const Footprint* footprint, Bracket* bracket
+    const Footprint* footprint, Bracket* bracket
 ) noexcept nogil:
     """Narrow a bracket by the roots of the numbers of photons at its ends, at least to a half."""
     cdef double low = 0.0, high = INFINITY
     if footprint.near.n == 0:
-        low = squared_root(work, footprint, bracket.n_low + bracket.n_band)
-        high = squared_root(work, footprint, bracket.n_low)
+        low = squared_root(footprint, bracket.n_low + bracket.n_band)
+        high = squared_root(footprint, bracket.n_low)
     low = fmax(bracket.low, (1.0 - 1e-12) * low)
     high = fmin(bracket.high, (1.0 + 1e-12) * high)
     if high - low > 0.5 * (bracket.high - bracket.low):
@@ -171,10 +168,10 @@ cdef inline void narrow(
 
 
 cdef double limited_radius(
-    FootprintPhotons work, const Footprint* footprint, Scratch* scratch, int64_t n
+    const Footprint* footprint, Scratch* scratch, int64_t n
 ) noexcept nogil:
     """Squared radius where the n photons within reach are too few for a smaller one."""
-    cdef double root = squared_root(work, footprint, n)
+    cdef double root = squared_root(footprint, n)
     scratch.is_limited = not root <= footprint.squared_largest
     return fmin(root, footprint.squared_largest)
 
@@ -186,12 +183,12 @@ cdef double radius_in_band(
     cdef double root
     cdef Py_ssize_t i, first
     sort_few(scratch.band, bracket.n_band)
-    first = first_enough(work, footprint, scratch, bracket)
-    root = squared_root(work, footprint, bracket.n_low + first)
+    first = first_enough(footprint, scratch, bracket)
+    root = squared_root(footprint, bracket.n_low + first)
     for i in range(first, bracket.n_band):
         if root < scratch.band[i]:
             return root
-        root = squared_root(work, footprint, bracket.n_low + i + 1)
+        root = squared_root(footprint, bracket.n_low + i + 1)
         if root <= scratch.band[i]:
             scratch.at_photon = True
             return scratch.band[i]
@@ -199,7 +196,7 @@ cdef double radius_in_band(
 
 
 cdef inline Py_ssize_t first_enough(
-    FootprintPhotons work, const Footprint* footprint, Scratch* scratch, const Bracket* bracket
+    const Footprint* footprint, Scratch* scratch, const Bracket* bracket
 ) noexcept nogil:
     """Number of the photons of a sorted band that are not enough for sure, near edges.
 
@@ -210,7 +207,7 @@ cdef inline Py_ssize_t first_enough(
         return 0
     while low < high:
         middle = (low + high) // 2
-        if is_enough(work, footprint, bracket.n_low + middle + 1, scratch.band[middle]):
+        if is_enough(footprint, bracket.n_low + middle + 1, scratch.band[middle]):
             high = middle
         else:
             low = middle + 1
@@ -255,10 +252,10 @@ cdef double squared_radius_on_surface(
     scratch.squared_guess = squared
     squared = radius_among_edges(work, footprint, scratch)
     if scratch.is_limited and isfinite(footprint.squared_largest):
-        footprint.squared_known = SURFACE_WITHIN * footprint.squared_largest
+        footprint.squared_known = SURFACE_WITHIN * SURFACE_WITHIN * footprint.squared_largest
         find_near(work, footprint, scratch)
         footprint.squared_largest = squared_of_disc(
-            &footprint.near, sqrt(footprint.squared_largest), sqrt(SURFACE_WITHIN)
+            &footprint.near, sqrt(footprint.squared_largest)
         )
         squared = search_squared_radius(work, footprint, scratch)
     return squared

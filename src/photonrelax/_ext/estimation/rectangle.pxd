@@ -4,7 +4,7 @@ from libc.math cimport fabs, fmax, sqrt
 
 from ..common.vec3 cimport cross, dot, normalise, orthonormal_frame
 from ..spatial.simd.kernels cimport Rectangle
-from .surface_edges cimport NearEdges
+from .surface_integrals cimport NearEdges
 
 
 cdef struct Footprint:
