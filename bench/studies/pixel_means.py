@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -27,8 +27,9 @@ MOST_PHOTONS = 200
 _MARGIN = 0.02
 # Cells a side of a texel that photons are counted in.
 _CELLS = 4
-# Samples a side of a pixel of reference pictures, and of those compared.
-_REFERENCE_SAMPLES, _SAMPLES = 64, 2
+# Samples a side of a pixel that tell what it sees, and of the pictures compared.
+_LOOKS, _SAMPLES = 8, 2
+_UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Study:
     photons: tuple[int, ...] = (300_000, 1_000_000, 3_000_000)
     methods: tuple[str, ...] = (*METHODS, *REFINEMENTS)
     texels: int = 350
-    pixels: int = 100
+    pixels: int = 300
     k: int = 15
     reference_passes: int = 40
     photons_per_pass: int = 2_000_000
@@ -107,15 +108,12 @@ class FloorMap:
         )
         return counts / (self.side / cells) ** 2
 
-    def at(self, cells: NDArray, points: NDArray) -> NDArray:
-        """Values of cells at points (m, 3), NaN off the map."""
-        n = len(cells)
-        column, row = np.floor((points[:, :2] - self.low) / self.side * n).astype(int).T
-        inside = (np.minimum(row, column) >= 0) & (np.maximum(row, column) < n)
-        inside &= np.abs(points[:, 2] - self.height) < 1e-6 * self.side
-        values = np.full(len(points), np.nan)
-        values[inside] = cells[row[inside], column[inside]]
-        return values
+    def holds(self, points: NDArray) -> NDArray[np.bool_]:
+        """Whether points (m, 3) are on the map."""
+        offset = points - [*self.low, self.height]
+        inside: NDArray[np.bool_] = (offset[:, :2] >= 0.0).all(axis=1)
+        inside &= (offset[:, :2] < self.side).all(axis=1)
+        return inside & (np.abs(offset[:, 2]) < 1e-6 * self.side)
 
     def means(self, field: pr.Field) -> NDArray:
         """Means of a field over the texels."""
@@ -146,14 +144,23 @@ def _on_floor(photons: pr.PhotonMap) -> NDArray[np.bool_]:
 
 def reference(study: Study, scene: pr.Scene, caster: RayCaster, floor: FloorMap) -> NDArray:
     """Counted means of two halves of the passes in the cells of texels."""
-    cells = _CELLS * floor.texels
-    halves = np.zeros((2, cells, cells))
-    n = study.photons_per_pass
+    return counted_halves(study, scene, caster, floor.counted)[0]
+
+
+def counted_halves(
+    study: Study,
+    scene: pr.Scene,
+    caster: RayCaster,
+    *counters: Callable[[pr.PhotonMap], NDArray],
+) -> list[NDArray]:
+    """Means over even and over odd passes of what each of some counters makes of their photons."""
+    sums: list[list[NDArray | float]] = [[0.0, 0.0] for _ in counters]
     for number in range(study.reference_passes):
         # Far from the seeds of the maps compared.
-        photons = pr.trace_photons(scene, n, seed=1000 + number, caster=caster)
-        halves[number % 2] += floor.counted(photons)
-    return halves / (study.reference_passes / 2)
+        photons = pr.trace_photons(scene, study.photons_per_pass, seed=1000 + number, caster=caster)
+        for total, counter in zip(sums, counters, strict=True):
+            total[number % 2] = total[number % 2] + counter(photons)
+    return [np.array(total) / (study.reference_passes / 2) for total in sums]
 
 
 def texel_means(cells: NDArray) -> NDArray:
@@ -162,23 +169,61 @@ def texel_means(cells: NDArray) -> NDArray:
     return cells.reshape(n, _CELLS, n, _CELLS).mean(axis=(1, 3))
 
 
+class Film:
+    """Pixels of a pinhole camera, onto which points in space are projected."""
+
+    def __init__(self, camera: pr.Camera) -> None:
+        self._right, self._up, self._forward = camera.axes()
+        self._origin = np.asarray(camera.origin)
+        # Pixels in a unit of the film at a distance of 1 m.
+        self._scale = 0.5 * camera.height / np.tan(np.radians(0.5 * camera.vertical_fov))
+        self.shape = camera.height, camera.width
+
+    def project(self, points: NDArray, up: NDArray) -> tuple[NDArray, NDArray]:
+        """Pixels (m,), -1 off the image, and pixels in an area of 1 m² at points facing up."""
+        height, width = self.shape
+        offset = points - self._origin
+        depth = offset @ self._forward
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x = 0.5 * width + self._scale * (offset @ self._right) / depth
+            y = 0.5 * height - self._scale * (offset @ self._up) / depth
+            density = self._scale**2 * np.abs(offset @ up) / depth**3
+        seen = (depth > 0.0) & (x >= 0.0) & (x < width) & (y >= 0.0) & (y < height)
+        pixel = np.full(len(points), -1)
+        pixel[seen] = np.floor(y[seen]).astype(int) * width + np.floor(x[seen]).astype(int)
+        return pixel, density
+
+
 class Pictures:
     """Caustics that the camera of a scene sees, one channel."""
 
-    def __init__(self, scene: pr.Scene, pixels: int) -> None:
+    def __init__(self, scene: pr.Scene, floor: FloorMap, pixels: int) -> None:
         self._scene = resized(scene, pixels, None)
+        self._film = Film(self._scene.camera)
         self._bands = list(View(self._scene, supersampling=_SAMPLES).bands())
+        self._reflectance = self._reflectance_of(floor)
 
-    def references(self, floor: FloorMap, halves: NDArray) -> NDArray:
-        """Means (2, height, width) over 64 x 64 samples a pixel, of two maps of cells.
+    def _reflectance_of(self, floor: FloorMap) -> NDArray:
+        """Radiance over irradiance (height, width), NaN unless pixels see all of them the map.
 
-        NaN unless all that a pixel sees is on the map.
+        Past no other object, and neither through glass nor in a mirror.
         """
         parts = []
-        for band in View(self._scene, supersampling=_REFERENCE_SAMPLES).bands():
-            values = np.column_stack([floor.at(cells, band.hits.position) for cells in halves])
-            parts.append(band.sums(band.reflectance.mean(axis=1, keepdims=True) * values))
-        return np.moveaxis(np.concatenate(parts), 2, 0)
+        for band in View(self._scene, supersampling=_LOOKS).bands():
+            pixel, _ = self._film.project(band.hits.position, _UP)
+            there = floor.holds(band.hits.position) & (pixel == band.hits.pixel)
+            parts.append(band.sums(np.column_stack([there, band.reflectance.mean(axis=1)])))
+        n_seen, reflectance = np.moveaxis(np.concatenate(parts), 2, 0)
+        return np.where(n_seen == _LOOKS**2, reflectance, np.nan)
+
+    def counted(self, photons: pr.PhotonMap) -> NDArray:
+        """Means over the pixels of the photons' flux over the area that it lands on."""
+        there = _on_floor(photons)
+        pixel, density = self._film.project(photons.position[there], _UP)
+        flux = photons.flux[there].mean(axis=1) * density
+        height, width = self._film.shape
+        sums = np.bincount(pixel[pixel >= 0], flux[pixel >= 0], minlength=height * width)
+        return self._reflectance * sums.reshape(height, width)
 
     def points(self, field: pr.Field) -> NDArray:
         """Means of a field at the samples of each pixel."""
@@ -199,12 +244,10 @@ def rows(study: Study) -> Iterator[list[str]]:
         scene = gallery.scene(name)
         caster = RayCaster(scene.objects)
         floor = FloorMap.of(pr.trace_photons(scene, 100_000, caster=caster), study.texels)
-        pictures = Pictures(scene, study.pixels)
-        cells = reference(study, scene, caster, floor)
-        texels = texel_means(cells.mean(axis=0))
-        halves = pictures.references(floor, cells)
-        pixels = halves.mean(axis=0)
-        doubts = Errors.of(*map(texel_means, cells)), Errors.of(*halves)
+        pictures = Pictures(scene, floor, study.pixels)
+        cells, of_film = counted_halves(study, scene, caster, floor.counted, pictures.counted)
+        texels, pixels = texel_means(cells.mean(axis=0)), of_film.mean(axis=0)
+        doubts = Errors.of(*map(texel_means, cells)), Errors.of(*of_film)
         of_texels, of_pixels = (f"{d.rms / 2:.3f} {d.l1 / 2:.3f}" for d in doubts)
         yield [name, "reference", "", "", of_texels, "", of_pixels]
         for n in study.photons:
@@ -267,7 +310,7 @@ def markdown(study: Study) -> str:
         f"{markdown_table(titles, rows(study))}\n\nRoot mean square error over the mean, relative "
         f"L1 and total energy, against {study.reference_passes} counted passes of "
         f"{study.photons_per_pass:,} photons; {study.texels} x {study.texels} texels of the floor, "
-        f"and pixels of a picture {study.pixels} wide that see nothing else, whose reference has "
-        f"{_REFERENCE_SAMPLES} x {_REFERENCE_SAMPLES} samples a pixel. Reference: half the "
-        "difference between the halves of its passes.\n"
+        f"and pixels of a picture {study.pixels} wide that see nothing else, whose photons are "
+        "counted where they are projected to. Reference: half the difference between the halves "
+        "of its passes.\n"
     )

@@ -75,7 +75,7 @@ def kernel(offset, sides, tensor, n_nodes=None):
 def one_by_definition(photons, slopes, where, settings, *, largest, isotropic):
     point, normal, edges = where
     h = bandwidth_over(photons, point, normal, edges, settings)
-    axes, sides = rectangle(edges, normal)
+    axes, sides = rectangle(edges, normal, skewed=False)
     if sides.max() >= 2 * h:
         seen = around(photons, point, normal, edges)
         return seen.weights(h) @ photons.flux[seen.rows]

@@ -152,6 +152,24 @@ def test_any_parallelogram_on_any_map(edges, scale, n, k):
         assert_is_by_definition(uneven(n, seed=k), places(5, seed=n), edges, gather)
 
 
+@pytest.mark.parametrize("degrees", [60, 75, 90, 105, 120])
+@pytest.mark.parametrize("ratio", [1.0, 3.0])
+def test_a_parallelogram_has_all_light_in_its_corners_and_none_beside_them(degrees, ratio):
+    """A focus far smaller than the footprint, 5 % of its edges inside and outside of a corner."""
+    angle = np.radians(degrees)
+    edges = np.array([[1.0, 0.0, 0.0], [ratio * np.cos(angle), ratio * np.sin(angle), 0.0]])
+    focus = 1e-4 * np.random.default_rng(2).random((500, 2))
+    photons = flat_map(focus, 500)
+    corners = np.array([[s, t] for s in (-0.5, 0.5) for t in (-0.5, 0.5)])
+    for share, expected in ((0.9, photons.flux.sum(axis=0) / (ratio * np.sin(angle))), (1.1, 0.0)):
+        points = photons.position.mean(axis=0) - share * corners @ edges
+        footprints = np.broadcast_to(edges, (4, 2, 3))
+        gather = pr.GatherSettings(gather_radius=1e-3)
+        field = pr.irradiance_field(photons, method="standard", gather=gather)
+        means = field(points, np.broadcast_to([0.0, 0.0, 1.0], (4, 3)), footprint=footprints)
+        np.testing.assert_allclose(means, np.broadcast_to(expected, (4, 3)), rtol=1e-5)
+
+
 def test_coincident_photons_count_once_with_the_flux_of_all():
     photons = uneven(3000)
     rows = np.random.default_rng(0).permutation(np.repeat(np.arange(3000), 3))
@@ -274,7 +292,8 @@ def test_given_radii_do_not_depend_on_threads_and_other_footprints():
 def test_sides_are_those_of_rectangles():
     edges = np.array(list(FOOTPRINTS.values()))
     normals = np.tile([0.0, 0.0, 3.0], (len(edges), 1))
-    expected = [rectangle(one, np.array([0.0, 0.0, 1.0]))[1] for one in edges]
+    up = np.array([0.0, 0.0, 1.0])
+    expected = [rectangle(one, up, skewed=False)[1] for one in edges]
     found = kernel.rectangle_sides(normals, edges)
     np.testing.assert_allclose(np.sort(found), np.sort(expected), rtol=1e-9, atol=1e-15)
     sides = kernel.rectangle_sides(normals[:2], np.array([0.5, 2.0]))

@@ -19,21 +19,38 @@ def tangent_frame(normal):
     return np.array([u, np.cross(normal, u), normal])
 
 
-def rectangle(edges, normal):
-    """Axes, as rows, and sides of the rectangle of two edge vectors."""
+def stretch(edges):
+    """Matrix of the plane that brings edges (2, 2) to right angles, or by 30° nearer to them."""
+    lengths = np.hypot(*edges.T)
+    if not lengths.all():
+        return np.eye(2)
+    first, second = edges / lengths[:, np.newaxis]
+    along = first + second if first @ second > 0.0 else first - second
+    along /= np.linalg.norm(along)
+    half_angle = np.arccos(np.clip(abs(first @ along), 0.0, 1.0))
+    factor = np.sqrt(np.tan(max(half_angle, np.pi / 6)))
+    across = np.array([-along[1], along[0]])
+    return factor * np.outer(along, along) + np.outer(across, across) / factor
+
+
+def rectangle(edges, normal, *, skewed=True):
+    """Axes, as rows, and sides of the rectangle of two edge vectors, in its metric if skewed."""
     frame = tangent_frame(normal)
     flat = edges @ frame[:2].T
+    matrix = stretch(flat) if skewed else np.eye(2)
+    flat = flat @ matrix
     _, sides, axes = np.linalg.svd(flat)
     along = axes[0]
     if 0.0 < sides[0] <= 1.5 * sides[1]:
-        lengths = np.linalg.norm(flat, axis=1)
-        first, second = flat / lengths[:, np.newaxis]
-        turn = np.array([[0, -1], [1, 0]]) * np.sign(np.linalg.det(flat))
+        lengths = np.hypot(*flat.T)
+        first, second = units = flat / lengths[:, np.newaxis]
+        sine = np.linalg.det(units)
+        turn = np.array([[0, -1], [1, 0]]) * np.sign(sine)
         along = first + turn.T @ second
         along /= np.linalg.norm(along)
-        sides = lengths * np.sqrt(abs(np.linalg.det(flat)) / lengths.prod())
-    first = along @ frame[:2]
-    return np.array([first, np.cross(normal, first), normal]), sides
+        sides = lengths * np.sqrt(abs(sine))
+    both = np.array([along, [-along[1], along[0]]])
+    return np.vstack([both @ matrix @ frame[:2], normal]), sides
 
 
 @cache

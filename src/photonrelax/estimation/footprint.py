@@ -1,8 +1,9 @@
 """Means of irradiance over footprints, pixels or texels say, from the k nearest photons or more.
 
-A footprint is a rectangle s₁ × s₂ in the tangent plane of its point, of area A; the distance of a
-photon is that to the rectangle. With B(r) all within r of it, |B(r)| = A + 2(s₁ + s₂)r + πr², and
-N(r) the photons there, r is the smallest radius with
+A footprint is a rectangle s₁ × s₂ in the tangent plane of its point, of area A: a parallelogram in
+the metric in which its edges are perpendicular. The distance of a photon is that to the rectangle.
+With B(r) all within r of it, |B(r)| = A + 2(s₁ + s₂)r + πr², and N(r) the photons there, r is the
+smallest radius with
 
     N(r) πr² ≥ (k - ½) |B(r)|:
 

@@ -19,7 +19,7 @@ from .footprint_photons cimport (
     squared_reach,
 )
 from .footprint_radius cimport find_squared_radius
-from .rectangle cimport Footprint, open_rectangle
+from .rectangle cimport Footprint, open_parallelogram, open_rectangle
 from .surface_edges cimport EdgeSearch, SurfaceEdges
 from .surface_integrals cimport share_on_surface
 
@@ -297,14 +297,13 @@ cdef void open_footprint(
 ) noexcept nogil:
     """Set the rectangle of a footprint."""
     cdef Rectangle* rectangle = &footprint.rectangle
-    cdef bint has_edges = work.edges is not None
     cdef double diagonal
     footprint.number = 0.0 if work.task == DENSITIES_WITHIN else work.number[row]
     footprint.bias = work.bias[row] if work.task == DENSITIES else 0.0
-    open_rectangle(
-        footprint, &work.normals[row, 0], &work.edges[row, 0, 0] if has_edges else NULL,
-        0.0 if has_edges else work.sides[row]
-    )
+    if work.edges is None:
+        open_rectangle(footprint, &work.normals[row, 0], NULL, work.sides[row])
+    else:
+        open_parallelogram(footprint, &work.normals[row, 0], &work.edges[row, 0, 0])
     diagonal = sqrt(
         footprint.sides[0] * footprint.sides[0] + footprint.sides[1] * footprint.sides[1]
     )
@@ -432,7 +431,7 @@ cdef void list_for_sums(
 
     Which nodes are deep has to follow from the radius found, not from that of a search.
     """
-    cdef double reach = squared_reach(work.tree, footprint.rectangle.at)
+    cdef double reach = squared_reach(work.tree, &footprint.rectangle)
     cdef bint covered = scratch.squared_listed >= fmin(squared, reach)
     if not covered or scratch.margin >= 0.0 or deep_margin(footprint, squared) >= 0.0:
         scratch.with_sums = True

@@ -6,7 +6,7 @@ The rule that they are searched by is that of `photonrelax.estimation.footprint`
 from libc.math cimport sqrt
 from libc.stdint cimport int32_t, int64_t
 
-from ..spatial.simd.kernels cimport BLOCK, GAUSSIAN_DEVIATION
+from ..spatial.simd.kernels cimport BLOCK, GAUSSIAN_DEVIATION, Rectangle
 from ..spatial.tree cimport Tree
 from .rectangle cimport Footprint
 from .surface_edges cimport EdgeSearch
@@ -61,7 +61,7 @@ cdef class FootprintPhotons:
 
 cdef double spacing_near(Tree tree, const double* at) noexcept nogil
 
-cdef double squared_reach(Tree tree, const double* at) noexcept nogil
+cdef double squared_reach(Tree tree, const Rectangle* rectangle) noexcept nogil
 
 cdef void find_band(
     FootprintPhotons work, const Footprint* footprint, Scratch* scratch, Bracket* bracket

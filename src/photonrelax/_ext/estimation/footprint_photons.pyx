@@ -3,9 +3,9 @@
 from libc.math cimport INFINITY, M_PI, fabs, fmax, sqrt
 from libc.stdint cimport int32_t, int64_t
 
-from ..spatial.simd.kernels cimport BLOCK, highest_bit, lowest_bit
+from ..spatial.simd.kernels cimport BLOCK, Rectangle, highest_bit, lowest_bit
 from ..spatial.tree cimport Tree, fan_out, first_block, last_kept
-from .rectangle cimport Footprint
+from .rectangle cimport Footprint, largest_stretch
 
 cdef enum:
     # Depth-first traversal leaves at most 15 open groups per kept level, of which there are 7.
@@ -52,14 +52,15 @@ cdef inline double squared_gap(
     return squared
 
 
-cdef double squared_reach(Tree tree, const double* at) noexcept nogil:
-    """Squared radius around a point beyond which there is no photon."""
-    cdef double squared = 0.0, gap
+cdef double squared_reach(Tree tree, const Rectangle* rectangle) noexcept nogil:
+    """Squared radius around a footprint, in its metric, beyond which there is no photon."""
+    cdef const double* at = rectangle.at
+    cdef double squared = 0.0, gap, stretch = largest_stretch(rectangle)
     cdef int axis
     for axis in range(3):
         gap = fmax(fabs(tree.high[axis] - at[axis]), fabs(at[axis] - tree.low[axis]))
         squared += gap * gap
-    return squared * (1.0 + 1e-9)
+    return stretch * stretch * squared * (1.0 + 1e-9)
 
 
 cdef void find_band(

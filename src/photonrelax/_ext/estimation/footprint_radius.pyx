@@ -104,7 +104,7 @@ cdef inline double squared_limit(FootprintPhotons work, const Footprint* footpri
     if footprint.near.n > 0:
         return fmin(footprint.squared_largest, footprint.squared_known)
     return fmin(
-        footprint.squared_largest, squared_reach(work.tree, footprint.rectangle.at)
+        footprint.squared_largest, squared_reach(work.tree, &footprint.rectangle)
     )
 
 
@@ -267,7 +267,7 @@ cdef double radius_among_edges(
     """Squared radius among edges, of which as many are found as it takes; infinite for none."""
     cdef double squared = INFINITY
     cdef double largest = fmin(
-        footprint.squared_largest, 16.0 * squared_reach(work.tree, footprint.rectangle.at)
+        footprint.squared_largest, 16.0 * squared_reach(work.tree, &footprint.rectangle)
     )
     while squared >= footprint.squared_known and footprint.squared_known < largest:
         footprint.squared_known = fmin(EDGES_WITHIN * footprint.squared_known, largest)

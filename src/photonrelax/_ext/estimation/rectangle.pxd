@@ -1,6 +1,6 @@
 """Rectangles of footprints, from the edges of parallelograms, as inline functions for kernels."""
 
-from libc.math cimport fabs, fmax, sqrt
+from libc.math cimport copysign, fabs, fmax, sqrt
 
 from ..common.vec3 cimport cross, dot, normalise, orthonormal_frame
 from ..spatial.simd.kernels cimport Rectangle
@@ -48,6 +48,81 @@ cdef inline void open_rectangle(
     else:
         fit_rectangle(footprint, edges)
     footprint.area = footprint.sides[0] * footprint.sides[1]
+
+
+cdef inline void open_parallelogram(
+    Footprint* footprint, const double* normal, const double* edges
+) noexcept nogil:
+    """Set sides, axes and area of two edge vectors in the metric in which these are perpendicular.
+
+    It is that of a stretch of the tangent plane along a line between the edges, by a, and across
+    it, by 1/a, so that areas are those of space. Axes are the rows of the map to that metric, of
+    other lengths than one.
+    """
+    cdef double* axes = footprint.rectangle.axes
+    cdef double[6] stretched
+    cdef double[6] directions
+    cdef double stretch
+    cdef int axis
+    open_rectangle(footprint, normal, edges, 0.0)
+    stretch = stretch_between(edges, &axes[6], directions)
+    if stretch == 1.0:
+        return
+    for axis in range(6):
+        stretched[axis] = edges[axis]
+    for axis in range(2):
+        apply_stretch(directions, stretch, &stretched[3 * axis])
+    fit_rectangle(footprint, stretched)
+    footprint.area = footprint.sides[0] * footprint.sides[1]
+    for axis in range(2):
+        apply_stretch(directions, stretch, &axes[3 * axis])
+
+
+cdef inline double stretch_between(
+    const double* edges, const double* normal, double* directions
+) noexcept nogil:
+    """Stretch that makes edges perpendicular; sets the directions it is along and across."""
+    cdef double[2][3] edge
+    cdef double cosine, squared, length
+    cdef int i, axis
+    for i in range(2):
+        length = dot(&edges[3 * i], normal)
+        for axis in range(3):
+            edge[i][axis] = edges[3 * i + axis] - length * normal[axis]
+        if edge[i][0] == edge[i][1] == edge[i][2] == 0.0:
+            return 1.0
+        normalise_safely(edge[i])
+    cosine = dot(edge[0], edge[1])
+    if fabs(cosine) < 1e-12:
+        return 1.0
+    # Along the longer of sum and difference, which has a direction.
+    for axis in range(3):
+        directions[axis] = edge[0][axis] + copysign(1.0, cosine) * edge[1][axis]
+    normalise(directions)
+    cross(&directions[3], normal, directions)
+    # The square of the stretch is the tangent of half the acute angle; at least √tan 30°.
+    squared = sqrt((1.0 - fabs(cosine)) / (1.0 + fabs(cosine)))
+    return fmax(sqrt(squared), 0.7598356856515925)
+
+
+cdef inline void apply_stretch(
+    const double* directions, double stretch, double* vector
+) noexcept nogil:
+    cdef double along = dot(vector, directions), across = dot(vector, &directions[3])
+    cdef int axis
+    for axis in range(3):
+        vector[axis] += (
+            (stretch - 1.0) * along * directions[axis]
+            + (1.0 / stretch - 1.0) * across * directions[3 + axis]
+        )
+
+
+cdef inline double largest_stretch(const Rectangle* rectangle) noexcept nogil:
+    """Largest ratio of a distance in the plane to that in the metric of a footprint, or inverse."""
+    # The two stretches are a and 1/a.
+    cdef const double* axes = rectangle.axes
+    cdef double squares = dot(axes, axes) + dot(&axes[3], &axes[3])
+    return 0.5 * (sqrt(squares + 2.0) + sqrt(fmax(squares - 2.0, 0.0)))
 
 
 cdef inline void fit_rectangle(Footprint* footprint, const double* edges) noexcept nogil:

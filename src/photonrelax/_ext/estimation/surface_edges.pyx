@@ -10,6 +10,7 @@ import numpy as np
 from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
 from ..common.vec3 cimport dot, orthonormal_frame
 from ..spatial.box_tree cimport boxes_within
+from .rectangle cimport largest_stretch
 from .surface_integrals cimport SURFACE_WITHIN, share_of_radial, squared_of_disc
 
 cdef enum:
@@ -101,9 +102,10 @@ cdef void find_edges(
     SurfaceEdges edges, const Rectangle* rectangle, double radius, int32_t* found, NearEdges* near
 ) noexcept nogil:
     """Find the edges within a radius of a footprint; `found` and `near.ends` have room for all."""
-    cdef double reach = radius + sqrt(
+    cdef double diagonal = sqrt(
         rectangle.half[0] * rectangle.half[0] + rectangle.half[1] * rectangle.half[1]
     )
+    cdef double reach = largest_stretch(rectangle) * (radius + diagonal)
     cdef double on_edge = fmin(ON_EDGE * radius + ROUNDED * size_of(rectangle.at), AT_MOST * radius)
     cdef Py_ssize_t n = boxes_within(
         edges.tree, rectangle.at, reach, found, edges.segments.shape[0]
