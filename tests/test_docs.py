@@ -26,7 +26,7 @@ ROOTS = (ROOT, PACKAGE, PACKAGE / "_ext" / "spatial")
 GENERATED = ("build/",)
 # Settings classes by stage.
 SETTINGS = {
-    name.removesuffix("Settings").lower(): getattr(pr, name)
+    re.sub(r"\B(?=[A-Z])", "_", name.removesuffix("Settings")).lower(): getattr(pr, name)
     for name in pr.__all__
     if name.endswith("Settings")
 }

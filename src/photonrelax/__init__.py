@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from .relaxation.gradient import detect_gradient as detect_gradient
     from .relaxation.relax import RelaxSettings as RelaxSettings
     from .relaxation.relax import relax as relax
+    from .relaxation.rest_density import RestDensity as RestDensity
+    from .relaxation.rest_density import RestDensitySettings as RestDensitySettings
+    from .relaxation.rest_density import rest_density as rest_density
     from .relaxation.structure import Structure as Structure
     from .relaxation.structure import StructureSettings as StructureSettings
     from .relaxation.structure import detect_structure as detect_structure
@@ -77,6 +80,8 @@ _MODULE_OF = {
     "ProgressiveSettings": "estimation.progressive",
     "ProgressiveStatistics": "estimation.progressive",
     "RelaxSettings": "relaxation.relax",
+    "RestDensity": "relaxation.rest_density",
+    "RestDensitySettings": "relaxation.rest_density",
     "Scene": "scene.scene",
     "SceneObject": "scene.scene",
     "Sensor": "scene.materials",
@@ -91,6 +96,7 @@ _MODULE_OF = {
     "relax": "relaxation.relax",
     "render": "rendering.render",
     "render_progressive": "rendering.progressive_render",
+    "rest_density": "relaxation.rest_density",
     "trace_photons": "transport.trace",
 }
 _SUBPACKAGES = ("gallery",)

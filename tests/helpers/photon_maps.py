@@ -33,6 +33,21 @@ def uniform_map(n, kind, seed=0):
     return flat_map(unit_square(n, kind, seed), n, well_spaced=kind == "halton")
 
 
+# Positions along x of photons that are even over u, for densities with a slope.
+_MAPS = {
+    "exponential": lambda u: np.log1p(u * np.expm1(3.0)) / 3.0,
+    "linear": np.sqrt,
+    "folded": lambda u: (2.0 * u - 1.0) ** 2,
+}
+MAPS = tuple(_MAPS)
+
+
+def mapped(name, n, kind, seed=3):
+    """Photons even over the unit square of emitter coordinates, mapped to one of MAPS along x."""
+    uv = unit_square(n, kind, seed)
+    return flat_map(np.column_stack([_MAPS[name](uv[:, 0]), uv[:, 1]]), n, coords=uv)
+
+
 def plane(xy):
     """Points of the plane z = 0 and their normals."""
     return np.column_stack([xy, np.zeros(len(xy))]), np.tile([0.0, 0.0, 1.0], (len(xy), 1))

@@ -1,0 +1,206 @@
+"""Density in which photons are to rest, from the map of emitter coordinates to positions.
+
+Repulsion has no rest state but uniform density, so that slopes of light flow away while noise is
+smoothed. But every photon of a sheet of light is the image of an emitter coordinate u under a
+smooth map x(u), and photons are even in u: the density of the light in space, its slopes and its
+edges are known without their noise. A quadratic map is fitted around every photon; a lattice that
+is even in u, laid through it, exerts the force that photons without noise would exert (SJ13 Eq. 8).
+In a density ρ(1 + g·x) that is −c g r² for points within r, and g is what is kept. Relaxation adds
+c g r², r the present radius, so that the rest state is that density. The derivation is in
+docs/methods/mapped.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._ext.photons.normals import all_nearly_equal
+from .._ext.relaxation import rest_density as _rest_density
+from .._util import validation
+from .._util.frozen import set_field
+from .._util.parallel import thread_count
+from .._util.progress import Progress, Reporter
+from .._util.validation import Floats
+from ..photons.axes import MAX_NORMAL_CHORD, hstack_rows
+from ..photons.neighbourhoods import Group, neighbour_groups
+from ..photons.photon_map import PhotonMap
+from ..spatial.kdtree import KDTree
+
+# Force of the lattice's nearest 32 in units of slope times squared radius, measured on exponential
+# densities; see docs/methods/mapped.md.
+LATTICE_FORCE = 0.0778
+# Photons of a neighbourhood are sorted in one chunk.
+_MOST_NEIGHBOURS = 64
+# Coefficients of a quadratic map.
+_TERMS = 6
+
+
+@dataclass(frozen=True)
+class RestDensitySettings:
+    """Photons that the map from emitter coordinates to positions is fitted to.
+
+    Attributes
+    ----------
+    k : int
+        Photons in a neighbourhood over the emitter coordinates, the photon itself among them; they
+        show where a sheet ends.
+    n_fitted : int
+        The nearest of them, to which the map is fitted.
+    max_residual : float
+        Largest root mean square distance of photons from their map, in units of the radius of 16
+        photons; where it is larger no slope is prescribed.
+    """
+
+    k: int = 24
+    n_fitted: int = 16
+    max_residual: float = 0.05
+
+    def __post_init__(self) -> None:
+        k = validation.count(self.k, "RestDensitySettings.k", low=_TERMS, high=_MOST_NEIGHBOURS)
+        set_field(self, "k", k)
+        name = "RestDensitySettings.n_fitted"
+        set_field(self, "n_fitted", validation.count(self.n_fitted, name, low=_TERMS, high=k))
+        name = "RestDensitySettings.max_residual"
+        set_field(self, "max_residual", validation.positive(self.max_residual, name))
+
+
+@dataclass(frozen=True, eq=False)
+class RestDensity:
+    """Density in which the photons of a map are to rest; row i belongs to photon i.
+
+    Attributes
+    ----------
+    slope : (n, 3) float array
+        Relative slope g = ∇ρ/ρ of the density prescribed, in the tangent plane, 1/m; zero where
+        none is.
+    residual : (n,) float array
+        Root mean square distance of the photons around one from their map, in units of the radius
+        of 16 photons. Infinite where there is no map: those photons relax as without a density.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If shapes differ, a slope is not finite or a residual negative.
+    """
+
+    slope: Floats
+    residual: Floats
+
+    def __post_init__(self) -> None:
+        slope = validation.float_array(self.slope, "slope", (None, 3))
+        set_field(self, "slope", slope)
+        set_field(
+            self, "residual", validation.distances(self.residual, "residual", slope.shape[:1])
+        )
+
+    def __len__(self) -> int:
+        return len(self.slope)
+
+    @property
+    def has_map(self) -> NDArray[np.bool_]:
+        """(n,) bool array, true for photons around which there is a map."""
+        return np.isfinite(self.residual)
+
+
+def rest_density(
+    photons: PhotonMap,
+    settings: RestDensitySettings | None = None,
+    *,
+    n_threads: int | None = None,
+    progress: Progress | None = None,
+) -> RestDensity:
+    """Density in which photons are to rest, from where they left their emitter.
+
+    Parameters
+    ----------
+    photons : PhotonMap
+        Photons, n of them. No density is prescribed for those without emitter coordinates, in pools
+        of several emitters, and in sheets of fewer than k photons of one path signature.
+    settings : RestDensitySettings, optional
+        Numbers of photons, and the residual allowed.
+    n_threads : int, optional
+        Threads; all available by default. The result does not depend on it.
+    progress : callable, optional
+        Called as ``progress("rest density", done, n)``.
+
+    Returns
+    -------
+    RestDensity
+        One row a photon.
+    """
+    settings = settings or RestDensitySettings()
+    threads = thread_count(n_threads)
+    report = Reporter(progress, "rest density", len(photons))
+    slope, residual = np.zeros((len(photons), 3)), np.full(len(photons), np.inf)
+    for group in neighbour_groups(photons, threads):
+        if photons.emitter_coords is None or group.mixed or group.at_rest:
+            report.advance(len(residual[group.rows]))
+        else:
+            slope[group.rows], residual[group.rows] = _of_group(
+                photons, photons.emitter_coords, group, settings, n_threads=threads, report=report
+            )
+    return RestDensity(slope, residual)
+
+
+def _of_group(
+    photons: PhotonMap,
+    coords: Floats,
+    group: Group,
+    settings: RestDensitySettings,
+    *,
+    n_threads: int,
+    report: Reporter,
+) -> tuple[Floats, Floats]:
+    """Slopes and residuals of a group whose emitter coordinates compare."""
+    position, normal, coords = (
+        np.ascontiguousarray(column[group.rows])
+        for column in (photons.position, photons.normal, coords)
+    )
+    slope, residual = np.empty_like(position), np.empty(len(position))
+    tree = _emitter_tree(coords, normal, _sheets(photons, group), n_threads)
+    for first, end in report.chunks(len(tree)):
+        _rest_density.prescribe(
+            *(tree.kernel, first, end),
+            position=position,
+            normal=normal,
+            coords=coords,
+            k=settings.k,
+            n_fitted=settings.n_fitted,
+            max_residual=settings.max_residual,
+            lattice_force=LATTICE_FORCE,
+            slope=slope,
+            residual=residual,
+            n_threads=n_threads,
+        )
+    return slope, residual
+
+
+def _sheets(photons: PhotonMap, group: Group) -> Floats:
+    """Numbers (m, 1) of the sheets of a group's photons: their path signatures and labels."""
+    sheet = np.zeros((len(photons.position[group.rows]), 1))
+    if photons.path_signature is not None:
+        _, number = np.unique(photons.path_signature[group.rows], return_inverse=True)
+        sheet[:, 0] = number
+    if group.labels is not None:
+        sheet += (sheet.max(initial=0.0) + 1.0) * group.labels[group.rows]
+    return sheet
+
+
+def _emitter_tree(coords: Floats, normal: Floats, sheet: Floats, n_threads: int) -> KDTree:
+    """Tree over emitter coordinates.
+
+    Photons within one on its range axes are of one sheet, on faces turned by no more than
+    MAX_NORMAL_CHORD.
+    """
+    columns, scales = [coords], [1.0]
+    if (sheet != sheet[:1]).any():
+        columns.append(sheet)
+        scales.append(2.0)
+    if not all_nearly_equal(normal, None):
+        columns.append(normal)
+        scales.append(1.0 / MAX_NORMAL_CHORD)
+    points = hstack_rows(columns, scales, slice(None), n_threads)
+    return KDTree(points, n_metric=coords.shape[1], n_threads=n_threads)

@@ -1,0 +1,228 @@
+"""Rest density: slopes by definition, and of known densities."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.optimize import brentq
+
+import photonrelax as pr
+from photonrelax.relaxation.rest_density import LATTICE_FORCE
+from tests.helpers.neighbours import nearest
+from tests.helpers.photon_maps import mapped, uniform_map, unit_square
+
+
+def tangents(direction):
+    """Two unit vectors (3, 2) perpendicular to a unit vector."""
+    return np.linalg.svd(direction[np.newaxis])[2][1:].T
+
+
+def terms(delta):
+    a, b = delta.T
+    return np.column_stack([np.ones_like(a), a, b, a * a / 2, a * b, b * b / 2])
+
+
+def hexagonal():
+    """The 169 points of a lattice around one of them, with one to a unit of area."""
+    spacing = np.sqrt(2 / np.sqrt(3))
+    rows = [
+        (i + j / 2, j * np.sqrt(3) / 2)
+        for j in range(-7, 8)
+        for i in range(-7, 8)
+        if abs(i + j) <= 7
+    ]
+    return spacing * np.array(rows)
+
+
+def edge(delta, radius):
+    """Direction away from an edge of the sheet, its distance over the radius, and the area left."""
+    mean = delta[1:].mean(axis=0)
+    shift = np.linalg.norm(mean) / radius
+    along = mean / np.linalg.norm(mean)
+
+    def area(t):
+        return np.pi / 2 + np.arcsin(t) + t * np.sqrt(1 - t * t)
+
+    def excess(t):
+        return 2 / 3 * (1 - t * t) ** 1.5 - shift * area(t)
+
+    if shift > 0.3:
+        t = brentq(excess, 0, 1, xtol=1e-15) if excess(0) > 0 else 0.0
+        if (-delta @ along).max() <= (t + 0.2) * radius:
+            return along, t, area(t)
+    return along, np.inf, np.pi
+
+
+def slope_by_definition(delta, offset, max_residual=0.05):
+    """Slope g from the offsets of 24 photons, nearest first, and the residual of their map."""
+    radius = np.linalg.norm(delta[15])
+    weight = np.exp(-(np.linalg.norm(delta[:16], axis=1) ** 2) / (2 * radius**2))
+    matrix = weight[:, np.newaxis] * terms(delta[:16])
+    fit = np.linalg.lstsq(matrix, weight[:, np.newaxis] * offset[:16], rcond=None)[0]
+    left = (weight[:, np.newaxis] * (offset[:16] - terms(delta[:16]) @ fit)) ** 2
+    largest = np.linalg.norm(delta[-1])
+    along, t, share = edge(delta, largest)
+    area = share * largest**2 / 23
+    first, second = fit[1:3], np.array([[fit[3], fit[4]], [fit[4], fit[5]]])
+    metric = first @ first.T + area * np.einsum("ijc,jkc->ik", second, second)
+    values, vectors = np.linalg.eigh(metric)
+    aspect = min(np.sqrt(values[1] / values[0]), 6.0)
+    stretch = vectors[:, ::-1] * np.sqrt(area / 2 * np.array([1 / aspect, aspect]))
+    lattice = hexagonal() @ stretch.T
+    lattice = lattice[lattice @ along >= -t * largest]
+    points = terms(lattice) @ fit - fit[0]
+    points = points[np.argsort(np.linalg.norm(points, axis=1))[:32]]
+    distance = np.linalg.norm(points, axis=1)
+    others = distance > 0
+    force = (distance.max() / distance[others] - 1) @ -points[others] / 32
+    squared_radius = 2 * (distance**2).mean()
+    residual = np.sqrt(left.sum() / (weight**2).sum() / squared_radius)
+    g = -force / (LATTICE_FORCE * squared_radius)
+    return g * (residual <= max_residual), residual
+
+
+def curved_sheets(coords):
+    """Photons of two sheets, mapped with folds to a plane that is turned in space."""
+    n = len(coords)
+    signature = np.random.default_rng(2).integers(2, size=n)
+    a, b = coords[:, :2].T
+    x = np.where(signature, (2 * a - 1) ** 2 + 0.3 * b, 0.8 * a - 0.2 * np.sin(3 * b))
+    y = np.where(signature, b - 0.4 * a * b, np.exp(b) + a * a)
+    normal = np.array([2.0, -1.0, 2.0]) / 3.0
+    position = np.column_stack([x, y]) @ tangents(normal).T
+    return pr.PhotonMap(
+        position,
+        np.tile(normal, (n, 1)),
+        np.full((n, 3), 1.0 / n),
+        emitter_coords=coords,
+        emitter_density=np.full(n, float(n)),
+        path_signature=signature * 7 - 3,
+    )
+
+
+def directions(n):
+    """Unit vectors of a cap."""
+    uv = 0.6 * unit_square(n, "random", 5) - 0.3
+    return np.column_stack([uv, np.sqrt(1 - (uv**2).sum(axis=1))])
+
+
+@pytest.mark.parametrize(
+    "coords", [unit_square(900, "random", 5), directions(900)], ids=["plane", "sphere"]
+)
+def test_slopes_equal_their_definition(coords):
+    photons = curved_sheets(coords)
+    found = pr.rest_density(photons)
+    frame = tangents(photons.normal[0])
+    for i in range(0, len(photons), 7):
+        own = np.flatnonzero(photons.path_signature == photons.path_signature[i])
+        ids = own[nearest(coords[own], coords[[i]], 24, n_metric=coords.shape[1])[0][0]]
+        delta = coords[ids] - coords[i]
+        if coords.shape[1] == 3:
+            delta = delta @ tangents(coords[i])
+        slope, residual = slope_by_definition(
+            delta, (photons.position[ids] - photons.position[i]) @ frame
+        )
+        np.testing.assert_allclose(found.residual[i], residual, rtol=1e-7, atol=1e-12)
+        scale = 1.0 + np.linalg.norm(slope)
+        np.testing.assert_allclose(found.slope[i], frame @ slope, rtol=0, atol=1e-9 * scale)
+
+
+@pytest.mark.parametrize("kind", ["halton", "random"])
+def test_slope_of_an_exponential_density(kind):
+    """The slope of exp(3 x) is 3 wherever photons have neighbours all round."""
+    photons = mapped("exponential", 20_000, kind)
+    inner = (np.abs(photons.emitter_coords - 0.5) < 0.4).all(axis=1)
+    slope = pr.rest_density(photons).slope[inner]
+    np.testing.assert_allclose(np.median(slope, axis=0), [3.0, 0.0, 0.0], rtol=0, atol=0.05)
+
+
+def test_even_light_has_no_slope_but_at_its_edges():
+    photons = uniform_map(20_000, "halton")
+    slope = np.linalg.norm(pr.rest_density(photons).slope, axis=1)
+    depth = 0.5 - np.abs(photons.position[:, :2] - 0.5).max(axis=1)
+    spacing = 20_000**-0.5
+    assert np.quantile(slope[depth > 3 * spacing], 0.99) * spacing < 1e-2
+    assert np.quantile(slope[depth < 0.2 * spacing], 0.01) * spacing > 0.2
+
+
+def test_photons_of_other_signatures_are_no_neighbours():
+    first, second = mapped("exponential", 3000, "random", 1), mapped("folded", 2000, "random", 2)
+    fields = ("position", "normal", "flux", "emitter_coords", "emitter_density")
+    both = pr.PhotonMap(
+        **{f: np.concatenate([getattr(first, f), getattr(second, f)]) for f in fields},
+        path_signature=np.repeat([5, -5], [3000, 2000]),
+    )
+    apart = np.concatenate([pr.rest_density(m).slope for m in (first, second)])
+    np.testing.assert_array_equal(pr.rest_density(both).slope, apart)
+
+
+def test_without_signatures_the_residual_tells_sheets_apart():
+    """Where two sheets overlap over the emitter coordinates, no map fits, and no slope is made."""
+    coords = unit_square(4000, "random", 4)
+    photons = curved_sheets(coords).replace(path_signature=None)
+    rest = pr.rest_density(photons)
+    assert (rest.residual > 0.05).mean() > 0.98
+    assert (rest.slope[rest.residual > 0.05] == 0.0).all()
+
+
+@pytest.mark.parametrize("n_threads", [2, 7])
+def test_same_bytes_for_every_number_of_threads(n_threads):
+    photons = mapped("folded", 20_000, "random")
+    one, many = pr.rest_density(photons, n_threads=1), pr.rest_density(photons, n_threads=n_threads)
+    assert one.slope.tobytes() == many.slope.tobytes()
+    assert one.residual.tobytes() == many.residual.tobytes()
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(1e-4, 0), (1e4, 0), (1, 1e4)])
+def test_neither_unit_nor_origin_matter(scale, shift):
+    photons = mapped("exponential", 3000, "random")
+    other = photons.replace(position=photons.position * scale + [shift, -shift, shift])
+    slope, of_other = pr.rest_density(photons).slope, pr.rest_density(other).slope
+    np.testing.assert_allclose(of_other * scale, slope, rtol=1e-6, atol=1e-4)
+
+
+def test_the_unit_of_the_emitter_coordinates_does_not_matter():
+    photons = mapped("exponential", 3000, "random")
+    other = photons.replace(emitter_coords=1e-3 * photons.emitter_coords + 5.0)
+    np.testing.assert_allclose(
+        pr.rest_density(other).slope, pr.rest_density(photons).slope, rtol=1e-6, atol=1e-4
+    )
+
+
+def test_rotation_turns_the_slope_with_it():
+    photons = mapped("exponential", 3000, "random")
+    rotation = trimesh.transformations.rotation_matrix(0.7, [1, 2, 3])[:3, :3]
+    turned = photons.replace(
+        position=photons.position @ rotation.T, normal=photons.normal @ rotation.T
+    )
+    np.testing.assert_allclose(
+        pr.rest_density(turned).slope, pr.rest_density(photons).slope @ rotation.T, atol=1e-6
+    )
+
+
+def test_order_does_not_matter():
+    photons = mapped("folded", 3000, "random")
+    order = np.random.default_rng(1).permutation(3000)
+    slope = pr.rest_density(photons).slope
+    np.testing.assert_array_equal(pr.rest_density(photons.subset(order)).slope, slope[order])
+
+
+def test_bad_columns_are_refused():
+    with pytest.raises(ValueError, match="residual"):
+        pr.RestDensity(np.zeros((2, 3)), np.array([1.0, -1.0]))
+    with pytest.raises(ValueError, match="slope"):
+        pr.RestDensity(np.full((2, 3), np.nan), np.ones(2))
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"k": 5}, "k should be at least 6"),
+        ({"k": 65}, "k should be at most 64"),
+        ({"n_fitted": 5}, "n_fitted should be at least 6"),
+        ({"n_fitted": 25}, "n_fitted should be at most 24"),
+        ({"max_residual": 0.0}, "max_residual should be a positive"),
+    ],
+)
+def test_bad_settings_are_refused(fields, message):
+    with pytest.raises(ValueError, match=message):
+        pr.RestDensitySettings(**fields)
