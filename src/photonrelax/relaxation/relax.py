@@ -19,10 +19,15 @@ from ..photons.neighbourhoods import Group, neighbour_groups
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
 from .projection import SurfaceProjector
+from .rest_density import RestDensity
 from .structure import Structure
 
 # Photons projected onto their surfaces at a time, some thousand whole blocks for a thread.
 _PROJECTION_CHUNK = 1 << 20
+# Largest distances from where a photon started, in units of the radius of k photons and of the
+# length over which the density prescribed changes.
+_LIMIT_OF_RADIUS = 0.5
+_LIMIT_OF_SLOPE = 0.4
 
 
 @dataclass(frozen=True)
@@ -75,6 +80,7 @@ def relax(
     structure: Structure,
     settings: RelaxSettings | None = None,
     *,
+    rest: RestDensity | None = None,
     scene: Scene | None = None,
     n_threads: int | None = None,
     progress: Progress | None = None,
@@ -96,6 +102,10 @@ def relax(
         Of this map, from `detect_structure`, or `detect_gradient` for iterations in space.
     settings : RelaxSettings, optional
         Defaults are the paper's.
+    rest : RestDensity, optional
+        The density of this map in which photons are to rest, from `rest_density`; even by default.
+        With it photons whose density is known stay within half the radius of k photons of where
+        they started, and within 0.4 of the length over which the density changes.
     scene : Scene, optional
         With it photons are projected on their objects by short rays along their normals, and stay
         where they were if they would leave them. Without it they move in their tangent planes,
@@ -111,17 +121,19 @@ def relax(
     Raises
     ------
     ValueError
-        If `structure` is not of this map, has no emitter range to constrain iterations with, or
-        the map's `object_id` is not of the scene.
+        If `structure` or `rest` is not of this map, `structure` has no emitter range to constrain
+        iterations with, or the map's `object_id` is not of the scene.
     """
     settings = settings or RelaxSettings()
     _check_structure(structure, photons, settings)
+    if rest is not None and len(rest) != len(photons):
+        raise ValueError(f"rest should be of these {len(photons)} photons, but is of {len(rest)}")
     if not any(settings.n_iterations) or len(photons) == 0:
         return photons
     threads = thread_count(n_threads)
     projector = None if scene is None else SurfaceProjector(scene, photons, threads)
     report = Reporter(progress, "relax", len(photons) * sum(settings.n_iterations))
-    relaxation = _Relaxation(photons, structure, settings, projector, threads, report)
+    relaxation = _Relaxation(photons, structure, settings, rest, projector, threads, report)
     position = np.empty_like(photons.position)
     normal = photons.normal if projector is None else np.empty_like(photons.normal)
     for group in neighbour_groups(photons, threads):
@@ -152,6 +164,7 @@ class _Relaxation:
     photons: PhotonMap
     structure: Structure
     settings: RelaxSettings
+    rest: RestDensity | None
     projector: SurfaceProjector | None
     n_threads: int
     report: Reporter
@@ -221,6 +234,20 @@ class _Stage:
             constraint=structure.constraint,
             range_radius=range_radius,
             reach=structure.reach if constrained else None,
+            rest=None if relaxation.rest is None else self._rest_inputs(relaxation.rest, radius),
+        )
+
+    def _rest_inputs(self, rest: RestDensity, radius: Floats) -> _relax.Rest:
+        """Inputs of a kernel for a density to rest in; photons without a map go anywhere."""
+        rows = self._rows
+        with np.errstate(divide="ignore"):
+            length = 1.0 / np.linalg.norm(rest.slope[rows], axis=1)
+        limit = np.minimum(_LIMIT_OF_RADIUS * radius, _LIMIT_OF_SLOPE * length)
+        limit[~rest.has_map[rows]] = np.inf
+        return _relax.Rest(
+            slope=rest.slope,
+            origin=self._relaxation.photons.position[rows],
+            limit=limit,
         )
 
     def _normals_in_tree_order(self, normal: Floats) -> Floats:

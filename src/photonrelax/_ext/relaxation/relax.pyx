@@ -17,6 +17,55 @@ cdef enum:
     MIN_NEIGHBOURS = 4
 
 
+cdef class Rest:
+    """The density in which photons are to rest, and how far they may go for it.
+
+    Parameters
+    ----------
+    slope : (m, 3) float64 array
+        Relative slope of the density, 1/m, by row.
+    origin : (n, 3) float64 array
+        Positions before the first move, in tree order.
+    limit : (n,) float64 array
+        Largest distances from there, m, in tree order.
+    """
+
+    cdef const double[:, ::1] slope
+    cdef const double[:, ::1] origin
+    cdef const double[::1] limit
+
+    def __init__(self, *, slope, origin, limit):
+        self.slope = slope
+        self.origin = origin
+        self.limit = limit
+
+    cdef void compensate(
+        self, double* f, Py_ssize_t row, double count, double squared_radius
+    ) noexcept nogil:
+        """Take from f the force of `count` photons at rest (docs/methods/mapped.md).
+
+        It is −g r²/12 times the share of them that is within r, of which the last is on the border.
+        """
+        cdef double scale = (count - 0.5) / (12.0 * count) * squared_radius
+        cdef Py_ssize_t axis
+        for axis in range(3):
+            f[axis] += scale * self.slope[row, axis]
+
+    cdef void hold(self, double* moved, Py_ssize_t place) noexcept nogil:
+        """Put a photon that went too far back to the limit."""
+        cdef double[3] gone
+        cdef double distance
+        cdef Py_ssize_t axis
+        for axis in range(3):
+            gone[axis] = moved[axis] - self.origin[place, axis]
+        distance = sqrt(dot(gone, gone))
+        if distance > self.limit[place]:
+            for axis in range(3):
+                moved[axis] = (
+                    self.origin[place, axis] + gone[axis] * self.limit[place] / distance
+                )
+
+
 cdef class RelaxInputs:
     """The photons of a tree in tree order, and their structure by row.
 
@@ -40,6 +89,8 @@ cdef class RelaxInputs:
         Constraint of the direction across, by row.
     range_radius, reach : (m,) float64 arrays or None
         Limits over the range axes and in space, by row; None for none.
+    rest : Rest, optional
+        None for even density.
     """
 
     cdef const Py_ssize_t[::1] rows
@@ -51,10 +102,11 @@ cdef class RelaxInputs:
     cdef const double[::1] largest_step
     cdef double[::1] squared_radius
     cdef unsigned char[::1] too_few
+    cdef Rest rest
 
     def __init__(
         self, *, rows, normal, largest_step, squared_radius, basis, constraint, range_radius,
-        reach, too_few=None
+        reach, too_few=None, Rest rest=None
     ):
         self.rows = rows
         self.normal = normal
@@ -62,6 +114,7 @@ cdef class RelaxInputs:
         self.constraint = constraint
         self.range_radius = range_radius
         self.reach = reach
+        self.rest = rest
         self.largest_step = largest_step
         self.squared_radius = squared_radius
         if too_few is None:
@@ -117,6 +170,10 @@ cdef class Move(BatchWork):
                 batch.points + 3 * lane * batch.stride, query.candidates.count,
                 query.candidates.squared_radius, query.bounds.low, f
             )
+            if self.inputs.rest is not None:
+                self.inputs.rest.compensate(
+                    f, row, query.candidates.count, query.candidates.squared_radius
+                )
             project(
                 f, &self.inputs.normal[place, 0], &self.inputs.basis[row, 0, 0],
                 self.inputs.constraint[row]
@@ -126,6 +183,8 @@ cdef class Move(BatchWork):
         self.inputs.too_few[place] = query.candidates.count < batch.k
         for axis in range(3):
             self.moved[place, axis] = query.bounds.low[axis] + f[axis]
+        if self.inputs.rest is not None:
+            self.inputs.rest.hold(&self.moved[place, 0], place)
 
 
 def move(

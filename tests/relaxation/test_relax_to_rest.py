@@ -1,0 +1,147 @@
+"""Relaxation towards a rest density: what it keeps, evens out and leaves as it is."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import photonrelax as pr
+from tests.helpers.neighbours import nearest
+from tests.helpers.photon_maps import MAPS, flat_map, mapped, plane, uniform_map, unit_square
+from tests.helpers.tracing_scenes import scene_of
+
+
+def relaxed(photons, rest, *, n_threads=1, scene=None, **settings):
+    found = pr.detect_structure(photons, n_threads=n_threads)
+    chosen = pr.RelaxSettings(**{"n_iterations": (5, 5), "step": 2.0} | settings)
+    return pr.relax(photons, found, chosen, rest=rest, scene=scene, n_threads=n_threads)
+
+
+@pytest.mark.parametrize("kind", ["halton", "random"])
+@pytest.mark.parametrize("name", MAPS)
+def test_slopes_do_not_flow_away(name, kind):
+    """The mean displacement along a slope is under 8 % of that of plain relaxation."""
+    photons = mapped(name, 20_000, kind)
+    inner = (np.abs(photons.emitter_coords - 0.5) < 0.42).all(axis=1)
+    rests = pr.rest_density(photons, n_threads=1), None
+    kept, plain = (
+        (relaxed(photons, rest, n_iterations=(14, 14)).position - photons.position)[inner, 0].mean()
+        for rest in rests
+    )
+    assert abs(kept) < 0.08 * abs(plain)
+
+
+@pytest.mark.parametrize("kind", ["halton", "random"])
+def test_even_light_becomes_more_even(kind):
+    """After (7, 7) iterations, seen through pixels of 2.5 photons, against steps of one without."""
+    photons = uniform_map(20_000, kind, seed=5)
+    points, normals = plane(0.1 + 0.8 * unit_square(4000, "random", 1))
+    rest = pr.rest_density(photons, n_threads=1)
+    noise = []
+    for moved in (
+        relaxed(photons, rest, n_iterations=(7, 7)),
+        relaxed(photons, None, n_iterations=(7, 7), step=1.0),
+    ):
+        field = pr.irradiance_field(moved, method="standard", gather=pr.GatherSettings(k=8))
+        side = np.full(len(points), (2.5 / len(photons)) ** 0.5)
+        noise.append(field(points, normals, footprint=side)[:, 0].std())
+    assert noise[0] <= 0.85 * noise[1]
+
+
+def test_one_iteration_adds_the_force_at_rest():
+    photons = mapped("exponential", 3000, "random")
+    found = pr.detect_structure(photons, pr.StructureSettings(reach_scale=np.inf))
+    free = pr.Structure(**{**vars(found), "constraint": np.zeros(len(photons))})
+    rest = pr.rest_density(photons)
+    settings = pr.RelaxSettings((0, 1), k=12, step=0.3, largest_step=np.inf)
+    plain, moved = (pr.relax(photons, free, settings, rest=each).position for each in (None, rest))
+    radius = nearest(photons.position, photons.position, 12)[1][:, -1]
+    radius_of_k = found.radius * np.sqrt(12 / found.n_found)
+    length = 1 / np.maximum(np.linalg.norm(rest.slope, axis=1), 1e-300)
+    expected = plain + (0.3 * 11.5 / (12 * 12) * radius**2)[:, np.newaxis] * rest.slope
+    gone = np.linalg.norm(expected - photons.position, axis=1)
+    within = gone < np.minimum(0.5 * radius_of_k, 0.4 * length)
+    assert within.mean() > 0.9
+    np.testing.assert_allclose(moved[within], expected[within], rtol=0, atol=1e-12)
+
+
+def test_no_photon_goes_beyond_its_limit():
+    photons = mapped("folded", 3000, "random")
+    found, rest = pr.detect_structure(photons), pr.rest_density(photons)
+    moved = pr.relax(photons, found, pr.RelaxSettings((14, 14), step=2.0), rest=rest).position
+    gone = np.linalg.norm(moved - photons.position, axis=1)
+    assert rest.has_map.all()
+    assert (gone <= 0.5 * found.radius * np.sqrt(16 / found.n_found) * (1 + 1e-9)).all()
+    assert (gone * np.linalg.norm(rest.slope, axis=1) <= 0.4 * (1 + 1e-9)).all()
+
+
+def test_neither_flux_nor_input_changes():
+    photons = mapped("exponential", 5000, "random")
+    before = photons.position.tobytes()
+    after = relaxed(photons, pr.rest_density(photons))
+    assert photons.position.tobytes() == before
+    assert after.position.tobytes() != before
+    assert after.flux.tobytes() == photons.flux.tobytes()
+    assert after.ledger == photons.ledger
+    assert after.well_spaced
+
+
+def test_photons_stay_on_their_floor():
+    square = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+    photons = mapped("exponential", 3000, "random").replace(object_id=np.zeros(3000, dtype=int))
+    after = relaxed(photons, pr.rest_density(photons), scene=scene_of(square)).position
+    assert (after[:, 2] == 0.0).all()
+    assert after[:, :2].min() >= 0.0
+    assert after[:, :2].max() <= 1.0
+
+
+def without_density(photons):
+    """True if photons have no rest density, and relax as without one."""
+    rest = pr.rest_density(photons)
+    plain = relaxed(photons, None).position
+    return not rest.has_map.any() and (relaxed(photons, rest).position == plain).all()
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 5, 15, 16, 23])
+def test_too_few_photons_have_no_rest_density(n):
+    assert without_density(uniform_map(24, "random").subset(slice(n)))
+    assert pr.rest_density(uniform_map(24, "random")).has_map.all()
+
+
+def test_photons_without_emitter_coordinates_have_no_rest_density():
+    photons = uniform_map(2000, "random")
+    assert without_density(photons.replace(emitter_coords=None, emitter_density=None))
+
+
+@pytest.mark.parametrize("shape", ["point", "line", "landed together", "no direction"])
+def test_maps_that_are_not_unique_give_no_rest_density(shape):
+    coords = unit_square(500, "random", 1)
+    position = coords.copy()
+    if shape == "point":
+        coords[:] = 0.5
+    elif shape == "line":
+        coords[:, 1] = 0.5
+    elif shape == "landed together":
+        position[:] = 0.5
+    else:
+        coords = np.zeros((500, 3))
+    assert without_density(flat_map(position, 500, coords=coords))
+
+
+def test_photons_of_a_pool_of_emitters_have_no_rest_density():
+    photons = uniform_map(2000, "random").replace(emitter_id=np.arange(2000) // 20)
+    assert without_density(photons)
+
+
+@pytest.mark.parametrize("n_threads", [2, 7])
+def test_same_bytes_for_every_number_of_threads(n_threads):
+    photons = mapped("folded", 20_000, "random")
+    rest = pr.rest_density(photons)
+    one, many = (relaxed(photons, rest, n_threads=n).position for n in (1, n_threads))
+    assert one.tobytes() == many.tobytes()
+
+
+def test_a_rest_density_of_other_photons_is_refused():
+    photons = uniform_map(100, "random")
+    fewer = photons.subset(slice(50))
+    with pytest.raises(ValueError, match="rest should be of these 50 photons, but is of 100"):
+        pr.relax(fewer, pr.detect_structure(fewer), rest=pr.rest_density(photons))
