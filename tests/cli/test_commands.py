@@ -195,6 +195,23 @@ def test_relax_reads_a_map_and_writes_another(small_map, tmp_path, capsys):
     np.testing.assert_array_equal(relaxed.position, expected.position)
 
 
+@pytest.mark.parametrize(
+    ("options", "settings"),
+    [
+        ((), pr.RelaxSettings((5, 5), step=2.0)),
+        (("--iterations", 2, 1), pr.RelaxSettings((2, 1), step=2.0)),
+    ],
+)
+def test_relax_towards_the_rest_density(options, settings, small_map, tmp_path, capsys):
+    output = tmp_path / "relaxed.npz"
+    arguments = ("relax", tmp_path / "photons.npz", "-o", output, "--method", "mapped")
+    assert run(*arguments, *options) == 0
+    assert "rest_density" in capsys.readouterr().out
+    rest = pr.rest_density(small_map)
+    expected = pr.relax(small_map, pr.detect_structure(small_map), settings, rest=rest)
+    np.testing.assert_array_equal(pr.PhotonMap.load(output).position, expected.position)
+
+
 SIZE = ("--width", 12, "--height", 8, "--supersampling", 1)
 SMALL = ("--photons", 3000, "--seed", 5, *SIZE)
 

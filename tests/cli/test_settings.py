@@ -153,3 +153,16 @@ def test_settings_reach_the_methods_of_compare(tmp_path, capsys):
     with pytest.raises(SystemExit):
         run(*arguments, *methods, "--iterations", 3, 3)
     assert "standard, diffusion do not read" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("methods", "expected"),
+    [
+        (("parameterised",), pr.RelaxSettings(k=12)),
+        (("mapped", "standard"), pr.RelaxSettings((5, 5), k=12, step=2.0)),
+        (("mapped", "parameterised"), pr.RelaxSettings(k=12)),
+    ],
+)
+def test_fields_that_are_not_set_are_those_of_the_method(methods, expected):
+    options = argparse.Namespace(set=[("relax", "k", 12)], k=None, refinement=None, iterations=None)
+    assert settings.settings_from_options(options, methods).of("relax") == expected

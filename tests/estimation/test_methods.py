@@ -7,14 +7,14 @@ the defaults has a `Case` below that says why.
 import gc
 import weakref
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import photonrelax as pr
-from photonrelax.estimation.methods import METHODS
+from photonrelax.estimation.methods import METHODS, MethodInput, Settings, relaxed_photons
 from tests.helpers.photon_maps import flat_map, plane, uniform_map, unit_square
 
 
@@ -254,10 +254,34 @@ def test_an_empty_map_is_dark(method):
     assert made.densities(np.empty((0, 5)))(points, normals).tolist() == [[0.0] * 5] * 2
 
 
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, pr.RelaxSettings((5, 5), step=2.0)),
+        ({"relax": pr.RelaxSettings((2, 1))}, pr.RelaxSettings((2, 1))),
+    ],
+)
+def test_mapped_relaxes_towards_the_rest_density(given, expected):
+    photons = uniform_map(3000, "random").replace(path_signature=np.arange(3000) % 2)
+    rest = pr.rest_density(photons)
+    moved = pr.relax(photons, pr.detect_structure(photons), expected, rest=rest)
+    made = pr.irradiance_field(photons, method="mapped", **given)
+    assert made.photons.position.tobytes() == moved.position.tobytes()
+    assert made.used["relax"] == asdict(expected)
+    assert list(made.seconds) == ["structure", "rest_density", "relax"]
+
+
+def test_methods_that_do_not_relax_have_no_relaxed_photons():
+    inputs = MethodInput(uniform_map(10, "random"), Settings(), None, None, None)
+    message = "should be one that relaxes photons, relaxation, parameterised, mapped, but is 'stan"
+    with pytest.raises(ValueError, match=message):
+        relaxed_photons("standard", inputs)
+
+
 def test_arguments_that_are_none_are_named_with_those_that_would_do():
     expected = (
         "irradiance_field has no argument gatherr, n_thread; settings are structure, gradient, "
-        "relax, gather, diffusion, progressive, frequency"
+        "rest_density, relax, gather, diffusion, progressive, frequency"
     )
     with pytest.raises(TypeError) as caught:
         pr.irradiance_field(uniform_map(100, "halton"), gatherr=pr.GatherSettings(), n_thread=1)

@@ -116,12 +116,20 @@ def _add_trace(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_relax(parser: argparse.ArgumentParser) -> None:
+    from ..estimation.methods import DEFAULT_METHOD, METHODS
+
     parser.add_argument("photon_map", metavar="PHOTONS.npz", type=Path)
     _add_output(parser, "FILE.npz")
     parser.add_argument(
         "--scene",
         choices=gallery.names(),
         help="scene of the photons, to project moved photons onto its surfaces",
+    )
+    parser.add_argument(
+        "--method",
+        choices=[method.name for method in METHODS.values() if method.relax is not None],
+        default=DEFAULT_METHOD,
+        help=f"method that relaxes them ({DEFAULT_METHOD})",
     )
     _add_iterations(parser)
     _add_common(parser)
@@ -285,7 +293,7 @@ def _add_iterations(parser: argparse.ArgumentParser) -> None:
         type=whole,
         nargs=2,
         metavar=("CONSTRAINED", "COLLAPSED"),
-        help="iterations of relaxation (7 7)",
+        help="iterations of relaxation (7 7; of mapped 5 5)",
     )
 
 

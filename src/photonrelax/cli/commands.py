@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import photonrelax as pr
 
@@ -207,33 +208,26 @@ def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
 
 def _relax(options: argparse.Namespace, interrupts: Interrupts) -> None:
+    from ..estimation.methods import MethodInput, Settings, method_named, relaxed_photons
     from .reports import stage_table
 
     output = output_path(options.output, ".npz")
     photons = pr.PhotonMap.load(options.photon_map)
     scene = None if options.scene is None else gallery.scene(options.scene)
-    settings = pr.RelaxSettings()
+    settings = Settings()
     if options.iterations is not None:
-        settings = pr.RelaxSettings(n_iterations=tuple(options.iterations))
+        default = method_named(options.method).default("relax")
+        settings = Settings(relax=replace(default, n_iterations=tuple(options.iterations)))
     with ProgressBars(options.quiet, interrupts) as bars:
-        structure, structure_seconds = _timed(
-            lambda: pr.detect_structure(photons, n_threads=options.threads, progress=bars)
-        )
-        relaxed, relax_seconds = _timed(
-            lambda: pr.relax(
-                photons,
-                structure,
-                settings,
-                scene=scene,
-                n_threads=options.threads,
-                progress=bars,
-            )
-        )
-    relaxed.save(output)
-    stages = {
-        "structure": {"seconds": structure_seconds, "photons": len(photons)},
-        "relax": {"seconds": relax_seconds, "iterations": sum(settings.n_iterations)},
+        inputs = MethodInput(photons, settings, scene, options.threads, bars)
+        relaxed = relaxed_photons(options.method, inputs)
+    relaxed.photons.save(output)
+    stages: dict[str, dict[str, Any]] = {
+        stage: {"seconds": seconds, "photons": len(photons)}
+        for stage, seconds in relaxed.seconds.items()
     }
+    iterations = sum(relaxed.used["relax"]["n_iterations"])
+    stages["relax"] = {"seconds": relaxed.seconds["relax"], "iterations": iterations}
     _report(options, stage_table(stages), f"wrote {output}")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import fields, replace
 from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
 
@@ -108,7 +108,16 @@ def settings_from_options(
             if field in values.setdefault(stage, {}):
                 options.wrong_usage(f"{stage}.{field} is given twice")
             values[stage][field] = value
-    return Settings(**{stage: SETTINGS_CLASSES[stage](**each) for stage, each in values.items()})
+    return Settings(
+        **{stage: replace(_default(stage, methods), **each) for stage, each in values.items()}
+    )
+
+
+def _default(stage: str, methods: tuple[str, ...]) -> Any:
+    """Settings of a stage where none are given; those of its class if methods differ in them."""
+    readers = [METHODS[name] for name in methods if stage in METHODS[name].stages]
+    first, *others = [method.default(stage) for method in readers]
+    return first if all(each == first for each in others) else SETTINGS_CLASSES[stage]()
 
 
 def _assignments(

@@ -7,9 +7,9 @@ A new stage with settings of its own is one line in `StageSettings`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from time import perf_counter
-from typing import Any, TypedDict, Unpack, get_args, get_type_hints
+from typing import Any, NamedTuple, TypedDict, Unpack, get_args, get_type_hints
 
 from .._util.parallel import thread_count
 from .._util.progress import Progress
@@ -17,6 +17,7 @@ from ..photons.photon_map import PhotonMap
 from ..relaxation.gradient import GradientSettings, detect_gradient
 from ..relaxation.relax import RelaxSettings
 from ..relaxation.relax import relax as relax_photons
+from ..relaxation.rest_density import RestDensity, RestDensitySettings, rest_density
 from ..relaxation.structure import Structure, StructureSettings, detect_structure
 from ..scene.scene import Scene
 from .diffusion import DiffusionField, DiffusionSettings
@@ -39,11 +40,13 @@ METHODS_OF_SJ13 = ("standard", "relaxation", "diffusion", "parameterised", "prog
 class StageSettings(TypedDict, total=False):
     """Settings objects by stage, in the order of the pipeline; None stands for the defaults.
 
-    These are the papers', except for diffusion's: see `photonrelax.DiffusionSettings`.
+    These are the papers', except for diffusion's: see `photonrelax.DiffusionSettings`, and for
+    ``mapped``, which relaxes by ``RelaxSettings((5, 5), step=2)``.
     """
 
     structure: StructureSettings | None
     gradient: GradientSettings | None
+    rest_density: RestDensitySettings | None
     relax: RelaxSettings | None
     gather: GatherSettings | None
     diffusion: DiffusionSettings | None
@@ -76,6 +79,8 @@ def irradiance_field(
         One of:
 
         - ``parameterised``: SJ13, the default;
+        - ``mapped``: the same, towards the density that the map from emitter coordinates to
+          positions prescribes, see `photonrelax.relaxation.rest_density`;
         - ``relaxation``: the original relaxation (Spencer & Jones 2009, see
           `photonrelax.relaxation.gradient`), all of whose iterations are in space;
         - ``standard``: the photons as they are (Jensen);
@@ -173,6 +178,24 @@ class MethodInput:
     progress: Progress | None
 
 
+class RelaxedPhotons(NamedTuple):
+    """Photons that a method has relaxed.
+
+    Attributes
+    ----------
+    photons : PhotonMap
+    structure : Structure
+        Of the photons before.
+    seconds, used : dict
+        Time, s, and settings of each stage.
+    """
+
+    photons: PhotonMap
+    structure: Structure
+    seconds: dict[str, float]
+    used: dict[str, dict[str, Any]]
+
+
 @dataclass(frozen=True)
 class Method:
     """A method: all that is known of it outside of its module.
@@ -189,6 +212,10 @@ class Method:
         Photons carry local frequency spectra; see `photonrelax.trace_photons`.
     splits_passes : bool
         The photon map is split into passes, so that the number of photons in an estimate varies.
+    relax : callable, optional
+        ``relax(inputs)``, a `MethodInput`, returns the `RelaxedPhotons`, if it relaxes them.
+    defaults : dict
+        Settings by stage, where they are not those of the stage's class.
     """
 
     name: str
@@ -196,6 +223,12 @@ class Method:
     prepare: Callable[[MethodInput], PhotonField]
     needs_spectra: bool = False
     splits_passes: bool = False
+    relax: Callable[[MethodInput], RelaxedPhotons] | None = None
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+
+    def default(self, stage: str) -> Any:
+        """Settings of a stage where none are given."""
+        return self.defaults[stage] if stage in self.defaults else SETTINGS_CLASSES[stage]()
 
     def frequency_share(self, settings: Settings) -> float:
         """Share of the photons that are to carry spectra, in [0, 1]."""
@@ -207,45 +240,84 @@ def _standard(inputs: MethodInput) -> PhotonField:
     return IrradianceField(inputs.photons, gather, n_threads=inputs.n_threads)
 
 
-def _parameterised(inputs: MethodInput) -> PhotonField:
-    settings = inputs.settings.of("structure")
-    relax = inputs.settings.of("relax")
-    used = {"structure": asdict(settings), "relax": asdict(relax)}
-    return _relaxed(
-        inputs, lambda **options: detect_structure(inputs.photons, settings, **options), relax, used
-    )
+def _relax_by_structure(inputs: MethodInput) -> RelaxedPhotons:
+    stages = _Stages(inputs)
+    structure = stages.run("structure", detect_structure)
+    return stages.relaxed(structure, inputs.settings.of("relax"))
 
 
-def _relaxation(inputs: MethodInput) -> PhotonField:
-    settings = inputs.settings.of("gradient")
-    relax = inputs.settings.of("relax")
-    relax = replace(relax, n_iterations=(0, sum(relax.n_iterations)))
-    used = {"gradient": asdict(settings), "relax": asdict(relax)}
-    return _relaxed(
-        inputs, lambda **options: detect_gradient(inputs.photons, settings, **options), relax, used
-    )
+def _relax_by_gradient(inputs: MethodInput) -> RelaxedPhotons:
+    stages = _Stages(inputs)
+    structure = stages.run("gradient", detect_gradient, seconds_of="structure")
+    settings = inputs.settings.of("relax")
+    in_space = replace(settings, n_iterations=(0, sum(settings.n_iterations)))
+    return stages.relaxed(structure, in_space)
 
 
-def _relaxed(
-    inputs: MethodInput,
-    detect: Callable[..., Structure],
-    relax: RelaxSettings,
-    used: dict[str, Any],
-) -> PhotonField:
-    """Field of photons relaxed as far as the structure detected allows."""
-    options: dict[str, Any] = {"n_threads": inputs.n_threads, "progress": inputs.progress}
-    started = perf_counter()
-    structure = detect(**options)
-    detected = perf_counter()
-    relaxed = relax_photons(inputs.photons, structure, relax, scene=inputs.scene, **options)
-    return IrradianceField(
-        relaxed,
-        inputs.settings.of("gather"),
-        structure=structure,
-        seconds={"structure": detected - started, "relax": perf_counter() - detected},
-        used=used,
-        n_threads=inputs.n_threads,
-    )
+def _relax_to_rest(inputs: MethodInput) -> RelaxedPhotons:
+    stages = _Stages(inputs)
+    structure = stages.run("structure", detect_structure)
+    rest = stages.run("rest_density", rest_density)
+    return stages.relaxed(structure, inputs.settings.of("relax"), rest)
+
+
+class _Stages:
+    """Stages of a method that relaxes photons, one after the other.
+
+    Attributes
+    ----------
+    seconds, used : dict
+        Time, s, and settings of the stages done.
+    """
+
+    def __init__(self, inputs: MethodInput) -> None:
+        self._inputs = inputs
+        self._options: dict[str, Any] = {"n_threads": inputs.n_threads, "progress": inputs.progress}
+        self.seconds: dict[str, float] = {}
+        self.used: dict[str, dict[str, Any]] = {}
+
+    def run(self, stage: str, work: Callable[..., Any], seconds_of: str | None = None) -> Any:
+        """Result of a stage's work on the photons; its time is counted under `seconds_of`."""
+        settings = self._inputs.settings.of(stage)
+        started = perf_counter()
+        found = work(self._inputs.photons, settings, **self._options)
+        self.seconds[seconds_of or stage] = perf_counter() - started
+        self.used[stage] = asdict(settings)
+        return found
+
+    def relaxed(
+        self, structure: Structure, settings: RelaxSettings, rest: RestDensity | None = None
+    ) -> RelaxedPhotons:
+        """Photons relaxed as far as the structure allows."""
+        inputs, started = self._inputs, perf_counter()
+        moved = relax_photons(
+            inputs.photons, structure, settings, rest=rest, scene=inputs.scene, **self._options
+        )
+        self.seconds["relax"] = perf_counter() - started
+        self.used["relax"] = asdict(settings)
+        return RelaxedPhotons(moved, structure, self.seconds, self.used)
+
+
+def _relaxing_method(
+    name: str,
+    stages: tuple[str, ...],
+    relax: Callable[[MethodInput], RelaxedPhotons],
+    defaults: Mapping[str, Any] | None = None,
+) -> Method:
+    """The method that gathers from relaxed photons."""
+
+    def prepare(inputs: MethodInput) -> PhotonField:
+        relaxed = relax(inputs)
+        return IrradianceField(
+            relaxed.photons,
+            inputs.settings.of("gather"),
+            structure=relaxed.structure,
+            seconds=relaxed.seconds,
+            used=relaxed.used,
+            n_threads=inputs.n_threads,
+        )
+
+    return Method(name, (*stages, "relax", "gather"), prepare, relax=relax, defaults=defaults or {})
 
 
 def _diffusion(inputs: MethodInput, *, isotropic: bool = False) -> PhotonField:
@@ -278,8 +350,14 @@ def _frequency(inputs: MethodInput) -> PhotonField:
 
 _RECORDS = (
     Method("standard", ("gather",), _standard),
-    Method("relaxation", ("gradient", "relax", "gather"), _relaxation),
-    Method("parameterised", ("structure", "relax", "gather"), _parameterised),
+    _relaxing_method("relaxation", ("gradient",), _relax_by_gradient),
+    _relaxing_method("parameterised", ("structure",), _relax_by_structure),
+    _relaxing_method(
+        "mapped",
+        ("structure", "rest_density"),
+        _relax_to_rest,
+        {"relax": RelaxSettings((5, 5), step=2.0)},
+    ),
     Method("diffusion", ("diffusion",), _diffusion),
     Method("isotropic-diffusion", ("diffusion",), _isotropic_diffusion),
     Method("progressive", ("progressive",), _progressive, splits_passes=True),
@@ -324,10 +402,26 @@ def method_named(name: str) -> Method:
     return METHODS[name]
 
 
+def relaxed_photons(name: str, inputs: MethodInput) -> RelaxedPhotons:
+    """Photons relaxed by the method of a name; raises ValueError if it does not relax any."""
+    relaxing = {method.name: method.relax for method in METHODS.values()}
+    relax = relaxing.get(name)
+    if relax is None:
+        names = ", ".join(each for each, has in relaxing.items() if has is not None)
+        raise ValueError(f"method should be one that relaxes photons, {names}, but is {name!r}")
+    return relax(_completed(METHODS[name], inputs))
+
+
 def prepare(name: str, inputs: MethodInput) -> PhotonField:
     """Do the preparation of the method of a name; raises ValueError if there is none."""
-    field = method_named(name).prepare(inputs)
+    method = method_named(name)
+    field = method.prepare(_completed(method, inputs))
     if inputs.scene is not None:
         lit = lit_objects(inputs.scene, inputs.photons)
         field.surface = Surface(inputs.scene, thread_count(inputs.n_threads), lit)
     return field
+
+
+def _completed(method: Method, inputs: MethodInput) -> MethodInput:
+    """The input with the method's own defaults for settings that are not given."""
+    return replace(inputs, settings=Settings(**{**method.defaults, **inputs.settings.given}))
