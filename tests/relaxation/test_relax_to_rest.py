@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 import photonrelax as pr
+from photonrelax import gallery
 from tests.helpers.neighbours import nearest
 from tests.helpers.photon_maps import MAPS, flat_map, mapped, plane, uniform_map, unit_square
 from tests.helpers.tracing_scenes import scene_of
@@ -81,8 +82,18 @@ def test_neither_flux_nor_input_changes():
     assert photons.position.tobytes() == before
     assert after.position.tobytes() != before
     assert after.flux.tobytes() == photons.flux.tobytes()
-    assert after.ledger == photons.ledger
     assert after.well_spaced
+
+
+def test_the_ledger_of_a_traced_map_is_kept():
+    scene = gallery.scene("ring")
+    photons = pr.trace_photons(scene, 10_000, seed=1, n_threads=1)
+    rest = pr.rest_density(photons)
+    after = relaxed(photons, rest, scene=scene)
+    assert (after.position != photons.position).any()
+    assert (rest.slope != 0.0).any()
+    assert photons.ledger is not None
+    assert after.ledger is photons.ledger
 
 
 def test_photons_stay_on_their_floor():
