@@ -17,6 +17,7 @@ python -m bench initial-radius    progressive photon mapping by its initial radi
 python -m bench pixel-means       errors of means over texels by photons, against counted photons
 python -m bench error-times       errors of irradiance maps over the time they take
 python -m bench resolution        errors by gaps, thicknesses and widths that float32 tells apart
+python -m bench slopes            light relaxed to the density its map prescribes, and to even one
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from bench.studies import (
     refinements,
     resolution,
     shapes,
+    slopes,
     table1,
 )
 
@@ -60,6 +62,7 @@ _COMMANDS = {
     "pixel-means": pixel_means,
     "error-times": error_times,
     "resolution": resolution,
+    "slopes": slopes,
     # The processes that `compare` and `memory` start.
     "simd": simd,
     "stage": memory_stage,
