@@ -185,7 +185,7 @@ def _cell(errors: Errors) -> str:
 
 
 def _ratios(found: list[Errors]) -> str:
-    """Errors of the first mapped setting over those of the best plain, and of the second over it."""
+    """Ratios of the first mapped setting to the best plain one, and of the second to the first."""
     plain, first, second = found[: len(PLAIN)], found[len(PLAIN)], found[-1]
     best = min(e.rms for e in plain), min(e.l1 for e in plain)
     return (
@@ -231,10 +231,10 @@ def markdown(study: Study) -> str:
         "ratios",
     ]
     return (
-        f"{markdown_table(titles, rows(study))}\n\nRoot mean square error over the mean and relative "
-        f"L1 of means over {study.texels} x {study.texels} texels of the floor, k = {study.k}, "
-        f"against {study.reference_passes} counted passes of {study.photons_per_pass:,} photons. "
-        "Reference: half the difference between the halves of its passes. Ratios: mapped "
+        f"{markdown_table(titles, rows(study))}\n\nRoot mean square error over the mean and "
+        f"relative L1 of means over {study.texels} x {study.texels} texels of the floor, k = {study.k}, "
+        f"against {study.reference_passes} counted passes of {study.photons_per_pass:,} "
+        "photons. Reference: half the difference between the halves of its passes. Ratios: mapped "
         f"{MAPPED[0]} over the best of parameterised, for each measure apart, and mapped "
         f"{MAPPED[1]} over mapped {MAPPED[0]}.\n"
     )

@@ -60,7 +60,8 @@ def test_one_iteration_adds_the_force_at_rest():
     length = 1 / np.maximum(np.linalg.norm(rest.slope, axis=1), 1e-300)
     expected = plain + (0.3 * 11.5 / (12 * 12) * radius**2)[:, np.newaxis] * rest.slope
     gone = np.linalg.norm(expected - photons.position, axis=1)
-    within = gone < np.minimum(0.5 * radius_of_k, 0.4 * length)
+    limit = np.minimum(0.6 * rest.limit * radius, rest.limit * radius_of_k)
+    within = gone < np.minimum(limit, 0.4 * length)
     assert within.mean() > 0.9
     np.testing.assert_allclose(moved[within], expected[within], rtol=0, atol=1e-12)
 
@@ -71,8 +72,49 @@ def test_no_photon_goes_beyond_its_limit():
     moved = pr.relax(photons, found, pr.RelaxSettings((14, 14), step=2.0), rest=rest).position
     gone = np.linalg.norm(moved - photons.position, axis=1)
     assert rest.has_map.all()
-    assert (gone <= 0.5 * found.radius * np.sqrt(16 / found.n_found) * (1 + 1e-9)).all()
+    radius = found.radius * np.sqrt(16 / found.n_found)
+    assert (gone <= rest.limit * radius * (1 + 1e-9)).all()
     assert (gone * np.linalg.norm(rest.slope, axis=1) <= 0.4 * (1 + 1e-9)).all()
+
+
+def crossed_sheets():
+    """An even sheet across a folded one, of two signatures."""
+    folded, even = mapped("folded", 2000, "random", 1), uniform_map(2000, "random", 2)
+    fields = ("position", "normal", "flux", "emitter_coords", "emitter_density")
+    return pr.PhotonMap(
+        **{f: np.concatenate([getattr(folded, f), getattr(even, f)]) for f in fields},
+        path_signature=np.repeat([1, 2], 2000),
+    )
+
+
+def test_moves_in_space_are_limited_by_the_spacing_of_all_sheets():
+    """To 0.6 of the limit, in units of the radius of k photons of all sheets, in one move."""
+    photons = crossed_sheets()
+    found, rest = pr.detect_structure(photons), pr.rest_density(photons)
+    settings = pr.RelaxSettings((0, 1), step=100.0, largest_step=np.inf)
+    moved = pr.relax(photons, found, settings, rest=rest).position
+    radius = nearest(photons.position, photons.position, 16)[1][:, -1]
+    gone = np.linalg.norm(moved - photons.position, axis=1)
+    assert (gone <= 0.6 * rest.limit * radius * (1 + 1e-9)).all()
+    assert gone.max() > 0.0
+
+
+@pytest.mark.parametrize("kind", ["halton", "random"])
+@pytest.mark.parametrize("n_iterations", [(5, 5), (14, 14)])
+def test_facets_are_never_worse_than_unrelaxed(kind, n_iterations):
+    """Across a kink of the map, as of flat facets, where density jumps by four."""
+    coords = unit_square(20_000, kind, 3)
+    x = np.where(coords[:, 0] < 0.5, 0.4 * coords[:, 0], 1.6 * coords[:, 0] - 0.6)
+    photons = flat_map(np.column_stack([x, coords[:, 1]]), 20_000, coords=coords)
+    rest = pr.rest_density(photons, n_threads=1)
+    points, normals = plane(0.05 + 0.9 * unit_square(4000, "random", 1))
+    side = np.full(len(points), (2.5 / len(photons)) ** 0.5)
+    exact = np.where(points[:, 0] < 0.2, 2.5, 0.625)
+    errors = []
+    for each in (relaxed(photons, rest, n_iterations=n_iterations), photons):
+        field = pr.irradiance_field(each, method="standard", gather=pr.GatherSettings(k=8))
+        errors.append(np.abs(field(points, normals, footprint=side)[:, 0] - exact).mean())
+    assert errors[0] < errors[1]
 
 
 def test_neither_flux_nor_input_changes():

@@ -24,10 +24,12 @@ from .structure import Structure
 
 # Photons projected onto their surfaces at a time, some thousand whole blocks for a thread.
 _PROJECTION_CHUNK = 1 << 20
-# Largest distances from where a photon started, in units of the radius of k photons and of the
-# length over which the density prescribed changes.
-_LIMIT_OF_RADIUS = 0.5
+# Largest distance from where a photon started, in units of the length over which the density
+# prescribed changes.
 _LIMIT_OF_SLOPE = 0.4
+# Share of the limit, in units of the radius of photons of all sheets, that iterations in space are
+# left: only the noise between sheets is new to them, and their slopes do not know of one another.
+_SHARE_IN_SPACE = 0.6
 
 
 @dataclass(frozen=True)
@@ -104,8 +106,8 @@ def relax(
         Defaults are the paper's.
     rest : RestDensity, optional
         The density of this map in which photons are to rest, from `rest_density`; even by default.
-        With it photons whose density is known stay within half the radius of k photons of where
-        they started, and within 0.4 of the length over which the density changes.
+        With it photons stay within its limit of where they started, and within 0.4 of the length
+        over which the density changes.
     scene : Scene, optional
         With it photons are projected on their objects by short rays along their normals, and stay
         where they were if they would leave them. Without it they move in their tangent planes,
@@ -234,20 +236,22 @@ class _Stage:
             constraint=structure.constraint,
             range_radius=range_radius,
             reach=structure.reach if constrained else None,
-            rest=None if relaxation.rest is None else self._rest_inputs(relaxation.rest, radius),
+            rest=None
+            if relaxation.rest is None
+            else self._rest_inputs(relaxation.rest, None if constrained else position, radius),
         )
 
-    def _rest_inputs(self, rest: RestDensity, radius: Floats) -> _relax.Rest:
-        """Inputs of a kernel for a density to rest in; photons without a map go anywhere."""
+    def _rest_inputs(self, rest: RestDensity, start: Floats | None, radius: Floats) -> _relax.Rest:
+        """Inputs of a kernel for a density to rest in; `start` is where moves in space start."""
         rows = self._rows
         with np.errstate(divide="ignore"):
             length = 1.0 / np.linalg.norm(rest.slope[rows], axis=1)
-        limit = np.minimum(_LIMIT_OF_RADIUS * radius, _LIMIT_OF_SLOPE * length)
-        limit[~rest.has_map[rows]] = np.inf
         return _relax.Rest(
             slope=rest.slope,
             origin=self._relaxation.photons.position[rows],
-            limit=limit,
+            farthest=np.minimum(rest.limit[rows] * radius, _LIMIT_OF_SLOPE * length),
+            start=None if start is None else start[rows],
+            limit=_SHARE_IN_SPACE * rest.limit,
         )
 
     def _normals_in_tree_order(self, normal: Floats) -> Floats:

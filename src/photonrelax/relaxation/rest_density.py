@@ -32,6 +32,12 @@ from ..spatial.kdtree import KDTree
 # Force of the lattice's nearest 32 in units of slope times squared radius, measured on exponential
 # densities; see docs/methods/mapped.md.
 LATTICE_FORCE = 0.0778
+# Largest distances from where photons started, in units of the noise and the radius of k photons:
+# noise is gone when photons have gone so far, after which slopes drift; where no map fits, moves
+# are as likely wrong. At the most half the radius: there g is no longer the slope.
+_LIMIT_OF_NOISE, _LIMIT_WITHOUT_MAP, _LARGEST_LIMIT = 7.0, 2.0, 0.5
+# Noise of independent photons, where that of a sheet is not known.
+_NOISE_OF_INDEPENDENT = 0.075
 # Photons of a neighbourhood are sorted in one chunk.
 _MOST_NEIGHBOURS = 64
 # Coefficients of a quadratic map.
@@ -51,12 +57,12 @@ class RestDensitySettings:
         The nearest of them, to which the map is fitted.
     max_residual : float
         Largest root mean square distance of photons from their map, in units of the radius of 16
-        photons; where it is larger no slope is prescribed.
+        photons; where it is larger no slope is prescribed, and photons hardly move.
     """
 
     k: int = 24
     n_fitted: int = 16
-    max_residual: float = 0.05
+    max_residual: float = 0.1
 
     def __post_init__(self) -> None:
         k = validation.count(self.k, "RestDensitySettings.k", low=_TERMS, high=_MOST_NEIGHBOURS)
@@ -78,23 +84,27 @@ class RestDensity:
         none is.
     residual : (n,) float array
         Root mean square distance of the photons around one from their map, in units of the radius
-        of 16 photons. Infinite where there is no map: those photons relax as without a density.
+        of 16 photons; infinite where there is no map.
+    limit : (n,) float array
+        Largest distance of a photon from where it started, in units of the radius of k photons;
+        infinite for photons that relax as without a density.
 
     Raises
     ------
     TypeError, ValueError
-        If shapes differ, a slope is not finite or a residual negative.
+        If shapes differ, a slope is not finite, or a residual or limit negative.
     """
 
     slope: Floats
     residual: Floats
+    limit: Floats
 
     def __post_init__(self) -> None:
         slope = validation.float_array(self.slope, "slope", (None, 3))
         set_field(self, "slope", slope)
-        set_field(
-            self, "residual", validation.distances(self.residual, "residual", slope.shape[:1])
-        )
+        for name in ("residual", "limit"):
+            values = validation.distances(getattr(self, name), name, slope.shape[:1])
+            set_field(self, name, values)
 
     def __len__(self) -> int:
         return len(self.slope)
@@ -135,14 +145,15 @@ def rest_density(
     threads = thread_count(n_threads)
     report = Reporter(progress, "rest density", len(photons))
     slope, residual = np.zeros((len(photons), 3)), np.full(len(photons), np.inf)
+    limit = residual.copy()
     for group in neighbour_groups(photons, threads):
         if photons.emitter_coords is None or group.mixed or group.at_rest:
             report.advance(len(residual[group.rows]))
         else:
-            slope[group.rows], residual[group.rows] = _of_group(
+            slope[group.rows], residual[group.rows], limit[group.rows] = _of_group(
                 photons, photons.emitter_coords, group, settings, n_threads=threads, report=report
             )
-    return RestDensity(slope, residual)
+    return RestDensity(slope, residual, limit)
 
 
 def _of_group(
@@ -153,14 +164,16 @@ def _of_group(
     *,
     n_threads: int,
     report: Reporter,
-) -> tuple[Floats, Floats]:
-    """Slopes and residuals of a group whose emitter coordinates compare."""
+) -> tuple[Floats, Floats, Floats]:
+    """Slopes, residuals and limits of a group whose emitter coordinates compare."""
     position, normal, coords = (
         np.ascontiguousarray(column[group.rows])
         for column in (photons.position, photons.normal, coords)
     )
-    slope, residual = np.empty_like(position), np.empty(len(position))
-    tree = _emitter_tree(coords, normal, _sheets(photons, group), n_threads)
+    slope = np.empty_like(position)
+    residual, noise = np.empty((2, len(position)))
+    sheet = _sheets(photons, group)
+    tree = _emitter_tree(coords, normal, sheet, n_threads)
     for first, end in report.chunks(len(tree)):
         _rest_density.prescribe(
             *(tree.kernel, first, end),
@@ -173,9 +186,24 @@ def _of_group(
             lattice_force=LATTICE_FORCE,
             slope=slope,
             residual=residual,
+            noise=noise,
             n_threads=n_threads,
         )
-    return slope, residual
+    of_noise = np.where(residual <= settings.max_residual, _LIMIT_OF_NOISE, _LIMIT_WITHOUT_MAP)
+    limit = np.minimum(of_noise * _of_sheets(noise, sheet[:, 0]), _LARGEST_LIMIT)
+    return slope, residual, np.where(np.isfinite(residual), limit, np.inf)
+
+
+def _of_sheets(noise: Floats, sheet: Floats) -> Floats:
+    """Median noise of the sheet of each photon, of those where it is known."""
+    known = np.isfinite(noise)
+    order = np.lexsort([noise[known], sheet[known]])
+    present, count = np.unique(sheet[known], return_counts=True)
+    number, of_photon = np.unique(sheet, return_inverse=True)
+    medians = np.full(len(number), _NOISE_OF_INDEPENDENT)
+    first = np.cumsum(count) - count
+    medians[np.searchsorted(number, present)] = noise[known][order][first + count // 2]
+    return medians[of_photon]
 
 
 def _sheets(photons: PhotonMap, group: Group) -> Floats:

@@ -25,18 +25,26 @@ cdef class Rest:
     slope : (m, 3) float64 array
         Relative slope of the density, 1/m, by row.
     origin : (n, 3) float64 array
-        Positions before the first move, in tree order.
-    limit : (n,) float64 array
-        Largest distances from there, m, in tree order.
+        Positions before all moves, in tree order.
+    farthest : (n,) float64 array
+        Largest distances from the origin, m, in tree order.
+    start : (n, 3) float64 array or None
+        Positions before the first of these moves, in tree order, if they are limited too.
+    limit : (m,) float64 array
+        Largest distances from the start, in units of the present radius of k photons, by row.
     """
 
     cdef const double[:, ::1] slope
     cdef const double[:, ::1] origin
+    cdef const double[::1] farthest
+    cdef const double[:, ::1] start
     cdef const double[::1] limit
 
-    def __init__(self, *, slope, origin, limit):
+    def __init__(self, *, slope, origin, farthest, start, limit):
         self.slope = slope
         self.origin = origin
+        self.farthest = farthest
+        self.start = start
         self.limit = limit
 
     cdef void compensate(
@@ -51,19 +59,26 @@ cdef class Rest:
         for axis in range(3):
             f[axis] += scale * self.slope[row, axis]
 
-    cdef void hold(self, double* moved, Py_ssize_t place) noexcept nogil:
-        """Put a photon that went too far back to the limit."""
-        cdef double[3] gone
-        cdef double distance
-        cdef Py_ssize_t axis
+    cdef void hold(
+        self, double* moved, Py_ssize_t row, Py_ssize_t place, double radius
+    ) noexcept nogil:
+        """Put a photon that went too far back to its limits; `radius` is that of k photons."""
+        if self.start is not None:
+            put_back(moved, &self.start[place, 0], self.limit[row] * radius)
+        put_back(moved, &self.origin[place, 0], self.farthest[place])
+
+
+cdef void put_back(double* moved, const double* origin, double limit) noexcept nogil:
+    """Move a point to no farther than `limit` from the origin."""
+    cdef double[3] gone
+    cdef double distance
+    cdef Py_ssize_t axis
+    for axis in range(3):
+        gone[axis] = moved[axis] - origin[axis]
+    distance = sqrt(dot(gone, gone))
+    if distance > limit:
         for axis in range(3):
-            gone[axis] = moved[axis] - self.origin[place, axis]
-        distance = sqrt(dot(gone, gone))
-        if distance > self.limit[place]:
-            for axis in range(3):
-                moved[axis] = (
-                    self.origin[place, axis] + gone[axis] * self.limit[place] / distance
-                )
+            moved[axis] = origin[axis] + gone[axis] * limit / distance
 
 
 cdef class RelaxInputs:
@@ -183,8 +198,12 @@ cdef class Move(BatchWork):
         self.inputs.too_few[place] = query.candidates.count < batch.k
         for axis in range(3):
             self.moved[place, axis] = query.bounds.low[axis] + f[axis]
-        if self.inputs.rest is not None:
-            self.inputs.rest.hold(&self.moved[place, 0], place)
+        if self.inputs.rest is not None and query.candidates.count >= MIN_NEIGHBOURS:
+            # The radius of those that there are, scaled to hold k.
+            self.inputs.rest.hold(
+                &self.moved[place, 0], row, place,
+                sqrt(query.candidates.squared_radius * batch.k / query.candidates.count)
+            )
 
 
 def move(

@@ -67,7 +67,9 @@ cdef struct QuadraticMap:
 
 cdef struct Sheet:
     # Area of a photon over the emitter coordinates, and the straight edge, if there is one: the
-    # sheet is where the product with the direction (a, b) is above `edge`.
+    # sheet is where the product with the direction (a, b) is above `edge`. Lopsided: there may be
+    # an edge, or the photons are uneven.
+    bint lopsided
     double area
     double edge
     double a
@@ -86,6 +88,7 @@ cdef class RestDensity(BatchWork):
     cdef double lattice_force
     cdef double[:, ::1] slope
     cdef double[::1] residual
+    cdef double[::1] noise
 
     cdef void finish(self, Batch* batch, Py_ssize_t first, int thread) noexcept nogil:
         """Fit the maps around the photons of a block; write their rows only."""
@@ -109,7 +112,7 @@ cdef class RestDensity(BatchWork):
             self.prescribe(batch, lane, self.tree.ids[first + lane])
 
     cdef void prescribe(self, Batch* batch, Py_ssize_t lane, Py_ssize_t row) noexcept nogil:
-        """Write the slope at a photon, zero where no map fits, and the residual of its map."""
+        """Write the slope at a photon, zero where no map fits, the residual, and the noise."""
         cdef Samples samples
         cdef QuadraticMap fit
         cdef Sheet sheet
@@ -117,7 +120,7 @@ cdef class RestDensity(BatchWork):
         cdef double[2] force
         cdef double radius, scale
         cdef Py_ssize_t axis
-        self.residual[row] = INFINITY
+        self.residual[row] = self.noise[row] = INFINITY
         for axis in range(3):
             self.slope[row, axis] = 0.0
         orthonormal_frame(frame, frame + 3, &self.normal[row, 0])
@@ -132,6 +135,8 @@ cdef class RestDensity(BatchWork):
         if not (radius > 0.0 and isfinite(force[0]) and isfinite(force[1])):
             return
         self.residual[row] = fit.residual / radius
+        if not sheet.lopsided:
+            self.noise[row] = unevenness(&samples, self.n_fitted)
         if self.residual[row] <= self.max_residual:
             scale = -1.0 / (self.lattice_force * radius * radius)
             for axis in range(3):
@@ -297,7 +302,8 @@ cdef Sheet sheet_around(const Samples* samples) noexcept nogil:
     shift = sqrt(sheet.a * sheet.a + sheet.b * sheet.b)
     sheet.edge = -INFINITY
     sheet.area = M_PI * radius * radius / last
-    if shift > EDGE_SHIFT * radius:
+    sheet.lopsided = shift > EDGE_SHIFT * radius
+    if sheet.lopsided:
         sheet.a /= shift
         sheet.b /= shift
         distance = edge_distance(shift / radius)
@@ -333,6 +339,18 @@ cdef double edge_distance(double shift) noexcept nogil:
         else:
             high = middle
     return low
+
+
+cdef double unevenness(const Samples* samples, Py_ssize_t n) noexcept nogil:
+    """Force of the nearest n samples over the emitter coordinates, in units of their radius."""
+    cdef double a = 0.0, b = 0.0, distance
+    cdef Py_ssize_t j
+    for j in range(n):
+        distance = sqrt(samples.a[j] * samples.a[j] + samples.b[j] * samples.b[j])
+        if distance > 0.0:
+            a -= samples.a[j] * (1.0 / distance - 1.0)
+            b -= samples.b[j] * (1.0 / distance - 1.0)
+    return sqrt(a * a + b * b) / n
 
 
 # --- the lattice -------------------------------------------------------------------------------
@@ -461,7 +479,7 @@ cdef double nth_smallest(double* values, Py_ssize_t n, Py_ssize_t nth) noexcept 
 def prescribe(
     Tree tree, Py_ssize_t first, Py_ssize_t end, *, position, normal, coords, Py_ssize_t k,
     Py_ssize_t n_fitted, double max_residual, double lattice_force, double[:, ::1] slope,
-    double[::1] residual, int n_threads
+    double[::1] residual, double[::1] noise, int n_threads
 ):
     """Fill the rows of the photons at tree positions first … end, whole blocks.
 
@@ -478,8 +496,8 @@ def prescribe(
         Largest residual over the radius of the lattice points.
     lattice_force : float
         Force of the lattice in units of slope times squared radius.
-    slope, residual : (n, 3) and (n,) float64 arrays
-        Written, by id.
+    slope, residual, noise : (n, 3), (n,) and (n,) float64 arrays
+        Written, by id; the noise is infinite where it is not known.
     """
     cdef double range_radius = 1.0 if tree.n_axes > tree.n_metric else -1.0
     cdef RestDensity work = RestDensity(tree, k=k, radius=INFINITY, range_radius=range_radius)
@@ -488,5 +506,5 @@ def prescribe(
     work.position, work.normal, work.coords = position, normal, coords
     work.n_fitted, work.max_residual = n_fitted, max_residual
     work.lattice_force = lattice_force
-    work.slope, work.residual = slope, residual
+    work.slope, work.residual, work.noise = slope, residual, noise
     search_points(work, first, end, n_threads)
