@@ -246,10 +246,13 @@ class _Stage:
         rows = self._rows
         with np.errstate(divide="ignore"):
             length = 1.0 / np.linalg.norm(rest.slope[rows], axis=1)
+        limited = np.isfinite(rest.limit[rows])
+        farthest = np.full(len(rows), np.inf)
+        farthest[limited] = rest.limit[rows][limited] * radius[limited]
         return _relax.Rest(
             slope=rest.slope,
             origin=self._relaxation.photons.position[rows],
-            farthest=np.minimum(rest.limit[rows] * radius, _LIMIT_OF_SLOPE * length),
+            farthest=np.minimum(farthest, _LIMIT_OF_SLOPE * length),
             start=None if start is None else start[rows],
             limit=_SHARE_IN_SPACE * rest.limit,
         )
