@@ -21,6 +21,7 @@ from bench.studies import (
     refinements,
     resolution,
     shapes,
+    slopes,
     table1,
 )
 
@@ -419,6 +420,21 @@ def test_means_over_texels_have_a_row_for_every_method():
     lines = pixel_means.markdown(study).splitlines()
     names = [line.split("|")[2].strip() for line in lines[2:] if line.startswith("|")]
     assert names == ["reference", *METHODS, "differential-checking", "bias-compensation"]
+
+
+def test_slopes_have_a_row_for_each_map_and_keep_references(tmp_path):
+    study = slopes.Study(
+        *(("water",), (2_000,), (1, 2)),
+        texels=8,
+        reference_passes=2,
+        photons_per_pass=5_000,
+        cache=tmp_path,
+    )
+    table = slopes.markdown(study)
+    lines = [line.split("|") for line in table.splitlines()[2:] if line.startswith("|")]
+    assert [line[2].strip() for line in lines] == ["reference", "2,000", "2,000"]
+    assert len(list(tmp_path.iterdir())) == 1
+    assert slopes.markdown(study) == table
 
 
 def test_errors_of_resolution_are_small_where_there_is_no_warning():
