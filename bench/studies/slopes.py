@@ -234,7 +234,7 @@ def markdown(study: Study) -> str:
         f"{markdown_table(titles, rows(study))}\n\nRoot mean square error over the mean and "
         f"relative L1 of means over {study.texels} x {study.texels} texels of the floor, "
         f"k = {study.k}, against {study.reference_passes} counted passes of "
-        f"{study.photons_per_pass:,} photons. Reference: half the difference between the halves of its passes. Ratios: mapped "
-        f"{MAPPED[0]} over the best of parameterised, for each measure apart, and mapped "
-        f"{MAPPED[1]} over mapped {MAPPED[0]}.\n"
+        f"{study.photons_per_pass:,} photons. Reference: half the difference between the halves "
+        f"of its passes. Ratios: mapped {MAPPED[0]} over the best of parameterised, for each "
+        f"measure apart, and mapped {MAPPED[1]} over mapped {MAPPED[0]}.\n"
     )
