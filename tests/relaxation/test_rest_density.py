@@ -6,6 +6,8 @@ import trimesh
 from scipy.optimize import brentq
 
 import photonrelax as pr
+from photonrelax._ext.relaxation import relax as relax_kernel
+from photonrelax._ext.relaxation import rest_density as kernel
 from photonrelax.relaxation.rest_density import LATTICE_FORCE
 from tests.helpers.neighbours import nearest
 from tests.helpers.photon_maps import flat_map, mapped, uniform_map, unit_square
@@ -267,3 +269,19 @@ def test_bad_columns_are_refused():
 def test_bad_settings_are_refused(fields, message):
     with pytest.raises(ValueError, match=message):
         pr.RestDensitySettings(**fields)
+
+
+def test_kernels_refuse_arrays_that_do_not_fit():
+    three, one = np.zeros((20, 3)), np.zeros(20)
+    tree = pr.KDTree(np.random.default_rng(0).random((20, 3))).kernel
+    arrays = {"position": three, "normal": three, "coords": three, "slope": three}
+    arrays |= {"residual": one, "noise": one}
+    settings = {"k": 8, "n_fitted": 8, "max_residual": 0.1, "lattice_force": LATTICE_FORCE}
+    for name, array in arrays.items():
+        wrong = arrays | {name: array[1:].copy()}
+        with pytest.raises(ValueError, match="do not fit the tree"):
+            kernel.prescribe(tree, 0, 20, **wrong, **settings, n_threads=1)
+    rest = {"slope": three, "origin": three, "farthest": one, "start": three, "limit": one}
+    for name, array in rest.items():
+        with pytest.raises(ValueError, match="do not fit one another"):
+            relax_kernel.Rest(**rest | {name: array[1:].copy()})

@@ -127,30 +127,24 @@ def relax(
         iterations with, or the map's `object_id` is not of the scene.
     """
     settings = settings or RelaxSettings()
-    _check_structure(structure, photons, settings)
-    if rest is not None and len(rest) != len(photons):
-        raise ValueError(f"rest should be of these {len(photons)} photons, but is of {len(rest)}")
+    _check_inputs(photons, structure, rest, settings)
     if not any(settings.n_iterations) or len(photons) == 0:
         return photons
     threads = thread_count(n_threads)
     projector = None if scene is None else SurfaceProjector(scene, photons, threads)
     report = Reporter(progress, "relax", len(photons) * sum(settings.n_iterations))
-    relaxation = _Relaxation(photons, structure, settings, rest, projector, threads, report)
-    position = np.empty_like(photons.position)
-    normal = photons.normal if projector is None else np.empty_like(photons.normal)
-    for group in neighbour_groups(photons, threads):
-        relaxation.relax(group, position, normal)
-    # The map copies arrays that could still be written to.
-    for array in (position, normal):
-        array.setflags(write=False)
-    return photons.replace(position=position, normal=normal, well_spaced=True)
+    return _Relaxation(photons, structure, settings, rest, projector, threads, report).relaxed()
 
 
-def _check_structure(structure: Structure, photons: PhotonMap, settings: RelaxSettings) -> None:
+def _check_inputs(
+    photons: PhotonMap, structure: Structure, rest: RestDensity | None, settings: RelaxSettings
+) -> None:
     if len(structure) != len(photons):
         raise ValueError(
             f"structure should be of these {len(photons)} photons, but is of {len(structure)}"
         )
+    if rest is not None and len(rest) != len(photons):
+        raise ValueError(f"rest should be of these {len(photons)} photons, but is of {len(rest)}")
     ranged, located = structure.emitter_range is not None, photons.emitter_coords is not None
     if settings.n_iterations[0] and ranged != located:
         raise ValueError(
@@ -171,7 +165,19 @@ class _Relaxation:
     n_threads: int
     report: Reporter
 
-    def relax(self, group: Group, position: Floats, normal: Floats) -> None:
+    def relaxed(self) -> PhotonMap:
+        """The photons after all iterations."""
+        photons = self.photons
+        position = np.empty_like(photons.position)
+        normal = photons.normal if self.projector is None else np.empty_like(photons.normal)
+        for group in neighbour_groups(photons, self.n_threads):
+            self._relax(group, position, normal)
+        # The map copies arrays that could still be written to.
+        for array in (position, normal):
+            array.setflags(write=False)
+        return photons.replace(position=position, normal=normal, well_spaced=True)
+
+    def _relax(self, group: Group, position: Floats, normal: Floats) -> None:
         """Write positions and normals of a group of neighbours after all iterations."""
         before = self.photons.position, self.photons.normal
         if group.at_rest:

@@ -30,6 +30,16 @@ cdef inline void normalise_safely(double* a) noexcept nogil:
     normalise(a)
 
 
+cdef inline void open_plane(Footprint* footprint, const double* normal) noexcept nogil:
+    """Set the axes to a frame of the tangent plane; the normal may have any length."""
+    cdef double* axes = footprint.rectangle.axes
+    cdef int axis
+    for axis in range(3):
+        axes[6 + axis] = normal[axis]
+    normalise_safely(&axes[6])
+    orthonormal_frame(&axes[0], &axes[3], &axes[6])
+
+
 cdef inline void open_rectangle(
     Footprint* footprint, const double* normal, const double* edges, double side
 ) noexcept nogil:
@@ -37,12 +47,7 @@ cdef inline void open_rectangle(
 
     The normal may have any length.
     """
-    cdef double* axes = footprint.rectangle.axes
-    cdef int axis
-    for axis in range(3):
-        axes[6 + axis] = normal[axis]
-    normalise_safely(&axes[6])
-    orthonormal_frame(&axes[0], &axes[3], &axes[6])
+    open_plane(footprint, normal)
     if edges == NULL:
         footprint.sides[0] = footprint.sides[1] = side
     else:
@@ -64,18 +69,18 @@ cdef inline void open_parallelogram(
     cdef double[6] directions
     cdef double stretch
     cdef int axis
-    open_rectangle(footprint, normal, edges, 0.0)
-    stretch = stretch_between(edges, &axes[6], directions)
-    if stretch == 1.0:
-        return
+    open_plane(footprint, normal)
     for axis in range(6):
         stretched[axis] = edges[axis]
-    for axis in range(2):
-        apply_stretch(directions, stretch, &stretched[3 * axis])
+    stretch = stretch_between(edges, &axes[6], directions)
+    if stretch != 1.0:
+        for axis in range(2):
+            apply_stretch(directions, stretch, &stretched[3 * axis])
     fit_rectangle(footprint, stretched)
     footprint.area = footprint.sides[0] * footprint.sides[1]
-    for axis in range(2):
-        apply_stretch(directions, stretch, &axes[3 * axis])
+    if stretch != 1.0:
+        for axis in range(2):
+            apply_stretch(directions, stretch, &axes[3 * axis])
 
 
 cdef inline double stretch_between(

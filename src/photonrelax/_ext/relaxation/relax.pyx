@@ -32,6 +32,11 @@ cdef class Rest:
         Positions before the first of these moves, in tree order, if they are limited too.
     limit : (m,) float64 array
         Largest distances from the start, in units of the present radius of k photons, by row.
+
+    Raises
+    ------
+    ValueError
+        If arrays do not fit one another.
     """
 
     cdef const double[:, ::1] slope
@@ -46,6 +51,13 @@ cdef class Rest:
         self.farthest = farthest
         self.start = start
         self.limit = limit
+        if not (
+            self.slope.shape[0] == self.limit.shape[0]
+            and self.origin.shape[0] == self.farthest.shape[0]
+            and self.slope.shape[1] == self.origin.shape[1] == 3
+            and (start is None or np.shape(start) == np.shape(origin))
+        ):
+            raise ValueError("slopes, origins and limits do not fit one another")
 
     cdef void compensate(
         self, double* f, Py_ssize_t row, double count, double squared_radius

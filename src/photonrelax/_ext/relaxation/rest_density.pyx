@@ -498,6 +498,11 @@ def prescribe(
         Force of the lattice in units of slope times squared radius.
     slope, residual, noise : (n, 3), (n,) and (n,) float64 arrays
         Written, by id; the noise is infinite where it is not known.
+
+    Raises
+    ------
+    ValueError
+        If k is too large, or arrays do not fit the tree.
     """
     cdef double range_radius = 1.0 if tree.n_axes > tree.n_metric else -1.0
     cdef RestDensity work = RestDensity(tree, k=k, radius=INFINITY, range_radius=range_radius)
@@ -507,4 +512,17 @@ def prescribe(
     work.n_fitted, work.max_residual = n_fitted, max_residual
     work.lattice_force = lattice_force
     work.slope, work.residual, work.noise = slope, residual, noise
+    if not fits(work):
+        raise ValueError("photons, slopes, residuals and noise do not fit the tree")
     search_points(work, first, end, n_threads)
+
+
+cdef bint fits(RestDensity work):
+    """Whether all arrays have a row for each of the photons of the tree."""
+    cdef Py_ssize_t n = work.tree.n_points
+    return (
+        n == work.position.shape[0] == work.normal.shape[0] == work.coords.shape[0]
+        and n == work.slope.shape[0] == work.residual.shape[0] == work.noise.shape[0]
+        and work.position.shape[1] == work.normal.shape[1] == work.slope.shape[1] == 3
+        and work.coords.shape[1] in (2, 3)
+    )
