@@ -19,8 +19,8 @@ from libc.string cimport memcpy, memset
 from ..common.threads cimport Watch, check_signals, close_watch, goes_on, open_watch, team_size
 from .simd.kernels cimport BLOCK
 from .build_node cimport (
-    COARSE, MAX_AXES, MAX_WORDS, Job, Node, bound_keys, bound_points, divide, divide_tied, keys_of,
-    keys_per_extent, renew_keys, widest, widest_extent, write_keys,
+    COARSE, FIRST_KEY, MAX_AXES, MAX_WORDS, Job, Node, bound_keys, bound_points, coincide, divide,
+    divide_tied, key_of, keys_of, keys_per_extent, renew_keys, widest, widest_extent, write_keys,
 )
 from .build_rows cimport QUAD, Cut, Keys, count_less, find_key, gather_keys
 
@@ -142,9 +142,9 @@ cdef object check(
 
 
 cdef void build(Workers* workers) noexcept nogil:
-    cdef int level = 0
+    cdef int level = 1
     cdef Py_ssize_t index
-    write_root(workers)
+    split_root(workers)
     while workers.n_threads > 1 and (1 << level) < SUBTREES * workers.n_threads and (
         workers.job.n_points >> level >= MIN_POINTS and check_signals(&workers.watch)
     ):
@@ -242,23 +242,41 @@ cdef Node thread_range(const Workers* workers, const Node* node, int thread) noe
     return part
 
 
-cdef void write_root(const Workers* workers) noexcept nogil:
+cdef void split_root(const Workers* workers) noexcept nogil:
+    """Write the rows of all points, and split them; their bounds are known without a pass."""
     cdef Node root = node_at(workers.job, 0, 0)
     cdef double[MAX_AXES] least
     cdef double[MAX_AXES] most
+    cdef int32_t[MAX_WORDS] low
+    cdef int32_t[MAX_WORDS] high
     cdef double unit
     cdef int thread, axis
+    bound_root(workers, &root, least, most)
+    unit = keys_per_extent(workers.job, least, most)
+    for axis in range(workers.job.n_keys):
+        low[axis + 1] = FIRST_KEY
+        high[axis + 1] = key_of((most[axis] - least[axis]) * workers.job.scale[axis] * unit)
     for thread in prange(workers.n_threads, num_threads=workers.n_threads):
-        number_range(workers, &root, thread)
+        write_range(workers, &root, thread, least, unit)
+    if coincide(workers.job, least, most):
+        workers.job.tied[0] = True
+        copy_node(workers.job, &root)
+        return
+    split_bounded(workers, &root, low, high)
+
+
+cdef void bound_root(
+    const Workers* workers, const Node* root, double* least, double* most
+) noexcept nogil:
+    cdef int thread, axis
+    for thread in prange(workers.n_threads, num_threads=workers.n_threads):
+        number_range(workers, root, thread)
     for axis in range(workers.job.n_keys):
         least[axis] = INFINITY
         most[axis] = -INFINITY
         for thread in range(workers.n_threads):
             least[axis] = min(least[axis], workers.partials[thread].least[axis])
             most[axis] = max(most[axis], workers.partials[thread].most[axis])
-    unit = keys_per_extent(workers.job, least, most)
-    for thread in prange(workers.n_threads, num_threads=workers.n_threads):
-        write_range(workers, &root, thread, least, unit)
 
 
 cdef void number_range(const Workers* workers, const Node* root, int thread) noexcept nogil:
@@ -282,9 +300,6 @@ cdef void split_parallel(const Workers* workers, int level, Py_ssize_t index) no
     cdef Node node = node_at(workers.job, level, index)
     cdef int32_t[MAX_WORDS] low
     cdef int32_t[MAX_WORDS] high
-    cdef Cut cut
-    cdef Keys keys
-    cdef int thread
     bound_parallel(workers, &node, low, high)
     if widest_extent(workers.job, low, high) < COARSE:
         if not renew_keys(workers.job, &node):
@@ -292,17 +307,26 @@ cdef void split_parallel(const Workers* workers, int level, Py_ssize_t index) no
             copy_node(workers.job, &node)
             return
         bound_parallel(workers, &node, low, high)
-    cut.word = widest(workers.job, &node, low, high)
+    split_bounded(workers, &node, low, high)
+
+
+cdef void split_bounded(
+    const Workers* workers, const Node* node, const int32_t* low, const int32_t* high
+) noexcept nogil:
+    cdef Cut cut
+    cdef Keys keys
+    cdef int thread
+    cut.word = widest(workers.job, node, low, high)
     for thread in prange(workers.n_threads, num_threads=workers.n_threads):
-        gather_range(workers, &node, thread, cut.word)
-    keys = keys_of(workers.job, &node, cut.word, low, high)
+        gather_range(workers, node, thread, cut.word)
+    keys = keys_of(workers.job, node, cut.word, low, high)
     keys.first = node.halves
     keys.step = 1
     find_key(keys, node.halves, &cut)
     if cut.n_tied:
-        divide_tied(workers.job, &node, &cut)
+        divide_tied(workers.job, node, &cut)
     else:
-        divide_parallel(workers, &node, &cut)
+        divide_parallel(workers, node, &cut)
 
 
 cdef void bound_parallel(

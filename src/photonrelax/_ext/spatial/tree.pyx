@@ -7,6 +7,7 @@ import os
 from cython.parallel cimport prange
 from libc.float cimport DBL_MAX
 from libc.math cimport INFINITY
+from libc.string cimport memcpy
 
 import numpy as np
 
@@ -79,17 +80,54 @@ cdef void sort_block(Tree tree, const double[:, ::1] points, Py_ssize_t block) n
 
     Sums over neighbours then have the same bits in whatever order the caller gives the points.
     """
-    cdef Py_ssize_t first = BLOCK * block
+    cdef int64_t* ids = &tree.ids[BLOCK * block]
+    cdef Py_ssize_t n = points_of_block(tree, block)
+    cdef int64_t[BLOCK] unsorted
+    cdef int64_t[BLOCK] rank
+    cdef Py_ssize_t lane
+    if not rank_lanes(points, ids, n, rank):
+        sort_tied(tree, points, ids, n)
+        return
+    memcpy(unsorted, ids, n * sizeof(int64_t))
+    for lane in range(n):
+        ids[rank[lane]] = unsorted[lane]
+
+
+cdef bint rank_lanes(
+    const double[:, ::1] points, const int64_t* ids, Py_ssize_t n, int64_t* rank
+) noexcept nogil:
+    """Number of points whose first coordinate is less; return False if some have the same.
+
+    Comparing all with all, in vectors, takes half the time of a sort, which has branches that
+    cannot be predicted.
+    """
+    cdef double[BLOCK] x
+    cdef Py_ssize_t lane, other
+    cdef int64_t n_pairs = 0
+    for lane in range(BLOCK):
+        x[lane] = points[ids[lane], 0] if lane < n else INFINITY
+        rank[lane] = 0
+    for other in range(BLOCK):
+        for lane in range(BLOCK):
+            rank[lane] += x[other] < x[lane]
+    for lane in range(n):
+        n_pairs += rank[lane]
+    return 2 * n_pairs == n * (n - 1)
+
+
+cdef void sort_tied(
+    Tree tree, const double[:, ::1] points, int64_t* ids, Py_ssize_t n
+) noexcept nogil:
     cdef Py_ssize_t place, hole
     cdef int64_t own
-    for place in range(first + 1, first + points_of_block(tree, block)):
-        own = tree.ids[place]
+    for place in range(1, n):
+        own = ids[place]
         hole = place
-        while hole > first and comes_after(points, tree.ids[hole - 1], own):
-            tree.ids[hole] = tree.ids[hole - 1]
+        while hole > 0 and comes_after(points, ids[hole - 1], own):
+            ids[hole] = ids[hole - 1]
             hole -= 1
-        tree.ids[hole] = own
-        if hole > first and coincide(points, tree.n_metric, tree.ids[hole - 1], own):
+        ids[hole] = own
+        if hole > 0 and coincide(points, tree.n_metric, ids[hole - 1], own):
             tree.may_coincide = True
 
 
