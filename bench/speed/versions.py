@@ -21,6 +21,7 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
+from scipy.stats import quantile_test
 
 from bench.markdown import markdown_table
 from bench.speed import inputs, machine
@@ -141,7 +142,17 @@ def markdown(
             this, other = (getattr(timing, clock) for timing in both)
             seconds = [f"{median(each):.4g} s" for each in (this, other)]
             ratios = [f"{typical(this) / typical(other):.3f}" for typical in (median, min)]
-            rows.append([task, *seconds, *ratios])
+            rows.append([task, *seconds, *ratios, interval(this, other)])
     titles = [title, "this build", "the other", "this over the other", "by shortest rounds"]
+    titles.append("95 % interval")
     note = f"Medians, {clock} time. {machine.description()}."
     return f"{markdown_table(titles, rows)}\n\n{note}\n"
+
+
+def interval(this: list[float], other: list[float]) -> str:
+    """95 % interval of the median ratio of rounds that followed each other; empty under six."""
+    ratios = [mine / others for mine, others in zip(this, other, strict=True)]
+    if len(ratios) < 6:
+        return ""
+    low, high = quantile_test(ratios, p=0.5).confidence_interval(0.95)
+    return f"{low:.3f} to {high:.3f}"

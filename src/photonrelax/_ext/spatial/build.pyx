@@ -142,21 +142,35 @@ cdef object check(
 
 
 cdef void build(Workers* workers) noexcept nogil:
-    cdef int level = 1
+    cdef int level = 1, top
     cdef Py_ssize_t index
     split_root(workers)
-    while workers.n_threads > 1 and (1 << level) < SUBTREES * workers.n_threads and (
-        workers.job.n_points >> level >= MIN_POINTS and check_signals(&workers.watch)
-    ):
-        if (1 << level) < workers.n_threads:
-            for index in range(1 << level):
-                split_parallel(workers, level, index)
-        else:
-            for index in prange(1 << level, schedule="dynamic", num_threads=workers.n_threads):
-                split_serial(workers.job, level, index)
+    while (1 << level) < workers.n_threads and goes_deeper(workers, level):
+        for index in range(1 << level):
+            split_parallel(workers, level, index)
         level += 1
+    top = level
+    while workers.n_threads > 1 and (1 << level) < SUBTREES * workers.n_threads and (
+        goes_deeper(workers, level)
+    ):
+        level += 1
+    for index in prange(1 << top, schedule="dynamic", num_threads=workers.n_threads):
+        split_down(workers.job, top, level, index)
     for index in prange(1 << level, schedule="dynamic", num_threads=workers.n_threads):
         descend(workers, level, index)
+
+
+cdef bint goes_deeper(Workers* workers, int level) noexcept nogil:
+    """Whether the nodes of a level are split before threads take subtrees."""
+    return workers.job.n_points >> level >= MIN_POINTS and check_signals(&workers.watch)
+
+
+cdef void split_down(const Job* job, int level, int last, Py_ssize_t index) noexcept nogil:
+    """Split a node and those below it, down to the level before the last."""
+    if level < last:
+        split_serial(job, level, index)
+        split_down(job, level + 1, last, 2 * index)
+        split_down(job, level + 1, last, 2 * index + 1)
 
 
 cdef void split_serial(const Job* job, int level, Py_ssize_t index) noexcept nogil:
@@ -243,26 +257,28 @@ cdef Node thread_range(const Workers* workers, const Node* node, int thread) noe
 
 
 cdef void split_root(const Workers* workers) noexcept nogil:
-    """Write the rows of all points, and split them; their bounds are known without a pass."""
+    """Write the rows of all points, and split them; bounds of their keys need no pass."""
     cdef Node root = node_at(workers.job, 0, 0)
     cdef double[MAX_AXES] least
     cdef double[MAX_AXES] most
-    cdef int32_t[MAX_WORDS] low
-    cdef int32_t[MAX_WORDS] high
-    cdef double unit
-    cdef int thread, axis
+    cdef double unit, extent, greatest = 0.0
+    cdef Keys keys
+    cdef int thread, axis, word = 1
     bound_root(workers, &root, least, most)
     unit = keys_per_extent(workers.job, least, most)
     for axis in range(workers.job.n_keys):
-        low[axis + 1] = FIRST_KEY
-        high[axis + 1] = key_of((most[axis] - least[axis]) * workers.job.scale[axis] * unit)
+        extent = (most[axis] - least[axis]) * workers.job.scale[axis]
+        if extent > greatest:
+            greatest = extent
+            word = axis + 1
     for thread in prange(workers.n_threads, num_threads=workers.n_threads):
-        write_range(workers, &root, thread, least, unit)
+        write_range(workers, &root, thread, least, unit, word)
     if coincide(workers.job, least, most):
         workers.job.tied[0] = True
         copy_node(workers.job, &root)
         return
-    split_bounded(workers, &root, low, high)
+    keys = gathered(&root, FIRST_KEY, key_of(greatest * unit))
+    cut_parallel(workers, &root, keys, word)
 
 
 cdef void bound_root(
@@ -289,10 +305,11 @@ cdef void number_range(const Workers* workers, const Node* root, int thread) noe
 
 
 cdef void write_range(
-    const Workers* workers, const Node* root, int thread, const double* least, double unit
+    const Workers* workers, const Node* root, int thread, const double* least, double unit, int word
 ) noexcept nogil:
     cdef Node part = thread_range(workers, root, thread)
     write_keys(workers.job, &part, least, unit)
+    gather_range(workers, root, thread, word)
 
 
 cdef void split_parallel(const Workers* workers, int level, Py_ssize_t index) noexcept nogil:
@@ -300,6 +317,7 @@ cdef void split_parallel(const Workers* workers, int level, Py_ssize_t index) no
     cdef Node node = node_at(workers.job, level, index)
     cdef int32_t[MAX_WORDS] low
     cdef int32_t[MAX_WORDS] high
+    cdef int thread, word
     bound_parallel(workers, &node, low, high)
     if widest_extent(workers.job, low, high) < COARSE:
         if not renew_keys(workers.job, &node):
@@ -307,21 +325,30 @@ cdef void split_parallel(const Workers* workers, int level, Py_ssize_t index) no
             copy_node(workers.job, &node)
             return
         bound_parallel(workers, &node, low, high)
-    split_bounded(workers, &node, low, high)
-
-
-cdef void split_bounded(
-    const Workers* workers, const Node* node, const int32_t* low, const int32_t* high
-) noexcept nogil:
-    cdef Cut cut
-    cdef Keys keys
-    cdef int thread
-    cut.word = widest(workers.job, node, low, high)
+    word = widest(workers.job, &node, low, high)
     for thread in prange(workers.n_threads, num_threads=workers.n_threads):
-        gather_range(workers, node, thread, cut.word)
-    keys = keys_of(workers.job, node, cut.word, low, high)
+        gather_range(workers, &node, thread, word)
+    cut_parallel(workers, &node, gathered(&node, low[word], high[word]), word)
+
+
+cdef Keys gathered(const Node* node, int32_t low, int32_t high) noexcept nogil:
+    """Keys from `low` to `high`, in the place of the halves."""
+    cdef Keys keys
     keys.first = node.halves
     keys.step = 1
+    keys.count = node.count
+    keys.rank = node.n_lower
+    keys.low = low
+    keys.high = high
+    return keys
+
+
+cdef void cut_parallel(
+    const Workers* workers, const Node* node, Keys keys, int word
+) noexcept nogil:
+    """Write the halves of a node whose keys, of one word, have been gathered."""
+    cdef Cut cut
+    cut.word = word
     find_key(keys, node.halves, &cut)
     if cut.n_tied:
         divide_tied(workers.job, node, &cut)

@@ -38,6 +38,8 @@ cdef class Tree:
     cdef double squared_diagonal
     cdef const SimdKernels* simd
 
+    cdef Py_ssize_t groups_of(self, Py_ssize_t level) noexcept nogil
+
 
 cdef inline Py_ssize_t first_block(Tree tree, Py_ssize_t node) noexcept nogil:
     """First block of a node of the last level; of the node after the last, the end."""

@@ -22,6 +22,7 @@ cdef enum:
     CACHE_LINE = 64
     # Blocks of a thread, at least.
     BLOCKS_PER_THREAD = 1 << 10
+    GROUPS_PER_THREAD = BLOCKS_PER_THREAD // BLOCK
 
 
 def aligned(shape, dtype=np.float64):
@@ -162,6 +163,17 @@ cdef void fill_lanes(Tree tree, Py_ssize_t block) noexcept nogil:
             tree.coords[block, axis, lane] = INFINITY
 
 
+cdef void fill_leaf_group(Tree tree, const double[:, ::1] points, Py_ssize_t g) noexcept nogil:
+    """Coordinates, boxes and lowest ids of the blocks of one group of the last kept level."""
+    cdef Py_ssize_t node = g * fan_out(tree, last_kept(tree))
+    cdef Py_ssize_t end = node + fan_out(tree, last_kept(tree))
+    cdef Py_ssize_t block
+    for block in range(first_block(tree, node), first_block(tree, end)):
+        place_block(tree, points, block)
+    box_leaf_group(tree, g)
+    set_lowest_ids(tree, last_kept(tree), g)
+
+
 cdef void box_leaf_group(Tree tree, Py_ssize_t g) noexcept nogil:
     """Bounding boxes of the blocks of one group of the last kept level."""
     cdef Py_ssize_t last = last_kept(tree)
@@ -206,18 +218,15 @@ cdef inline void box_lanes(
     tree.boxes[group, 1, axis, child] = high
 
 
-cdef void set_lowest_ids(Tree tree) noexcept nogil:
-    """Set the lowest id of each node, from the blocks upwards."""
-    cdef Py_ssize_t last = last_kept(tree)
-    cdef Py_ssize_t level, g, child, node
-    for level in range(last, -1, -1):
-        for g in range(tree.first_group[level + 1] - tree.first_group[level]):
-            for child in range(fan_out(tree, level)):
-                node = g * fan_out(tree, level) + child
-                tree.lowest_id[tree.first_group[level] + g, child] = (
-                    lowest_of_block(tree, node) if level == last
-                    else lowest_of_group(tree, tree.first_group[level + 1] + node)
-                )
+cdef void set_lowest_ids(Tree tree, Py_ssize_t level, Py_ssize_t g) noexcept nogil:
+    """Set the lowest id of each node of one group; those of the groups below are set."""
+    cdef Py_ssize_t child, node
+    for child in range(fan_out(tree, level)):
+        node = g * fan_out(tree, level) + child
+        tree.lowest_id[tree.first_group[level] + g, child] = (
+            lowest_of_block(tree, node) if level == last_kept(tree)
+            else lowest_of_group(tree, tree.first_group[level + 1] + node)
+        )
 
 
 cdef int64_t lowest_of_block(Tree tree, Py_ssize_t node) noexcept nogil:
@@ -245,7 +254,7 @@ cdef class Tree:
         int n_threads
     ):
         """Build the tree; nodes are split on the axis of largest extent times `axis_scale`."""
-        cdef Py_ssize_t block
+        cdef Py_ssize_t g, level, n_groups
         self.simd = selected_kernels()
         self.n_points = points.shape[0]
         self.n_axes = points.shape[1]
@@ -258,13 +267,16 @@ cdef class Tree:
         self.allocate()
         if self.n_points == 0:
             return
-        for block in prange(
-            self.n_blocks, nogil=True, schedule="static",
-            num_threads=team_size(n_threads, self.n_blocks, BLOCKS_PER_THREAD)
+        n_groups = self.groups_of(last_kept(self))
+        for g in prange(
+            n_groups, nogil=True, schedule="static",
+            num_threads=team_size(n_threads, n_groups, GROUPS_PER_THREAD)
         ):
-            place_block(self, points, block)
-        set_lowest_ids(self)
-        self.box(n_threads)
+            fill_leaf_group(self, points, g)
+        for level in range(last_kept(self) - 1, -1, -1):
+            for g in range(self.groups_of(level)):
+                set_lowest_ids(self, level, g)
+        self.box_above()
 
     def allocate(self):
         """Allocate blocks and boxes; boxes of nodes without points are empty."""
@@ -295,18 +307,25 @@ cdef class Tree:
 
     def box(self, int n_threads):
         """Recompute the bounding boxes of all nodes, from the blocks upwards."""
-        cdef Py_ssize_t last = last_kept(self)
-        cdef Py_ssize_t g, level
-        cdef Py_ssize_t n_groups = self.first_group[last + 1] - self.first_group[last]
+        cdef Py_ssize_t n_groups = self.groups_of(last_kept(self))
+        cdef Py_ssize_t g
         for g in prange(
             n_groups, nogil=True, schedule="static",
-            num_threads=team_size(n_threads, n_groups, BLOCKS_PER_THREAD // BLOCK)
+            num_threads=team_size(n_threads, n_groups, GROUPS_PER_THREAD)
         ):
             box_leaf_group(self, g)
-        for level in range(last - 1, -1, -1):
-            for g in range(self.first_group[level + 1] - self.first_group[level]):
+        self.box_above()
+
+    def box_above(self):
+        """Recompute the bounding boxes of the nodes above those of the last kept level."""
+        cdef Py_ssize_t g, level
+        for level in range(last_kept(self) - 1, -1, -1):
+            for g in range(self.groups_of(level)):
                 box_inner_group(self, level, g)
         self.box_all()
+
+    cdef Py_ssize_t groups_of(self, Py_ssize_t level) noexcept nogil:
+        return self.first_group[level + 1] - self.first_group[level]
 
     def box_all(self):
         cdef double squared = 0.0
