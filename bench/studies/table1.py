@@ -65,6 +65,7 @@ def measured(
         n_emitted=n_emitted,
         gather=_GATHER,
         diffusion=_DIFFUSION,
+        components=("direct", "caustic"),
         supersampling=2,
         n_threads=n_threads,
         progress=_report,

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from .relaxation.structure import Structure as Structure
     from .relaxation.structure import StructureSettings as StructureSettings
     from .relaxation.structure import detect_structure as detect_structure
+    from .rendering.plan import Plan as Plan
+    from .rendering.plan import plan as plan
     from .rendering.progressive_render import Checkpoints as Checkpoints
     from .rendering.progressive_render import render_progressive as render_progressive
     from .rendering.render import render as render
@@ -76,6 +78,7 @@ _MODULE_OF = {
     "Mirror": "scene.materials",
     "Neighbours": "spatial.kdtree",
     "PhotonMap": "photons.photon_map",
+    "Plan": "rendering.plan",
     "PointEmitter": "scene.emitters",
     "ProgressiveSettings": "estimation.progressive",
     "ProgressiveStatistics": "estimation.progressive",
@@ -93,6 +96,7 @@ _MODULE_OF = {
     "irradiance_field": "estimation.methods",
     "irradiance_map": "estimation.irradiance_map",
     "lightmap": "estimation.lightmap",
+    "plan": "rendering.plan",
     "relax": "relaxation.relax",
     "render": "rendering.render",
     "render_progressive": "rendering.progressive_render",

@@ -47,6 +47,7 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
         help="photons traced before in this scene, in place of new ones; for relaxed photons use "
         f"--method {PLAIN_METHOD}",
     )
+    _add_components(parser)
     _add_sampler(parser)
     _add_settings(parser)
     _add_image(parser)
@@ -59,6 +60,32 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
         "report to standard error",
     )
     _add_common(parser)
+
+
+def _add_components(parser: argparse.ArgumentParser) -> None:
+    # Without defaults, to refuse them where they are given beside --passes.
+    parser.add_argument(
+        "--components",
+        type=_names,
+        metavar="NAME,...",
+        help="light to model, of direct,caustic,indirect (all that the scene has)",
+    )
+    parser.add_argument(
+        "--global",
+        dest="n_global",
+        type=whole,
+        metavar="N",
+        help="photons to emit for indirect light (as the plan says; 0 for none)",
+    )
+
+
+def _add_plan(parser: argparse.ArgumentParser) -> None:
+    _add_scene(parser)
+    parser.add_argument(
+        "--photons", type=positive, metavar="N", help=f"photons to emit for caustics ({PHOTONS})"
+    )
+    _add_components(parser)
+    parser.add_argument("--threads", type=positive, metavar="N", help="number of threads (all)")
 
 
 def _add_passes(parser: argparse.ArgumentParser) -> None:
@@ -226,6 +253,7 @@ def _add_info(parser: argparse.ArgumentParser) -> None:
 
 COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "render": ("render a built-in scene to an EXR file, and a PNG preview beside it", _add_render),
+    "plan": ("print what light a render of a built-in scene models, and why", _add_plan),
     "trace": ("trace the photons of a built-in scene into a photon map", _add_trace),
     "relax": ("relax the photons of a photon map", _add_relax),
     "compare": ("compare methods on the same photons: table, images, HTML page", _add_compare),
@@ -374,6 +402,11 @@ def _positive_number(text: str) -> float:
     if not 0.0 < number < float("inf"):
         raise argparse.ArgumentTypeError(f"should be a positive number, but is {text!r}")
     return number
+
+
+def _names(text: str) -> tuple[str, ...]:
+    """Names of a text like direct,caustic."""
+    return tuple(name.strip() for name in text.split(","))
 
 
 def _radii(text: str) -> tuple[float, ...]:

@@ -125,6 +125,10 @@ def _check_render_options(options: argparse.Namespace) -> None:
         options.wrong_usage(f"--passes and --minutes need --method {PASSES_METHOD}")
     elif options.photon_map is not None:
         options.wrong_usage("every pass emits its photons: leave out --photon-map")
+    elif (options.components, options.n_global) != (None, None):
+        options.wrong_usage(
+            "passes are of direct light and caustics: leave out --components and --global"
+        )
     elif options.sampler == "random":
         options.wrong_usage("passes are of Halton photons: leave out --sampler")
     elif any(each[:2] == ("progressive", "n_passes") for each in options.set or ()):
@@ -168,6 +172,8 @@ def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Imag
             scene,
             method=options.method,
             n_emitted=_photons(options),
+            n_global=options.n_global,
+            components=options.components,
             seed=options.seed or 0,
             sampler=options.sampler or SAMPLER,
             supersampling=options.supersampling,
@@ -182,6 +188,19 @@ def _render_settings(options: argparse.Namespace) -> Settings:
     from .settings import settings_from_options
 
     return settings_from_options(options, (options.method,), ("gather", "progressive"))
+
+
+def _plan(options: argparse.Namespace, interrupts: Interrupts) -> None:
+    from .reports import plan_table
+
+    found = pr.plan(
+        gallery.scene(options.scene),
+        n_emitted=_photons(options),
+        n_global=options.n_global,
+        components=options.components,
+        n_threads=options.threads,
+    )
+    write_lines(plan_table(found))
 
 
 def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:
@@ -410,6 +429,7 @@ def _timed(work: Callable[[], Result]) -> tuple[Result, float]:
 
 _COMMANDS = {
     "render": _render,
+    "plan": _plan,
     "trace": _trace,
     "relax": _relax,
     "compare": _compare,

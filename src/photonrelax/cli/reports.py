@@ -11,6 +11,7 @@ from ..imaging.image import Image
 from ..photons.energy_ledger import EnergyLedger
 from ..photons.photon_map import PhotonMap
 from ..rendering.object_map import ObjectMap
+from ..rendering.plan import Plan
 
 
 def stage_table(stages: Mapping[str, Mapping[str, Any]]) -> str:
@@ -36,6 +37,16 @@ def _counts(values: Mapping[str, Any]) -> str:
         for name, value in values.items()
         if name != "seconds" and isinstance(value, int)
     )
+
+
+def plan_table(plan: Plan) -> str:
+    """Table of the components of light, a line each, and why each is modelled or is not."""
+    photons = {"caustic": plan.n_emitted, "indirect": plan.n_global}
+    lines = []
+    for component, is_modelled, reason in plan.parts:
+        n = f"{photons[component]:,} photons" if photons.get(component) else ""
+        lines.append(f"{component:9} {'yes' if is_modelled else 'no':4} {n:18} {reason}")
+    return "\n".join(lines)
 
 
 def encircled_table(found: ObjectMap, radii: Sequence[float]) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 
 from .._util.validation import Floats
 from ..estimation.field import Field
+from ..estimation.indirect import IndirectField
 from .view import Band, concatenate_bands
 
 Estimates = Mapping[str, Floats]
@@ -74,16 +75,21 @@ def _estimate(name: str) -> Callable[[Band, Estimates], Floats | None]:
     return lambda band, estimates: estimates.get(name)
 
 
+def _direct(band: Band, estimates: Estimates) -> Floats | None:
+    return None if band.direct is None else band.radiance(band.direct)
+
+
 def _albedo(band: Band, estimates: Estimates) -> Floats:
     return band.sums(band.hits.weight * band.hits.albedo)
 
 
 RECORDS = (
     Layer("caustic", "radiance from photons", _estimate("caustic"), is_light=True),
+    Layer("direct", "radiance from unoccluded emitters", _direct, is_light=True),
     Layer(
-        "direct",
-        "radiance from unoccluded emitters",
-        lambda band, _: band.radiance(band.direct),
+        "indirect",
+        "radiance of light that diffuse surfaces have scattered before",
+        _estimate("indirect"),
         is_light=True,
     ),
     Layer("albedo", "of the diffuse surfaces seen", _albedo),
@@ -149,8 +155,8 @@ def fixed_layers(bands: Iterable[Band]) -> dict[str, Floats]:
 
 def total_radiance(layers: Mapping[str, Floats]) -> Floats:
     """Sum of the light components among some layers."""
-    light = (layers[layer.name] for layer in RECORDS if layer.is_light and layer.name in layers)
-    return reduce(np.add, light)
+    light = [layers[layer.name] for layer in RECORDS if layer.is_light and layer.name in layers]
+    return reduce(np.add, light) if light else np.zeros_like(layers["albedo"])
 
 
 def with_radiance(layers: Mapping[str, Floats]) -> dict[str, Floats]:
@@ -208,6 +214,11 @@ class FieldEstimates:
             end = first + values.shape[1]
             parts[name], first = means[..., first:end], end
         return parts
+
+
+def indirect_estimates(field: IndirectField, band: Band) -> dict[str, Floats]:
+    """Radiance ``indirect`` of a field of photons that diffuse surfaces have scattered."""
+    return {"indirect": band.radiance(band.estimates(field))}
 
 
 def photon_layers(bands: Iterable[Band], field: Field) -> dict[str, Floats]:

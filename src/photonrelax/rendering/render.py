@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
 from functools import partial
 from time import perf_counter
 from typing import Any, Unpack
@@ -10,8 +11,9 @@ from typing import Any, Unpack
 import numpy as np
 
 from .._util.progress import Progress, Reporter
-from .._util.validation import Floats
+from .._util.validation import Floats, check_choice, check_seed
 from ..estimation.field import Field
+from ..estimation.indirect import IndirectField
 from ..estimation.methods import (
     DEFAULT_METHOD,
     MethodInput,
@@ -21,13 +23,15 @@ from ..estimation.methods import (
     prepare,
     settings_of,
 )
+from ..estimation.nearest import GatherSettings
 from ..imaging.image import Image
-from ..photons.photon_map import PhotonMap
+from ..photons.photon_map import NothingStoredError, PhotonMap
 from ..scene.scene import Scene
 from ..transport.emission import PATHS, SAMPLERS, EmissionPlan, plan_emission
 from ..transport.trace import trace_photons
-from .layers import FieldEstimates, band_layers, with_radiance
-from .metadata import ledger_values, photon_metadata
+from .layers import FieldEstimates, band_layers, indirect_estimates, with_radiance
+from .metadata import ledger_values, metadata, photon_metadata
+from .plan import Plan, plan
 from .view import View, concatenate_bands
 
 
@@ -36,31 +40,36 @@ def render(
     *,
     method: str = DEFAULT_METHOD,
     n_emitted: int = 1_000_000,
+    n_global: int | None = None,
+    components: Iterable[str] | None = None,
     seed: int = 0,
     sampler: str = "halton",
     supersampling: int = 2,
     max_depth: int = 8,
     photons: PhotonMap | None = None,
+    indirect: GatherSettings | None = None,
     n_threads: int | None = None,
     progress: Progress | None = None,
     **settings: Unpack[StageSettings],
 ) -> Image:
-    """Render the view of a scene's camera: caustics from photons, direct light by shadow rays.
+    """Render the view of a scene's camera: direct light, caustics and indirect light.
 
     Parameters
     ----------
     scene : Scene
         With a camera.
     method : str
-        Estimate of irradiance from photons; see `photonrelax.irradiance_field`.
-    n_emitted, seed, sampler : int, int, str
-        Of the photons to emit; see `photonrelax.trace_photons`.
+        Estimate of caustics from photons; see `photonrelax.irradiance_field`.
+    n_emitted, n_global, components : int, int, iterable of str
+        Photons to emit for caustics and for indirect light, light to model; see `photonrelax.plan`.
+    seed, sampler : int, str
+        Of the photons; see `photonrelax.trace_photons`.
     supersampling, max_depth : int
         s·s samples a pixel; maximum number of specular surfaces on a camera path.
     photons : PhotonMap, optional
-        Photons traced before in this scene, in place of new ones; those on sensors are left out.
-        They are refused if their ledger has other emitted flux than the scene; without one, as
-        after ``photons.replace(ledger=None)``, nothing is checked.
+        Photons of caustics traced before in this scene, in place of new ones; see `_check_scene`.
+    indirect : GatherSettings, optional
+        Of indirect light; see `photonrelax.estimation.indirect`.
     n_threads, progress : int, callable, optional
         Threads, by default all; called as ``progress(stage, done, total)``.
     **settings
@@ -69,28 +78,21 @@ def render(
     Returns
     -------
     Image
-        Layers as in `photonrelax.rendering.layers.LAYERS`; those of photon attributes that the
-        photons or the method do not have are missing. `stats` holds seconds and counts of each
-        stage, `metadata` settings, seed, counts, ledger and version as text.
+        Layers as in `photonrelax.rendering.layers.LAYERS`, those of light that is modelled and of
+        attributes that the photons have. `stats` holds seconds and counts of each stage,
+        `metadata` settings, seed, counts, ledger and version as text.
 
     Raises
     ------
     TypeError, ValueError
-        If an argument is invalid, no photon is stored, or those given are of another scene.
+        If an argument is invalid, no photon of a caustic is stored, or those given do not fit.
     """
     view = View(scene, supersampling=supersampling, max_depth=max_depth, n_threads=n_threads)
-    stages = _Stages(view, progress)
-    chosen = settings_of("render", dict(settings))
-    share = method_named(method).frequency_share(chosen)
-    if photons is None:
-        photons = stages.trace(n_emitted, seed=seed, sampler=sampler, frequency_share=share)
-    else:
-        _check_scene(photons, scene)
-        photons = on_surfaces(photons)
-    field = stages.prepare(photons, method, chosen)
-    used = field.used | view.settings
-    metadata = photon_metadata(photons, scene=scene.name, method=method, settings=used)
-    return Image(stages.render(field), metadata, stages.stats(photons))
+    stages = _Stages(view, progress, seed=seed, sampler=sampler)
+    stages.plan(photons, n_emitted, n_global, components)
+    stages.prepare_caustic(method, settings_of("render", dict(settings)))
+    stages.prepare_indirect(indirect)
+    return stages.image(method)
 
 
 # Relative. Emission regions are spheres around objects, which finer meshes fill a little more.
@@ -98,7 +100,10 @@ _SAME_FLUX = 0.01
 
 
 def _check_scene(photons: PhotonMap, scene: Scene) -> None:
-    """Raise ValueError if the emitters of a scene do not emit the flux of the photons' ledger."""
+    """Raise ValueError if the emitters of a scene do not emit the flux of the photons' ledger.
+
+    Without a ledger, as after ``photons.replace(ledger=None)``, nothing is checked.
+    """
     if not isinstance(photons, PhotonMap):
         raise TypeError(
             f"photons should be a PhotonMap, but is {type(photons).__name__}; "
@@ -145,51 +150,122 @@ def on_surfaces(photons: PhotonMap) -> PhotonMap:
 class _Stages:
     """The stages of a render, with the seconds and counts of those that ran."""
 
-    def __init__(self, view: View, progress: Progress | None) -> None:
+    _plan: Plan
+
+    def __init__(self, view: View, progress: Progress | None, **sequence: Any) -> None:
         self._view = view
         self._progress = progress
+        check_seed(sequence["seed"])
+        check_choice(sequence["sampler"], "sampler", SAMPLERS)
+        self._sequence = sequence
         self._stages: dict[str, dict[str, float]] = {}
+        self._photons: PhotonMap | None = None
+        self._caustic: Field | None = None
+        self._indirect: IndirectField | None = None
 
-    def trace(self, n_emitted: int, **options: Any) -> PhotonMap:
+    def plan(
+        self,
+        photons: PhotonMap | None,
+        n_emitted: int,
+        n_global: int | None,
+        components: Iterable[str] | None,
+    ) -> None:
+        view = self._view
+        if photons is not None:
+            _check_scene(photons, view.scene)
+            self._photons = on_surfaces(photons)
+        self._plan = plan(
+            view.scene,
+            n_emitted=n_emitted,
+            n_global=n_global,
+            components=components,
+            photons=photons,
+            caster=view.caster,
+            n_threads=view.n_threads,
+        )
+
+    def prepare_caustic(self, method: str, settings: Settings) -> None:
+        """Trace the photons of caustics, unless they are given, and prepare their field."""
+        share = method_named(method).frequency_share(settings)
+        if not self._plan.models("caustic"):
+            return
+        if self._photons is None:
+            n = self._plan.n_emitted
+            self._photons = self._trace("trace", n, frequency_share=share)
+        photons, view = self._photons, self._view
+        # Photons of unknown objects cannot be held on these.
+        scene = None if photons.object_id is None else view.scene
+        inputs = MethodInput(photons, settings, scene, view.n_threads, self._progress)
+        self._caustic = prepare(method, inputs)
+        for stage, seconds in self._caustic.seconds.items():
+            self._record(stage, seconds, photons=len(photons))
+
+    def prepare_indirect(self, settings: GatherSettings | None) -> None:
+        """Trace the photons of indirect light, if there is any, and prepare their field."""
+        if not self._plan.models("indirect"):
+            return
+        try:
+            photons = self._trace("trace indirect", self._plan.n_global, paths="global")
+        except NothingStoredError as error:
+            photons = error.photons
+            self._record("trace indirect", 0.0, emitted=self._plan.n_global, stored=0)
+        started, view = perf_counter(), self._view
+        self._indirect = IndirectField(
+            photons, settings, scene=view.scene, n_threads=view.n_threads
+        )
+        self._record("indirect", perf_counter() - started, photons=len(photons))
+
+    def _trace(self, stage: str, n_emitted: int, **options: Any) -> PhotonMap:
         view = self._view
         started = perf_counter()
         photons = trace_photons(
             view.scene,
             n_emitted,
+            **self._sequence,
             **options,
             n_threads=view.n_threads,
             progress=self._progress,
             caster=view.caster,
             sensors=False,
         )
-        self._record("trace", perf_counter() - started, emitted=n_emitted, stored=len(photons))
+        self._record(stage, perf_counter() - started, emitted=n_emitted, stored=len(photons))
         return photons
 
-    def prepare(self, photons: PhotonMap, method: str, settings: Settings) -> Field:
-        view = self._view
-        # Photons of unknown objects cannot be held on these.
-        scene = None if photons.object_id is None else view.scene
-        inputs = MethodInput(photons, settings, scene, view.n_threads, self._progress)
-        field = prepare(method, inputs)
-        for stage, seconds in field.seconds.items():
-            self._record(stage, seconds, photons=len(photons))
-        return field
+    def image(self, method: str) -> Image:
+        """Image of the view, with all that is known of it."""
+        layers = self._layers()
+        total = sum(stage["seconds"] for stage in self._stages.values())
+        ledger = None if self._photons is None else ledger_values(self._photons)
+        stats = {"stages": self._stages, "seconds": total, "ledger": ledger}
+        return Image(layers, self._metadata(method), stats)
 
-    def render(self, field: Field) -> dict[str, Floats]:
-        started = perf_counter()
-        report = Reporter(self._progress, "render", self._view.camera.height)
-        estimates = FieldEstimates(field)
+    def _layers(self) -> dict[str, Floats]:
+        started, view = perf_counter(), self._view
+        report = Reporter(self._progress, "render", view.camera.height)
+        caustic = None if self._caustic is None else FieldEstimates(self._caustic)
         parts, n_hit_points = [], 0
-        for band in self._view.bands():
-            parts.append(with_radiance(band_layers(band, estimates(band))))
+        for band in view.bands(direct=self._plan.models("direct")):
+            estimates = {} if caustic is None else caustic(band)
+            if self._indirect is not None:
+                estimates |= indirect_estimates(self._indirect, band)
+            parts.append(with_radiance(band_layers(band, estimates)))
             n_hit_points += len(band.hits)
             report.advance(len(band.rows))
         self._record("render", perf_counter() - started, hit_points=n_hit_points)
         return concatenate_bands(parts)
 
-    def stats(self, photons: PhotonMap) -> dict[str, Any]:
-        total = sum(stage["seconds"] for stage in self._stages.values())
-        return {"stages": self._stages, "seconds": total, "ledger": ledger_values(photons)}
+    def _metadata(self, method: str) -> dict[str, str]:
+        used = {} if self._caustic is None else self._caustic.used
+        others: dict[str, Any] = {}
+        if self._indirect is not None:
+            used = used | {"indirect": asdict(self._indirect.settings)}
+            counts = self._stages["trace indirect"]
+            others = {f"indirect_{name}": counts[name] for name in ("emitted", "stored")}
+        others["settings"] = used | self._view.settings
+        others |= {"scene": self._view.scene.name, "method": method}
+        if self._photons is None:
+            return metadata(**self._sequence, **others)
+        return photon_metadata(self._photons, **others)
 
     def _record(self, stage: str, seconds: float, **counts: int) -> None:
         self._stages[stage] = {"seconds": seconds, **counts}

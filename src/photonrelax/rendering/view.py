@@ -18,6 +18,7 @@ from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
 from ..estimation.field import Densities, Field
+from ..estimation.indirect import IndirectField
 from ..estimation.surface import Surface
 from ..scene.scene import Scene
 from ..transport.direct_light import direct_irradiance
@@ -68,8 +69,8 @@ class Band:
         The diffuse points seen.
     first : FirstSurfaces
         Normal and depth of the first surface.
-    direct : (m, 3)
-        Direct irradiance at the hit points, W/m².
+    direct : (m, 3), optional
+        Direct irradiance at the hit points, W/m², if that is modelled.
     supersampling : int
         s·s samples a pixel.
     """
@@ -78,10 +79,10 @@ class Band:
     width: int
     hits: HitPoints
     first: FirstSurfaces
-    direct: Floats
+    direct: Floats | None
     supersampling: int = 1
 
-    def estimates(self, field: Field | Densities) -> Floats:
+    def estimates(self, field: Field | Densities | IndirectField) -> Floats:
         """Estimates (m, c) of a field: means over what each hit point stands for.
 
         Samples of a pixel that are on one piece of surface share one estimate, over all of it.
@@ -230,17 +231,17 @@ class View:
         """Surfaces of the scene that light is estimated on."""
         return Surface(self.scene, self.n_threads)
 
-    def bands(self, offset: tuple[float, float] = CENTRE) -> Iterator[Band]:
-        """Trace the camera rays, band by band from the top down.
+    def bands(self, offset: tuple[float, float] = CENTRE, *, direct: bool = True) -> Iterator[Band]:
+        """Trace the camera rays, band by band from the top down, and direct light if wanted.
 
         Samples lie at `offset` in the cells of the grid of their pixel; see `pixel_rays`.
         """
         height, width = self.shape
         rows_per_band = max(_RAYS_PER_BAND // (width * self.supersampling**2), 1)
         for top in range(0, height, rows_per_band):
-            yield self._band(range(top, min(top + rows_per_band, height)), offset)
+            yield self._band(range(top, min(top + rows_per_band, height)), offset, direct)
 
-    def _band(self, rows: range, offset: tuple[float, float]) -> Band:
+    def _band(self, rows: range, offset: tuple[float, float], direct: bool) -> Band:
         hits, first = trace_hit_points(
             self.scene,
             self.caster,
@@ -251,10 +252,11 @@ class View:
             max_depth=self.max_depth,
             n_threads=self.n_threads,
         )
-        direct = direct_irradiance(
-            self.scene, self.caster, hits.position, hits.normal, n_threads=self.n_threads
-        )
-        return Band(rows, self.camera.width, hits, first, direct, self.supersampling)
+        at = hits.position, hits.normal
+        light = None
+        if direct:
+            light = direct_irradiance(self.scene, self.caster, *at, n_threads=self.n_threads)
+        return Band(rows, self.camera.width, hits, first, light, self.supersampling)
 
     def stored(self, progress: Progress | None) -> StoredView:
         """Trace all bands and keep them in memory."""

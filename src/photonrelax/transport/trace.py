@@ -42,7 +42,8 @@ from .raycast import RayCaster
 
 # Far beyond any path that matters; in a mirrored room paths would never end.
 MAX_BOUNCES = 10_000
-_DEFAULT_BOUNCES = 32
+# Where diffuse surfaces end paths by roulette, a cut would only take light away.
+_DEFAULT_BOUNCES = {"caustic": 32, "global": MAX_BOUNCES, "all": MAX_BOUNCES}
 # Capacity of a growing map over the number of photons expected from its paths so far; pages that
 # are not written take no memory.
 _CAPACITY_MARGIN = 1.05
@@ -81,7 +82,7 @@ def trace_photons(
     seed: int = 0,
     paths: str = "caustic",
     sampler: str = "halton",
-    max_bounces: int = _DEFAULT_BOUNCES,
+    max_bounces: int | None = None,
     frequency_share: float = 0.0,
     n_threads: int | None = None,
     progress: Progress | None = None,
@@ -91,21 +92,21 @@ def trace_photons(
 ) -> PhotonMap:
     """Emit photons, trace their paths and store them on diffuse surfaces and sensors.
 
-    Photon i of an emission region depends on `seed` and i alone.
-
     Parameters
     ----------
     scene : Scene
         Objects and emitters.
     n_emitted, seed : int
-        Paths to start, apportioned to the emitters by flux sent to the target; the seed.
+        Paths to start, apportioned to the emitters by flux sent to the target; the seed. Photon i
+        of an emission region depends on it and on i alone.
     paths : {"caustic", "global", "all"}
         Light to store: that of specular paths (L S+ D), neither that nor direct light, or all; on
         sensors after specular events alone, after a diffuse one, or all that crosses them.
     sampler : {"halton", "random"}
         Evenly spaced photons (SJ13) or independent ones.
-    max_bounces : int
-        Events (specular or diffuse) after which a path is cut; at most 10,000.
+    max_bounces : int, optional
+        Events (specular or diffuse) after which a path is cut; by default 32 for caustics, else
+        10,000, the most there may be.
     frequency_share : float
         Share, in [0, 1], of the photons not yet scattered by diffuse surfaces that get a spectrum.
     n_threads, progress : int, callable, optional
@@ -144,8 +145,16 @@ def _batch_capacity(batch_size: int, plan: EmissionPlan) -> int:
 
 def check_photons_fit(scene: Scene, n_emitted: int, caster: RayCaster | None = None) -> None:
     """Raise MemoryError if the caustic photons on surfaces surely do not fit in memory."""
-    settings = TraceSettings("caustic", _DEFAULT_BOUNCES, 0.0, sensors=False)
+    settings = _checked_settings("caustic", None, 0.0, sensors=False)
     _check_memory(scene, n_emitted, settings, caster, n_threads=1)
+
+
+def stored_per_path(
+    scene: Scene, paths: str, caster: RayCaster | None = None, n_threads: int = 1
+) -> float:
+    """Photons of a kind of light stored on surfaces for each path, of the first few thousand."""
+    settings = _checked_settings(paths, None, 0.0, sensors=False)
+    return _stored_per_path(scene, settings, caster, n_threads)
 
 
 def _check_memory(
@@ -206,9 +215,11 @@ def _trace_all(context: TraceContext, n_threads: int, progress: Progress | None)
 
 
 def _checked_settings(
-    paths: str, max_bounces: int, share: float, *, sensors: bool
+    paths: str, max_bounces: int | None, share: float, *, sensors: bool
 ) -> TraceSettings:
     check_choice(paths, "paths", PATHS)
+    if max_bounces is None:
+        max_bounces = _DEFAULT_BOUNCES[paths]
     max_bounces = count(max_bounces, "max_bounces", high=MAX_BOUNCES)
     share = float(float_array(share, "frequency_share", (), finite=False))
     if not 0.0 <= share <= 1.0:

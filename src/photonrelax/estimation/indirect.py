@@ -1,0 +1,94 @@
+"""Irradiance of indirect light: estimates at a share of its photons, and means of these elsewhere.
+
+Indirect light varies slowly, and its photons are too few to be relaxed: an estimate takes hundreds
+of them, and costs accordingly. Estimates close to one another take nearly the same photons, so they
+are made at a share of these alone (Christensen 1999), which lies where the light is. Elsewhere
+irradiance is the mean of the few nearest, weighted by the kernel of `GatherSettings`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .._util.parallel import thread_count
+from .._util.validation import Floats
+from ..photons.photon_map import PhotonMap
+from ..scene.scene import Scene
+from .nearest import GatherSettings, IrradianceField
+from .surface import Surface, lit_objects
+
+# Photons per estimate, and from what number of photons stored there are more; of few photons no
+# estimate takes more than a share, or it would be of the whole scene.
+_K, _K_OF_MANY, _MANY = 800, 1600, 3_000_000
+_SMALLEST_K, _SHARE = 50, 50
+# Estimates among the photons of one, and those that a mean is taken of: the mean adds a sixth to
+# the area of a kernel.
+_ESTIMATES, _NEAREST = 50, 8
+
+
+class IndirectField:
+    """Irradiance of indirect light at any points.
+
+    Parameters
+    ----------
+    photons : PhotonMap
+        Of ``paths="global"``; there may be none.
+    settings : GatherSettings, optional
+        Of the estimates at photons. By default k is 800, or 1600 of three million photons and
+        more, but a fiftieth of the photons at most.
+    scene : Scene, optional
+        Estimates beside edges of its surfaces are right; without it all surface is taken to go on
+        for ever.
+    n_threads : int, optional
+        Threads; all available by default. Results do not depend on it.
+
+    Attributes
+    ----------
+    settings : GatherSettings
+        Those of the estimates, with the gather radius in use.
+    has_footprints : bool
+        There are means over footprints.
+    """
+
+    has_footprints = True
+
+    def __init__(
+        self,
+        photons: PhotonMap,
+        settings: GatherSettings | None = None,
+        *,
+        scene: Scene | None = None,
+        n_threads: int | None = None,
+    ) -> None:
+        settings = settings or default_settings(len(photons))
+        field = IrradianceField(photons, settings, n_threads=n_threads)
+        if scene is not None:
+            lit = lit_objects(scene, photons)
+            field.surface = Surface(scene, thread_count(n_threads), lit)
+        some = photons.subset(np.arange(0, len(photons), max(settings.k // _ESTIMATES, 1)))
+        irradiance = field(some.position, some.normal)
+        nearest = GatherSettings(k=_NEAREST, gather_radius=field.settings.gather_radius)
+        means = IrradianceField(some.replace(well_spaced=False), nearest, n_threads=n_threads)
+        self.settings = replace(settings, gather_radius=field.settings.gather_radius)
+        self._densities = means.densities(np.column_stack([irradiance, np.ones(len(some))]))
+
+    def __call__(
+        self, points: ArrayLike, normals: ArrayLike, *, footprint: ArrayLike | None = None
+    ) -> Floats:
+        """Irradiance (m, 3) at points on surfaces, or its means over footprints, W/m².
+
+        Arguments and errors are those of `Field`. Zero where no photon is within the gather radius.
+        """
+        densities = self._densities(points, normals, footprint=footprint)
+        total = densities[:, 3:]
+        irradiance = np.zeros((len(densities), 3))
+        return np.divide(densities[:, :3], total, out=irradiance, where=total > 0.0)
+
+
+def default_settings(n_photons: int) -> GatherSettings:
+    """Settings of estimates of indirect light from a number of photons."""
+    k = _K_OF_MANY if n_photons >= _MANY else _K
+    return GatherSettings(k=max(min(k, n_photons // _SHARE), _SMALLEST_K))

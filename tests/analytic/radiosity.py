@@ -1,0 +1,81 @@
+"""Light in a cube of diffuse walls around a point emitter, by radiosity.
+
+Walls are divided into squares of even radiosity. What a square sends to the middles of others is
+exact (Lambert's formula for polygons), so the error is that of the division alone.
+"""
+
+import numpy as np
+
+
+def squares(side, n):
+    """Middles (6, n², 3), inward normals (6, 3) and corners (6, n², 4, 3) of the walls' squares.
+
+    Wall 2a is that of the lowest coordinate on axis a, and wall 2a + 1 that of the greatest.
+    """
+    at = (np.arange(n) + 0.5) / n - 0.5
+    u, v = (side * grid.ravel() for grid in np.meshgrid(at, at, indexing="ij"))
+    half = 0.5 * side / n
+    steps = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    middles, normals, corners = [], [], []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            middle = np.zeros((n * n, 3))
+            middle[:, axis] = 0.5 * sign * side
+            middle[:, (axis + 1) % 3], middle[:, (axis + 2) % 3] = u, v
+            corner = np.repeat(middle[:, None], 4, axis=1)
+            corner[:, :, (axis + 1) % 3] += steps[:, 0]
+            corner[:, :, (axis + 2) % 3] += steps[:, 1]
+            middles.append(middle)
+            normals.append(-sign * np.eye(3)[axis])
+            corners.append(corner)
+    return np.array(middles), np.array(normals), np.array(corners)
+
+
+def form_factors(points, normal, corners):
+    """Irradiance (m, k) at points (m, 3) of a normal from polygons (k, 4, 3) of 1 W/m²."""
+    towards = corners[None] - points[:, None, None]
+    towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+    total = 0.0
+    for i in range(4):
+        a, b = towards[:, :, i], towards[:, :, (i + 1) % 4]
+        across = np.cross(a, b)
+        sine = np.linalg.norm(across, axis=-1)
+        angle = np.arctan2(sine, (a * b).sum(axis=-1))
+        total = total + angle * (across @ normal) / sine
+    return np.abs(total) / (2.0 * np.pi)
+
+
+def indirect_irradiance(side, albedos, power, at=(0.0, 0.0, 0.0), n=16):
+    """Middles (6, n², 3) of the squares and indirect irradiance (6, n², 3) there, W/m².
+
+    Parameters
+    ----------
+    side : float
+        Of the cube, which is centred at the origin.
+    albedos : (6, 3)
+        Of the walls.
+    power : (3,)
+        Of the emitter, W.
+    at : (3,)
+        Where it is.
+    """
+    middles, normals, corners = squares(side, n)
+    m = n * n
+    transfer = np.zeros((6 * m, 6 * m))
+    for wall in range(6):
+        for other in range(6):
+            if other != wall:
+                part = form_factors(middles[wall], normals[wall], corners[other])
+                transfer[wall * m : wall * m + m, other * m : other * m + m] = part
+    away = np.asarray(at) - middles
+    squared = (away**2).sum(axis=-1)
+    cosine = np.einsum("wmc,wc->wm", away, normals) / np.sqrt(squared)
+    direct = (cosine / (4.0 * np.pi * squared)).reshape(-1, 1) * np.asarray(power)
+    albedo = np.repeat(np.asarray(albedos, dtype=float), m, axis=0)
+    indirect = np.empty_like(direct)
+    for channel in range(3):
+        reflected = albedo[:, channel, None] * transfer
+        emitted = albedo[:, channel] * direct[:, channel]
+        radiosity = np.linalg.solve(np.eye(6 * m) - reflected, emitted)
+        indirect[:, channel] = transfer @ radiosity
+    return middles, indirect.reshape(6, m, 3)

@@ -1,0 +1,111 @@
+"""Indirect light against radiosity, against closed forms of furnaces, and at its extremes."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import trimesh
+
+import photonrelax as pr
+from photonrelax.estimation.indirect import IndirectField, default_settings
+from tests.analytic import radiosity
+from tests.helpers.tracing_scenes import ball, box
+
+ALBEDOS = np.array([[0.8, 0.2, 0.2], [0.2, 0.8, 0.2], *4 * [[0.7, 0.7, 0.7]]])
+LAMP, POWER = (0.2, -0.1, 0.5), (10.0, 10.0, 10.0)
+FLOOR = 4
+
+
+def wall(axis, side):
+    """A wall of the cube of side 2, seen from within."""
+    corners = np.zeros((4, 3))
+    corners[:, axis] = side
+    corners[:, (axis + 1) % 3] = [-1, 1, 1, -1]
+    corners[:, (axis + 2) % 3] = [-1, -1, 1, 1]
+    faces = [[0, 1, 2], [0, 2, 3]] if side < 0 else [[0, 2, 1], [0, 3, 2]]
+    return trimesh.Trimesh(corners, faces, process=False)
+
+
+@pytest.fixture(scope="module")
+def coloured():
+    """Estimates on the floor of a cube of coloured walls, and what radiosity says."""
+    meshes = [wall(axis, side) for axis in range(3) for side in (-1, 1)]
+    walls = zip(meshes, ALBEDOS, strict=True)
+    objects = [pr.SceneObject(mesh, pr.Diffuse(albedo)) for mesh, albedo in walls]
+    scene = pr.Scene(objects, [pr.PointEmitter(LAMP, POWER)])
+    photons = pr.trace_photons(scene, 600_000, paths="global")
+    field = IndirectField(photons, scene=scene)
+    points, exact = radiosity.indirect_irradiance(2.0, ALBEDOS, POWER, LAMP, n=10)
+    points, exact = points[FLOOR], exact[FLOOR]
+    found = field(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)))
+    return SimpleNamespace(found=found, exact=exact, points=points, k=field.settings.k)
+
+
+def test_noise_is_that_of_k_photons(coloured):
+    inside = np.abs(coloured.points[:, :2]).max(axis=1) < 0.8
+    found, exact = coloured.found[inside], coloured.exact[inside]
+    assert coloured.k == 800
+    assert np.abs(found - exact).sum() / exact.sum() <= 1.1 / np.sqrt(coloured.k)
+
+
+def test_bias_is_small_beside_walls_and_in_corners(coloured):
+    far = np.sort(np.abs(coloured.points[:, :2]), axis=1)
+    for part, most in ((far[:, 1] > 0.85, 0.03), (far[:, 0] > 0.85, 0.06)):
+        found, exact = coloured.found[part], coloured.exact[part]
+        assert abs(found.sum() / exact.sum() - 1.0) <= most
+
+
+@pytest.mark.parametrize("albedo", [0.5, 0.9, 0.95])
+def test_furnace(albedo):
+    """In a closed ball of albedo a, E = Φ / (4πR²(1 - a)), of which a share of a is indirect."""
+    shell = ball(1.0, [0, 0, 0], 5)
+    shell.invert()
+    scene = pr.Scene([pr.SceneObject(shell, pr.Diffuse(albedo))], [pr.PointEmitter([0, 0, 0])])
+    photons = pr.trace_photons(scene, int(40_000 / albedo), paths="global")
+    expected = albedo / (1.0 - albedo) / shell.area
+    np.testing.assert_allclose(photons.flux.sum(axis=0) / shell.area, expected, rtol=0.01)
+    field = IndirectField(photons, scene=scene)
+    found = field(shell.triangles_center, -shell.triangles_center)
+    np.testing.assert_allclose(found.mean(axis=0), expected, rtol=0.01)
+    assert photons.ledger.cut.sum() == 0.0
+
+
+def test_means_over_footprints_of_uniform_light():
+    rng = np.random.default_rng(3)
+    position = np.column_stack([rng.uniform(-1, 1, (40_000, 2)), np.zeros(40_000)])
+    up = np.tile([0.0, 0.0, 1.0], (40_000, 1))
+    photons = pr.PhotonMap(position, up, np.full((40_000, 3), 1e-4))
+    field = IndirectField(photons)
+    points = np.column_stack([rng.uniform(-0.5, 0.5, (500, 2)), np.zeros(500)])
+    for side in (None, np.full(500, 1e-3), np.full(500, 0.2)):
+        found = field(points, up[:500], footprint=side)
+        np.testing.assert_allclose(found.mean(axis=0), 1.0, rtol=0.02)
+
+
+def test_without_photons_it_is_dark():
+    empty = pr.PhotonMap(*3 * [np.empty((0, 3))])
+    assert not IndirectField(empty)([[0, 0, 0]], [[0, 0, 1]]).any()
+
+
+def test_where_no_photon_is_near_it_is_dark():
+    rng = np.random.default_rng(1)
+    position = np.column_stack([rng.random((5000, 2)), np.zeros(5000)])
+    photons = pr.PhotonMap(position, np.tile([0.0, 0.0, 1.0], (5000, 1)), np.ones((5000, 3)))
+    assert not IndirectField(photons)([[9, 9, 0]], [[0, 0, 1]]).any()
+
+
+def test_it_does_not_depend_on_threads():
+    meshes = [box([2, 2, 2])]
+    scene = pr.Scene([pr.SceneObject(meshes[0], pr.Diffuse(0.8))], [pr.PointEmitter([0, 0, 0])])
+    photons = pr.trace_photons(scene, 20_000, paths="global")
+    at = photons.position[:200], photons.normal[:200]
+    one, *others = (IndirectField(photons, scene=scene, n_threads=n)(*at) for n in (1, 2, 7))
+    for other in others:
+        np.testing.assert_array_equal(other, one)
+
+
+@pytest.mark.parametrize(
+    ("n", "k"), [(0, 50), (100, 50), (20_000, 400), (10**6, 800), (10**7, 1600)]
+)
+def test_k_follows_from_the_number_of_photons(n, k):
+    assert default_settings(n).k == k
