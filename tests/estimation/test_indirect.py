@@ -87,6 +87,11 @@ def test_without_photons_it_is_dark():
     assert not IndirectField(empty)([[0, 0, 0]], [[0, 0, 1]]).any()
 
 
+def test_photons_at_one_point_are_left_out():
+    photons = pr.PhotonMap(np.zeros((3, 3)), np.tile([0.0, 0.0, 1.0], (3, 1)), np.ones((3, 3)))
+    assert not IndirectField(photons)([[0, 0, 0]], [[0, 0, 1]]).any()
+
+
 def test_where_no_photon_is_near_it_is_dark():
     rng = np.random.default_rng(1)
     position = np.column_stack([rng.random((5000, 2)), np.zeros(5000)])

@@ -37,11 +37,11 @@ def test_layers_are_those_promised(image):
         assert layer.shape == ((24, 24, 3) if colour else (24, 24))
 
 
-def test_radiance_is_caustic_and_direct(image):
-    np.testing.assert_allclose(
-        image.layers["radiance"], image.layers["caustic"] + image.layers["direct"], rtol=1e-12
-    )
+def test_radiance_is_all_light(image):
+    total = image.layers["caustic"] + image.layers["direct"] + image.layers["indirect"]
+    np.testing.assert_allclose(image.layers["radiance"], total, rtol=1e-12)
     assert image.layers["caustic"].max() > 0.0
+    assert image.layers["indirect"].max() > 0.0
 
 
 def test_photon_layers_are_means(image):
@@ -145,7 +145,14 @@ def test_same_bytes_for_every_number_of_threads(prism, image):
 
 def test_stages_report_seconds_and_counts(image):
     stages = image.stats["stages"]
-    assert list(stages) == ["trace", "structure", "relax", "render"]
+    assert list(stages) == [
+        "trace",
+        "structure",
+        "relax",
+        "trace indirect",
+        "indirect",
+        "render",
+    ]
     assert all(stage["seconds"] > 0.0 for stage in stages.values())
     assert stages["trace"]["emitted"] == 20_000
     assert stages["trace"]["stored"] == stages["relax"]["photons"] > 0

@@ -35,7 +35,7 @@ class IndirectField:
     Parameters
     ----------
     photons : PhotonMap
-        Of ``paths="global"``; there may be none.
+        Of ``paths="global"``; there may be none, and those that are all at one point are left out.
     settings : GatherSettings, optional
         Of the estimates at photons. By default k is 800, or 1600 of three million photons and
         more, but a fiftieth of the photons at most.
@@ -63,6 +63,9 @@ class IndirectField:
         scene: Scene | None = None,
         n_threads: int | None = None,
     ) -> None:
+        if len(photons) and not np.ptp(photons.position, axis=0).any():
+            # From one point no radius follows, and such light is next to none.
+            photons = photons.subset([])
         settings = settings or default_settings(len(photons))
         field = IrradianceField(photons, settings, n_threads=n_threads)
         if scene is not None:
