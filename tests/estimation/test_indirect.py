@@ -4,32 +4,21 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import trimesh
 
 import photonrelax as pr
 from photonrelax.estimation.indirect import IndirectField, default_settings
 from tests.analytic import radiosity
-from tests.helpers.tracing_scenes import ball, box
+from tests.helpers.tracing_scenes import ball, box, cube_wall
 
 ALBEDOS = np.array([[0.8, 0.2, 0.2], [0.2, 0.8, 0.2], *4 * [[0.7, 0.7, 0.7]]])
 LAMP, POWER = (0.2, -0.1, 0.5), (10.0, 10.0, 10.0)
 FLOOR = 4
 
 
-def wall(axis, side):
-    """A wall of the cube of side 2, seen from within."""
-    corners = np.zeros((4, 3))
-    corners[:, axis] = side
-    corners[:, (axis + 1) % 3] = [-1, 1, 1, -1]
-    corners[:, (axis + 2) % 3] = [-1, -1, 1, 1]
-    faces = [[0, 1, 2], [0, 2, 3]] if side < 0 else [[0, 2, 1], [0, 3, 2]]
-    return trimesh.Trimesh(corners, faces, process=False)
-
-
 @pytest.fixture(scope="module")
 def coloured():
     """Estimates on the floor of a cube of coloured walls, and what radiosity says."""
-    meshes = [wall(axis, side) for axis in range(3) for side in (-1, 1)]
+    meshes = [cube_wall(axis, side) for axis in range(3) for side in (-1, 1)]
     walls = zip(meshes, ALBEDOS, strict=True)
     objects = [pr.SceneObject(mesh, pr.Diffuse(albedo)) for mesh, albedo in walls]
     scene = pr.Scene(objects, [pr.PointEmitter(LAMP, POWER)])

@@ -19,6 +19,16 @@ def sheet(size, z=0.0):
     return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
 
 
+def cube_wall(axis, side):
+    """A wall of the cube of side 2, seen from within."""
+    corners = np.zeros((4, 3))
+    corners[:, axis] = side
+    corners[:, (axis + 1) % 3] = [-1, 1, 1, -1]
+    corners[:, (axis + 2) % 3] = [-1, -1, 1, 1]
+    faces = [[0, 1, 2], [0, 2, 3]] if side < 0 else [[0, 2, 1], [0, 3, 2]]
+    return trimesh.Trimesh(corners, faces, process=False)
+
+
 def ball(radius, centre, subdivisions=3):
     mesh = trimesh.creation.icosphere(subdivisions, radius)
     mesh.apply_translation(centre)
