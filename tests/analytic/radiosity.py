@@ -45,37 +45,46 @@ def form_factors(points, normal, corners):
     return np.abs(total) / (2.0 * np.pi)
 
 
-def indirect_irradiance(side, albedos, power, at=(0.0, 0.0, 0.0), n=16):
-    """Middles (6, n², 3) of the squares and indirect irradiance (6, n², 3) there, W/m².
+class Cube:
+    """Radiosity of the squares of a cube around the origin.
 
     Parameters
     ----------
     side : float
-        Of the cube, which is centred at the origin.
+        Of the cube.
     albedos : (6, 3)
         Of the walls.
-    power : (3,)
-        Of the emitter, W.
-    at : (3,)
-        Where it is.
+    power, at : (3,), (3,)
+        Of the emitter, W, and where it is.
+    n : int
+        Squares along a side.
     """
-    middles, normals, corners = squares(side, n)
-    m = n * n
-    transfer = np.zeros((6 * m, 6 * m))
-    for wall in range(6):
-        for other in range(6):
-            if other != wall:
-                part = form_factors(middles[wall], normals[wall], corners[other])
-                transfer[wall * m : wall * m + m, other * m : other * m + m] = part
-    away = np.asarray(at) - middles
-    squared = (away**2).sum(axis=-1)
-    cosine = np.einsum("wmc,wc->wm", away, normals) / np.sqrt(squared)
-    direct = (cosine / (4.0 * np.pi * squared)).reshape(-1, 1) * np.asarray(power)
-    albedo = np.repeat(np.asarray(albedos, dtype=float), m, axis=0)
-    indirect = np.empty_like(direct)
-    for channel in range(3):
-        reflected = albedo[:, channel, None] * transfer
-        emitted = albedo[:, channel] * direct[:, channel]
-        radiosity = np.linalg.solve(np.eye(6 * m) - reflected, emitted)
-        indirect[:, channel] = transfer @ radiosity
-    return middles, indirect.reshape(6, m, 3)
+
+    def __init__(self, side, albedos, power, at=(0.0, 0.0, 0.0), n=10):
+        self.middles, self.normals, self._corners = squares(side, n)
+        m = n * n
+        transfer = np.vstack([self._transfer(wall, self.middles[wall]) for wall in range(6)])
+        away = np.asarray(at) - self.middles
+        squared = (away**2).sum(axis=-1)
+        cosine = np.einsum("wmc,wc->wm", away, self.normals) / np.sqrt(squared)
+        direct = (cosine / (4.0 * np.pi * squared)).reshape(-1, 1) * np.asarray(power)
+        albedo = np.repeat(np.asarray(albedos, dtype=float), m, axis=0)
+        self._radiosity = np.empty_like(direct)
+        for channel in range(3):
+            reflected = np.eye(6 * m) - albedo[:, channel, None] * transfer
+            emitted = albedo[:, channel] * direct[:, channel]
+            self._radiosity[:, channel] = np.linalg.solve(reflected, emitted)
+
+    def indirect(self, wall, points):
+        """Indirect irradiance (m, 3) at points (m, 3) of a wall, W/m²."""
+        return self._transfer(wall, points) @ self._radiosity
+
+    def _transfer(self, wall, points):
+        """Irradiance at points of a wall from each square of 1 W/m²; none from the same wall."""
+        parts = [
+            np.zeros((len(points), len(self.middles[0])))
+            if other == wall
+            else form_factors(points, self.normals[wall], self._corners[other])
+            for other in range(6)
+        ]
+        return np.hstack(parts)

@@ -7,8 +7,8 @@ import pytest
 
 import photonrelax as pr
 from photonrelax.estimation.indirect import IndirectField, default_settings
-from tests.analytic import radiosity
-from tests.helpers.tracing_scenes import ball, box, cube_wall
+from tests.analytic.radiosity import Cube
+from tests.helpers.tracing_scenes import ball, box, coloured_walls
 
 ALBEDOS = np.array([[0.8, 0.2, 0.2], [0.2, 0.8, 0.2], *4 * [[0.7, 0.7, 0.7]]])
 LAMP, POWER = (0.2, -0.1, 0.5), (10.0, 10.0, 10.0)
@@ -18,14 +18,12 @@ FLOOR = 4
 @pytest.fixture(scope="module")
 def coloured():
     """Estimates on the floor of a cube of coloured walls, and what radiosity says."""
-    meshes = [cube_wall(axis, side) for axis in range(3) for side in (-1, 1)]
-    walls = zip(meshes, ALBEDOS, strict=True)
-    objects = [pr.SceneObject(mesh, pr.Diffuse(albedo)) for mesh, albedo in walls]
-    scene = pr.Scene(objects, [pr.PointEmitter(LAMP, POWER)])
+    scene = pr.Scene(coloured_walls(ALBEDOS), [pr.PointEmitter(LAMP, POWER)])
     photons = pr.trace_photons(scene, 600_000, paths="global")
     field = IndirectField(photons, scene=scene)
-    points, exact = radiosity.indirect_irradiance(2.0, ALBEDOS, POWER, LAMP, n=10)
-    points, exact = points[FLOOR], exact[FLOOR]
+    cube = Cube(2.0, ALBEDOS, POWER, LAMP)
+    points = cube.middles[FLOOR]
+    exact = cube.indirect(FLOOR, points)
     found = field(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)))
     return SimpleNamespace(found=found, exact=exact, points=points, k=field.settings.k)
 

@@ -29,6 +29,13 @@ def cube_wall(axis, side):
     return trimesh.Trimesh(corners, faces, process=False)
 
 
+def coloured_walls(albedos):
+    """The walls of a cube of side 2, by their albedos (6, 3)."""
+    meshes = [cube_wall(axis, side) for axis in range(3) for side in (-1, 1)]
+    walls = zip(meshes, albedos, strict=True)
+    return [pr.SceneObject(mesh, pr.Diffuse(albedo)) for mesh, albedo in walls]
+
+
 def ball(radius, centre, subdivisions=3):
     mesh = trimesh.creation.icosphere(subdivisions, radius)
     mesh.apply_translation(centre)

@@ -8,7 +8,7 @@ from photonrelax.estimation.indirect import IndirectField
 from photonrelax.transport.direct_light import direct_irradiance
 from photonrelax.transport.raycast import RayCaster
 from tests.analytic.particle_tracer import COMPONENTS, Room, irradiance
-from tests.helpers.tracing_scenes import ball, cube_wall
+from tests.helpers.tracing_scenes import ball, coloured_walls
 
 FLOOR = 4
 ROOM = Room(
@@ -24,12 +24,9 @@ N_POINTS = 80
 
 @pytest.fixture(scope="module")
 def scene():
-    walls = [cube_wall(axis, side) for axis in range(3) for side in (-1, 1)]
-    objects = [
-        pr.SceneObject(*pair) for pair in zip(walls, map(pr.Diffuse, ROOM.albedos), strict=True)
-    ]
+    walls = coloured_walls(ROOM.albedos)
     glass = pr.SceneObject(ball(ROOM.radius, ROOM.centre, 5), pr.Dielectric(ROOM.ior), smooth=True)
-    return pr.Scene([*objects, glass], [pr.PointEmitter(*lamp) for lamp in ROOM.lamps])
+    return pr.Scene([*walls, glass], [pr.PointEmitter(*lamp) for lamp in ROOM.lamps])
 
 
 @pytest.fixture(scope="module")

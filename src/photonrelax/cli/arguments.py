@@ -48,6 +48,13 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
         f"--method {PLAIN_METHOD}",
     )
     _add_components(parser)
+    parser.add_argument(
+        "--final-gather",
+        type=whole,
+        default=0,
+        metavar="N",
+        help="rays to gather indirect light with, from each piece of surface in a pixel (0: none)",
+    )
     _add_sampler(parser)
     _add_settings(parser)
     _add_image(parser)

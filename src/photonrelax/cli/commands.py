@@ -125,9 +125,10 @@ def _check_render_options(options: argparse.Namespace) -> None:
         options.wrong_usage(f"--passes and --minutes need --method {PASSES_METHOD}")
     elif options.photon_map is not None:
         options.wrong_usage("every pass emits its photons: leave out --photon-map")
-    elif (options.components, options.n_global) != (None, None):
+    elif (options.components, options.n_global, options.final_gather) != (None, None, 0):
         options.wrong_usage(
-            "passes are of direct light and caustics: leave out --components and --global"
+            "passes are of direct light and caustics: leave out --components, --global and "
+            "--final-gather"
         )
     elif options.sampler == "random":
         options.wrong_usage("passes are of Halton photons: leave out --sampler")
@@ -174,6 +175,7 @@ def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Imag
             n_emitted=_photons(options),
             n_global=options.n_global,
             components=options.components,
+            final_gather=options.final_gather,
             seed=options.seed or 0,
             sampler=options.sampler or SAMPLER,
             supersampling=options.supersampling,

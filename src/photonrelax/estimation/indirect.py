@@ -3,7 +3,9 @@
 Indirect light varies slowly, and its photons are too few to be relaxed: an estimate takes hundreds
 of them, and costs accordingly. Estimates close to one another take nearly the same photons, so they
 are made at a share of these alone (Christensen 1999), which lies where the light is. Elsewhere
-irradiance is the mean of the few nearest, weighted by the kernel of `GatherSettings`.
+irradiance is the mean of the few nearest, weighted by the kernel of `GatherSettings` and by the
+area that each stands for, the inverse of the density of photons: there are more of them where
+there is more light.
 """
 
 from __future__ import annotations
@@ -72,11 +74,19 @@ class IndirectField:
             lit = lit_objects(scene, photons)
             field.surface = Surface(scene, thread_count(n_threads), lit)
         some = photons.subset(np.arange(0, len(photons), max(settings.k // _ESTIMATES, 1)))
-        irradiance = field(some.position, some.normal)
+        at = some.position, some.normal
+        values = np.column_stack([field(*at), np.ones(len(some))])
+        area = 1.0 / field.densities(np.ones((len(photons), 1)))(*at)
         nearest = GatherSettings(k=_NEAREST, gather_radius=field.settings.gather_radius)
         means = IrradianceField(some.replace(well_spaced=False), nearest, n_threads=n_threads)
         self.settings = replace(settings, gather_radius=field.settings.gather_radius)
-        self._densities = means.densities(np.column_stack([irradiance, np.ones(len(some))]))
+        self._densities = means.densities(area * values)
+
+    @property
+    def reach(self) -> float:
+        """Largest distance, m, of the photons in an estimate."""
+        radius = self.settings.gather_radius
+        return 0.0 if radius is None else radius
 
     def __call__(
         self, points: ArrayLike, normals: ArrayLike, *, footprint: ArrayLike | None = None

@@ -15,7 +15,6 @@ import numpy as np
 
 from .._util.validation import Floats
 from ..estimation.field import Field
-from ..estimation.indirect import IndirectField
 from .view import Band, concatenate_bands
 
 Estimates = Mapping[str, Floats]
@@ -214,11 +213,6 @@ class FieldEstimates:
             end = first + values.shape[1]
             parts[name], first = means[..., first:end], end
         return parts
-
-
-def indirect_estimates(field: IndirectField, band: Band) -> dict[str, Floats]:
-    """Radiance ``indirect`` of a field of photons that diffuse surfaces have scattered."""
-    return {"indirect": band.radiance(band.estimates(field))}
 
 
 def photon_layers(bands: Iterable[Band], field: Field) -> dict[str, Floats]:

@@ -79,8 +79,7 @@ def plan(
         Of ``emission``, ``direct``, ``caustic`` and ``indirect``, those to model if the scene has
         them; by default all.
     photons : PhotonMap, optional
-        Photons of caustics that are there already. If they are not of caustics alone, indirect
-        light is among them, and by default there is no other.
+        Photons that are there already: of caustics, or of all light, indirect included.
     caster : RayCaster, optional
         Of the scene: building it takes time.
     n_threads : int, optional

@@ -11,7 +11,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from .._util.progress import Progress, Reporter
-from .._util.validation import Floats, check_choice, check_seed
+from .._util.validation import Floats, check_choice, check_seed, count
 from ..estimation.field import Field
 from ..estimation.indirect import IndirectField
 from ..estimation.methods import (
@@ -29,7 +29,8 @@ from ..photons.photon_map import NothingStoredError, PhotonMap
 from ..scene.scene import Scene
 from ..transport.emission import PATHS, SAMPLERS, EmissionPlan, plan_emission
 from ..transport.trace import trace_photons
-from .layers import FieldEstimates, band_layers, indirect_estimates, with_radiance
+from .final_gather import FinalGather
+from .layers import FieldEstimates, band_layers, with_radiance
 from .metadata import ledger_values, metadata, photon_metadata
 from .plan import Plan, plan
 from .view import View, concatenate_bands
@@ -48,6 +49,7 @@ def render(
     max_depth: int = 8,
     photons: PhotonMap | None = None,
     indirect: GatherSettings | None = None,
+    final_gather: int = 0,
     n_threads: int | None = None,
     progress: Progress | None = None,
     **settings: Unpack[StageSettings],
@@ -68,8 +70,9 @@ def render(
         s·s samples a pixel; maximum number of specular surfaces on a camera path.
     photons : PhotonMap, optional
         Photons of caustics traced before in this scene, in place of new ones; see `_check_scene`.
-    indirect : GatherSettings, optional
-        Of indirect light; see `photonrelax.estimation.indirect`.
+    indirect, final_gather : GatherSettings, int, optional
+        Of indirect light, see `photonrelax.estimation.indirect`; rays of a final gather from each
+        piece of surface in a pixel, see `photonrelax.rendering.final_gather`, 0 for none.
     n_threads, progress : int, callable, optional
         Threads, by default all; called as ``progress(stage, done, total)``.
     **settings
@@ -91,10 +94,12 @@ def render(
     stages = _Stages(view, progress, seed=seed, sampler=sampler)
     stages.plan(photons, n_emitted, n_global, components)
     stages.prepare_caustic(method, settings_of("render", dict(settings)))
-    stages.prepare_indirect(indirect)
+    stages.prepare_indirect(indirect, final_gather)
     return stages.image(method)
 
 
+# Far more than any gather needs.
+_MOST_RAYS = 65536
 # Relative. Emission regions are spheres around objects, which finer meshes fill a little more.
 _SAME_FLUX = 0.01
 
@@ -147,6 +152,12 @@ def on_surfaces(photons: PhotonMap) -> PhotonMap:
     return photons.subset(~on_sensor) if on_sensor.any() else photons
 
 
+def _joined(maps: list[PhotonMap]) -> PhotonMap:
+    """Positions, normals and flux of the photons of several maps."""
+    names = ("position", "normal", "flux")
+    return PhotonMap(*(np.concatenate([getattr(each, name) for each in maps]) for name in names))
+
+
 class _Stages:
     """The stages of a render, with the seconds and counts of those that ran."""
 
@@ -162,6 +173,7 @@ class _Stages:
         self._photons: PhotonMap | None = None
         self._caustic: Field | None = None
         self._indirect: IndirectField | None = None
+        self._gather: FinalGather | None = None
 
     def plan(
         self,
@@ -200,8 +212,9 @@ class _Stages:
         for stage, seconds in self._caustic.seconds.items():
             self._record(stage, seconds, photons=len(photons))
 
-    def prepare_indirect(self, settings: GatherSettings | None) -> None:
-        """Trace the photons of indirect light, if there is any, and prepare their field."""
+    def prepare_indirect(self, settings: GatherSettings | None, n_rays: int) -> None:
+        """Trace the photons of indirect light, if there is any, and prepare their estimates."""
+        n_rays = count(n_rays, "final_gather", low=0, high=_MOST_RAYS)
         if not self._plan.models("indirect"):
             return
         try:
@@ -214,6 +227,9 @@ class _Stages:
             photons, settings, scene=view.scene, n_threads=view.n_threads
         )
         self._record("indirect", perf_counter() - started, photons=len(photons))
+        if n_rays:
+            maps = [photons] if self._photons is None else [photons, self._photons]
+            self._gather = FinalGather(view, _joined(maps), n_rays, self._sequence["seed"])
 
     def _trace(self, stage: str, n_emitted: int, **options: Any) -> PhotonMap:
         view = self._view
@@ -246,8 +262,10 @@ class _Stages:
         parts, n_hit_points = [], 0
         for band in view.bands(direct=self._plan.models("direct")):
             estimates = {} if caustic is None else caustic(band)
-            if self._indirect is not None:
-                estimates |= indirect_estimates(self._indirect, band)
+            if self._gather is not None:
+                estimates["indirect"] = band.radiance(self._gather(band))
+            elif self._indirect is not None:
+                estimates["indirect"] = band.radiance(band.estimates(self._indirect))
             parts.append(with_radiance(band_layers(band, estimates)))
             n_hit_points += len(band.hits)
             report.advance(len(band.rows))

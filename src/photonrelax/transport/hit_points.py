@@ -140,7 +140,7 @@ def trace_hit_points(
         np.concatenate([batch.first.normal for batch in done]),
         np.concatenate([batch.first.depth for batch in done]),
     )
-    return _hit_points([batch.seen for batch in done], tracer.materials), first
+    return hit_points_of([batch.seen for batch in done], tracer.materials), first
 
 
 class _Batch(NamedTuple):
@@ -183,12 +183,7 @@ class _CameraTracer:
             longest_edge=self._extent,
         )
         first, found = self._start(paths, rows)
-        for _ in range(self._max_depth):
-            if not paths.advance(found):
-                break
-            found = self._caster.find_paths(paths)
-        else:
-            paths.advance(found)
+        follow_paths(paths, self._caster, found, self._max_depth)
         seen = paths.seen_points()
         seen["weight"] /= self._supersampling**2
         return _Batch(seen, first, paths.n_overflows)
@@ -220,6 +215,16 @@ class _CameraTracer:
         return FirstSurfaces(normal.reshape(*shape, 3), depth.reshape(shape)), found
 
 
-def _hit_points(batches: list[dict[str, NDArray]], materials: Materials) -> HitPoints:
+def follow_paths(paths: CameraPaths, caster: RayCaster, found: EmbreeHits, max_depth: int) -> None:
+    """Follow rays from their first hits to diffuse surfaces, through some specular ones at most."""
+    for _ in range(max_depth):
+        if not paths.advance(found):
+            return
+        found = caster.find_paths(paths)
+    paths.advance(found)
+
+
+def hit_points_of(batches: list[dict[str, NDArray]], materials: Materials) -> HitPoints:
+    """Hit points of the columns of some batches, but for the albedo, which materials have."""
     columns = {name: np.concatenate([some[name] for some in batches]) for name in batches[0]}
     return HitPoints(**columns, albedo=materials.table.reflectance[columns["object_id"]])

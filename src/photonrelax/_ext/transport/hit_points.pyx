@@ -11,7 +11,7 @@ from libc.stdint cimport int32_t, int64_t, uint64_t
 
 import numpy as np
 
-from ..common.vec3 cimport copy, dot
+from ..common.vec3 cimport copy, dot, orthonormal_frame
 from .curvature cimport change_along, normal_derivative
 from .materials cimport (
     Arrival, Interface, Materials, interface_at, is_absorbing, is_diffuse, media_at, transmittance,
@@ -132,11 +132,7 @@ cdef class CameraPaths:
             and origin_change.shape[1] == film_change.shape[1] == 3
         ):
             raise ValueError("camera rays and their changes do not fit one another")
-        self.n_seen = self.n_overflows = 0
-        self.reserve(n)
-        self.ray, self.next_ray = self.next_ray, self.ray
-        self.memory, self.next_memory = self.next_memory, self.memory
-        self.finite = True
+        self.restart(n)
         with nogil:
             for i in range(n):
                 start_ray(
@@ -147,6 +143,37 @@ cdef class CameraPaths:
                 self.to_embree(&self.ray[i], i, NULL)
         self.n_live = n
         self.check_finite()
+
+    def start_gather(
+        self, const double[:, ::1] origin, const double[:, ::1] direction, const int64_t[::1] pixel,
+        const double[::1] spread,
+    ):
+        """Start rays (n, 3) from points, outside of all media.
+
+        Each has a square of directions, of a side that is its `spread` (n,), rad.
+        """
+        cdef Py_ssize_t i, n = origin.shape[0]
+        if not (
+            direction.shape[0] == pixel.shape[0] == spread.shape[0] == n
+            and origin.shape[1] == direction.shape[1] == 3
+        ):
+            raise ValueError("rays and their spreads do not fit one another")
+        self.restart(n)
+        with nogil:
+            for i in range(n):
+                start_square(&self.ray[i], &origin[i, 0], &direction[i, 0], spread[i])
+                self.ray[i].pixel = pixel[i]
+                self.to_embree(&self.ray[i], i, NULL)
+        self.n_live = n
+        self.check_finite()
+
+    cdef restart(self, Py_ssize_t n):
+        """Make room for n rays of a new batch."""
+        self.n_seen = self.n_overflows = 0
+        self.reserve(n)
+        self.ray, self.next_ray = self.next_ray, self.ray
+        self.memory, self.next_memory = self.next_memory, self.memory
+        self.finite = True
 
     def set_media(self, const uint64_t[::1] media):
         """Set the media (n_live,) that the live rays start in."""
@@ -194,6 +221,20 @@ cdef class CameraPaths:
                 for c in range(3):
                     normal[pixel, c] /= n_samples
         return normal.base, depth.base, n_moved
+
+    def leave_surfaces(self, EmbreeHits found):
+        """Move rays off surfaces that they start on; return the number of these.
+
+        `found` has to be found again for them.
+        """
+        cdef Py_ssize_t i, n_moved = 0
+        cdef Hit hit
+        self.check_hits(found)
+        with nogil:
+            for i in range(self.n_live):
+                if self.refine(&hit, found, i):
+                    n_moved += self.leave_surface(i, &hit)
+        return n_moved
 
     def advance(self, EmbreeHits found):
         """Process the hit of every live ray; return the number of their continuations."""
@@ -445,6 +486,23 @@ cdef void start_ray(
             ray.direction_change[edge][c] = per_distance * (
                 film_change[3 * edge + c] - along * direction[c]
             )
+
+
+cdef void start_square(
+    CameraRay* ray, const double* origin, const double* direction, double spread
+) noexcept nogil:
+    """Write a ray of weight one outside of all media, with a square of directions around it."""
+    cdef int edge, c
+    copy(ray.origin, origin)
+    copy(ray.direction, direction)
+    ray.media = 0
+    orthonormal_frame(ray.direction_change[0], ray.direction_change[1], direction)
+    for c in range(3):
+        ray.weight[c] = 1.0
+    for edge in range(2):
+        for c in range(3):
+            ray.origin_change[edge][c] = 0.0
+            ray.direction_change[edge][c] *= spread
 
 
 cdef void transfer(Meeting* at) noexcept nogil:

@@ -1,0 +1,87 @@
+"""Final gather: indirect light at points, from the light that surrounding surfaces get.
+
+What a ray meets has all light that arrives there: direct light by shadow rays, caustics and
+indirect light from their photons together, as means over the part of the surface that the ray
+stands for. At points, folds of caustics would turn into fireflies. Such estimates are blurred; near
+a point, where that would show, a few rays of a gather of its own replace them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .._util.validation import Floats
+from ..estimation.indirect import IndirectField
+from ..photons.photon_map import PhotonMap
+from ..transport.direct_light import direct_irradiance
+from ..transport.gather_rays import GatherRays
+from ..transport.hit_points import HitPoints
+from .view import Band, View, pixel_sums
+
+# Rays traced together.
+_RAYS_PER_CHUNK = 1 << 18
+# Rays of a gather at what a ray has met nearby. Few are enough: they are many together.
+_NEARBY = 4
+
+
+class FinalGather:
+    """Indirect irradiance at points by rays that gather light.
+
+    Parameters
+    ----------
+    view : View
+        Of the scene.
+    photons : PhotonMap
+        Of all light but direct.
+    n_rays, seed : int
+        Rays from each point, and the seed of their sequences.
+    """
+
+    def __init__(self, view: View, photons: PhotonMap, n_rays: int, seed: int) -> None:
+        self._view = view
+        self._field = IndirectField(photons, scene=view.scene, n_threads=view.n_threads)
+        self._n_rays = n_rays
+        self._seed = seed
+        self._rays = GatherRays(
+            view.scene, view.caster, max_depth=view.max_depth, n_threads=view.n_threads
+        )
+
+    def __call__(self, band: Band) -> Floats:
+        """Irradiance (m, 3) at the hit points of a band, W/m²; the same on a piece of surface."""
+        rng = np.random.default_rng((self._seed, band.rows.start))
+        pieces = band.pieces()
+        normal = pieces.normal / np.linalg.norm(pieces.normal, axis=1, keepdims=True)
+        gathered = self._gathered(pieces.position, normal, rng, self._n_rays, nearby=True)
+        irradiance: Floats = gathered[pieces.of_hit]
+        return irradiance
+
+    def _gathered(
+        self, position: Floats, normal: Floats, rng: np.random.Generator, n_rays: int, nearby: bool
+    ) -> Floats:
+        out = np.zeros((len(position), 3))
+        step = max(_RAYS_PER_CHUNK // n_rays, 1)
+        for first in range(0, len(position), step):
+            some = slice(first, first + step)
+            shifts = rng.random((len(position[some]), 2))
+            hits = self._rays.trace(position[some], normal[some], n_rays, shifts)
+            irradiance = self._irradiance(hits)
+            if nearby:
+                away = np.linalg.norm(hits.position - position[some][hits.pixel], axis=1)
+                near = np.flatnonzero(away < self._field.reach)
+                at = hits.position[near], hits.normal[near]
+                irradiance[near] = self._direct(*at) + self._gathered(
+                    *at, rng, _NEARBY, nearby=False
+                )
+            light = hits.weight * hits.albedo * irradiance
+            out[some] = pixel_sums(hits.pixel, light, (len(position[some]), 1))[:, 0]
+        return out
+
+    def _irradiance(self, hits: HitPoints) -> Floats:
+        at = hits.position, hits.normal
+        return self._direct(*at) + self._field(*at, footprint=hits.footprint)
+
+    def _direct(self, position: Floats, normal: Floats) -> Floats:
+        view = self._view
+        return direct_irradiance(
+            view.scene, view.caster, position, normal, n_threads=view.n_threads
+        )
