@@ -28,7 +28,7 @@ def exact():
     at = (np.arange(N_PIXELS) + 0.5) * SIDE / N_PIXELS - SIDE / 2
     y, x = np.meshgrid(-at, at, indexing="ij")
     points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, -1.0)])
-    coarse, fine = (Cube(2.0, ALBEDOS, POWER, LAMP, n).indirect(FLOOR, points) for n in (6, 12))
+    coarse, fine = (Cube(2.0, ALBEDOS, POWER, LAMP, n).indirect(FLOOR, points) for n in (5, 10))
     radiance = (fine + (fine - coarse) / 3.0) * ALBEDOS[FLOOR] / np.pi
     return block_means(radiance.reshape(N_PIXELS, N_PIXELS, 3))
 
