@@ -221,7 +221,12 @@ def test_render_writes_the_image_its_preview_and_its_statistics(tmp_path, capsys
     options = ("--k", 20, "--iterations", 2, 1, "--threads", 2, "--stats", stats)
     assert run("render", "ring", "-o", output, *SMALL, *options) == 0
     out = capsys.readouterr().out
-    assert [line.split()[0] for line in out.splitlines()] == [*STAGES, "total", "wrote"]
+    assert [line.split()[0] for line in out.splitlines()] == [
+        "modelled:",
+        *STAGES,
+        "total",
+        "wrote",
+    ]
     assert "emitted 3,000" in out
 
     scene = gallery.scene("ring")
@@ -253,7 +258,7 @@ def test_render_goes_on_with_passes_where_it_stopped(tmp_path, capsys):
     straight, stopped = tmp_path / "straight.exr", tmp_path / "stopped.exr"
     assert run(*command, "--passes", 3, "-o", straight) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == ["passes", "total", "wrote"]
+    assert [line.split()[0] for line in lines] == ["modelled:", "passes", "total", "wrote"]
     for passes in (2, 3):
         assert run(*command, "--passes", passes, *state, "-o", stopped, "--quiet") == 0
     assert stopped.read_bytes() == straight.read_bytes()

@@ -1,10 +1,13 @@
 """The light that a render models: what a scene has, and what is asked for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import photonrelax as pr
-from photonrelax.cli.reports import plan_table
+from photonrelax.cli.reports import cost_table, plan_table
+from photonrelax.rendering.cost import estimate_costs
 from tests.helpers.tracing_scenes import DOWN, ball, box, enclosure, floor, glass_ball, sheet
 
 CAMERA = pr.Camera((0.0, -0.8, 0.0), (0.0, 0.5, 0.0), width=16, height=16)
@@ -94,6 +97,19 @@ def test_the_table_has_a_line_a_component():
         "indirect",
     ]
     assert "5,000 photons" in table
+
+
+def test_costs_scale_with_photons_and_pixels():
+    """Counts are exact up to what the sequence leaves of a share; times are positive."""
+    scene = pr.Scene([enclosure(0.5), glass_ball()], [LAMP], replace(CAMERA, width=200))
+    planned = pr.plan(scene, n_emitted=200_000, n_global=100_000)
+    costs = estimate_costs(scene, planned)
+    photons = pr.trace_photons(scene, 200_000)
+    assert costs["trace"].photons == pytest.approx(len(photons), rel=0.02)
+    # A path in an enclosure of albedo a is stored a / (1 - a) times.
+    assert costs["trace indirect"].photons == pytest.approx(100_000, rel=0.03)
+    assert all(cost.seconds > 0.0 for cost in costs.values())
+    assert [line.split()[0] for line in cost_table(costs).splitlines()][-1] == "total"
 
 
 def test_a_closed_room_has_the_radiance_of_its_furnace():

@@ -100,11 +100,13 @@ def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
         if stats is not None:
             write_json(_partial(files, stats), image.stats)
         interrupts.check()
-    from .reports import stage_table
+    from .reports import light_layers, stage_table
 
     if options.stats == STDOUT:
         write_lines(json_text(image.stats))
-    _report(options, stage_table(image.stats["stages"]), f"wrote {output} and {preview}")
+    modelled = f"modelled: {', '.join(light_layers(image))}"
+    table = stage_table(image.stats["stages"])
+    _report(options, modelled, table, f"wrote {output} and {preview}")
 
 
 def _check_render_options(options: argparse.Namespace) -> None:
@@ -193,16 +195,19 @@ def _render_settings(options: argparse.Namespace) -> Settings:
 
 
 def _plan(options: argparse.Namespace, interrupts: Interrupts) -> None:
-    from .reports import plan_table
+    from ..rendering.cost import estimate_costs
+    from .reports import cost_table, plan_table
 
+    scene = gallery.scene(options.scene)
     found = pr.plan(
-        gallery.scene(options.scene),
+        scene,
         n_emitted=_photons(options),
         n_global=options.n_global,
         components=options.components,
         n_threads=options.threads,
     )
-    write_lines(plan_table(found))
+    costs = estimate_costs(scene, found, options.threads)
+    write_lines(plan_table(found), "", cost_table(costs))
 
 
 def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:

@@ -10,8 +10,9 @@ import numpy as np
 from ..imaging.image import Image
 from ..photons.energy_ledger import EnergyLedger
 from ..photons.photon_map import PhotonMap
+from ..rendering.cost import Cost
 from ..rendering.object_map import ObjectMap
-from ..rendering.plan import Plan
+from ..rendering.plan import COMPONENTS, Plan
 
 
 def stage_table(stages: Mapping[str, Mapping[str, Any]]) -> str:
@@ -39,6 +40,11 @@ def _counts(values: Mapping[str, Any]) -> str:
     )
 
 
+def light_layers(image: Image) -> list[str]:
+    """Names of the components of light that an image has."""
+    return [name for name in COMPONENTS if name in image.layers]
+
+
 def plan_table(plan: Plan) -> str:
     """Table of the components of light, a line each, and why each is modelled or is not."""
     photons = {"caustic": plan.n_emitted, "indirect": plan.n_global}
@@ -46,6 +52,22 @@ def plan_table(plan: Plan) -> str:
     for component, is_modelled, reason in plan.parts:
         n = f"{photons[component]:,} photons" if photons.get(component) else ""
         lines.append(f"{component:9} {'yes' if is_modelled else 'no':4} {n:18} {reason}")
+    return "\n".join(lines)
+
+
+def cost_table(costs: Mapping[str, Cost]) -> str:
+    """Table of estimated times, photons stored and memory of the stages of a render."""
+    width = max(map(len, [*costs, "total"]))
+    total = Cost(
+        sum(cost.seconds for cost in costs.values()),
+        sum(cost.photons for cost in costs.values()),
+        sum(cost.n_bytes for cost in costs.values()),
+    )
+    lines = [f"{'about':{width}}   seconds  photons stored  megabytes"]
+    for name, cost in {**costs, "total": total}.items():
+        photons = f"{cost.photons:,}" if cost.photons else ""
+        size = f"{cost.n_bytes / 1e6:.0f}" if cost.n_bytes else ""
+        lines.append(f"{name:{width}}  {cost.seconds:8.1f}  {photons:>14}  {size:>9}".rstrip())
     return "\n".join(lines)
 
 

@@ -28,7 +28,7 @@ from ..transport.raycast import RayCaster
 # Camera rays traced together, which bounds the memory of an image.
 _RAYS_PER_BAND = 400_000
 # Bytes of the layers of a pixel, and of a camera ray and of a hit point that are kept, at least.
-_PIXEL_BYTES, _RAY_BYTES, _HIT_BYTES = 128, 56, 176
+PIXEL_BYTES, _RAY_BYTES, _HIT_BYTES = 128, 56, 176
 # Rays a side of the small image from which the number of hit points is estimated.
 _PILOT_SIDE = 64
 # Samples of a pixel are on one piece of surface if they are on a grid and their edges are equal, up
@@ -178,7 +178,7 @@ class View:
     def _check_image_fits(self) -> None:
         height, width = self.shape
         check_memory(
-            _PIXEL_BYTES * height * width,
+            PIXEL_BYTES * height * width,
             f"the layers of {width} x {height} pixels",
             "make the image smaller (width, height)",
         )

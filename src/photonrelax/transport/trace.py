@@ -50,7 +50,7 @@ _CAPACITY_MARGIN = 1.05
 # Deposits count the paths of a batch in 32 bits.
 _MAX_BATCH = 2**30
 # Bytes of a stored photon, at least, and of the ledger of a block of paths.
-_PHOTON_BYTES = 148
+PHOTON_BYTES = 148
 _LEDGER_BYTES = 8 * 3 * len(PATH_OUTCOMES)
 # Crossings of a sensor between two events, at most, but for sensors with hollows.
 _CROSSINGS = 2
@@ -175,7 +175,7 @@ def _check_memory(
 
 def _bytes(n_emitted: int, n_stored: float) -> float:
     """Least bytes of photons and of the ledgers of their batches."""
-    return _PHOTON_BYTES * n_stored + _LEDGER_BYTES * n_emitted / _kernel.LEDGER_BLOCK
+    return PHOTON_BYTES * n_stored + _LEDGER_BYTES * n_emitted / _kernel.LEDGER_BLOCK
 
 
 def _stored_per_path(
