@@ -71,16 +71,16 @@ def emitted_rays(
 
 
 class ParaxialOptics:
-    """Propagation and scattering of paraxial rays in a scene."""
+    """Propagation and scattering of paraxial rays in a scene of `materials`."""
 
     def __init__(self, scene: Scene) -> None:
-        self._materials = Materials(scene.material_table())
+        self.materials = Materials(scene.material_table())
         self._derivatives = NormalDerivatives(scene.objects)
 
     def propagate(self, rays: ParaxialRays, hits: Intersections) -> ParaxialRays:
         """Rays at their hits: the operator of free flight, and the absorption on the way."""
         operator = operators.propagate(hits.distance, 2) @ rays.operator
-        media, transmitted = self._materials.arrive(rays.direction, hits, rays.media)
+        media, transmitted = self.materials.arrive(rays.direction, hits, rays.media)
         throughput = transmitted * rays.throughput
         return replace(
             rays, origin=hits.position, operator=operator, throughput=throughput, media=media
@@ -93,7 +93,7 @@ class ParaxialOptics:
 
         Rays that cannot be refracted go straight on.
         """
-        at = self._materials.interfaces(rays.direction, hits, rays.media)
+        at = self.materials.interfaces(rays.direction, hits, rays.media)
         incidence = _Incidence.of(rays, at.normal)
         side = np.where(at.is_shading, _side(rays.direction, hits), 0.0)
         shape = side[:, np.newaxis, np.newaxis] * incidence.along(self._derivatives.at(hits))
@@ -104,14 +104,16 @@ class ParaxialOptics:
             operators.reflect(incidence.cosine, shape),
             operators.refract(incidence.cosine, cosine_out, at.n1 / at.n2, shape),
         )
-        share = np.where(reflected, at.reflected, 1.0 - at.reflected)
+        share = np.where(reflected, at.reflected, 1.0 - at.reflected)[:, np.newaxis]
+        tint = self.materials.table.tint[hits.object_id]
+        share = share * np.where(reflected[:, np.newaxis], 1.0, tint)
         return ParaxialRays(
             rays.origin,
             direction,
             incidence.across(direction),
             operator @ incidence.operator,
             hits.offset,
-            share[:, np.newaxis] * rays.throughput,
+            share * rays.throughput,
             np.where(reflected, rays.media, at.beyond),
         )
 
