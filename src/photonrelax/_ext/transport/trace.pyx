@@ -547,11 +547,11 @@ cdef class Paths:
         if at.reflected == 1.0 or random(event, OF_SURFACE) < at.reflected:
             copy(out, at.to.reflection)
         else:
+            copy(out, at.to.refraction)
             if self.materials.is_tinted[i] and not self.roulette(
                 &self.materials.tint[i, 0], event, OF_DIRECTION, ABSORBED
             ):
                 return False
-            copy(out, at.to.refraction)
             ray.media = at.beyond
             if at.overflows:
                 add_fault(self.faults, i, OVERFLOWED)
