@@ -145,7 +145,8 @@ class MediaFinder:
         ).astype(np.uint64)
         np.bitwise_or.at(media, ray[kept], shifted)
         lost, times = np.unique(self._ids[number[~kept]], return_counts=True)
-        self.faults.append(np.column_stack([lost, np.zeros_like(times), times]))
+        if len(lost):
+            self.faults.append(np.column_stack([lost, np.zeros_like(times), times]))
 
 
 def warn_of_faults(
@@ -160,25 +161,21 @@ def warn_of_faults(
         np.add.at(count, rows[:, 0], rows[:, 1:])
     unentered, overflowed = count.T
     unentered[unentered <= max(_STRAY, _STRAYS * n_rays)] = 0
+    beyond = f"was in more than {materials.max_depth} dielectrics at once"
     texts = [
-        _fault_text(unentered, "a ray left a dielectric that it had not entered", scene, _UNENTERED),
-        _fault_text(
-            overflowed,
-            f"a ray was in more than {materials.max_depth} dielectrics at once",
-            scene,
-            _OVERFLOWED,
-        ),
+        _fault_text(scene, unentered, "left a dielectric that it had not entered", _UNENTERED),
+        _fault_text(scene, overflowed, beyond, _OVERFLOWED),
     ]
     if any(texts) and scene not in _warned_of:
         _warned_of.add(scene)
         warnings.warn(" ".join(filter(None, texts)), stacklevel=3)
 
 
-def _fault_text(count: NDArray[np.int64], event: str, scene: Scene, remedy: str) -> str:
-    """Number of events with the objects (objects,) that they count for; empty if there are none."""
+def _fault_text(scene: Scene, count: NDArray[np.int64], event: str, remedy: str) -> str:
+    """Events of rays with their counts (objects,) by object; empty if there are none."""
     ids = [int(i) for i in np.argsort(-count, kind="stable") if count[i]]
     objects = ", ".join(f"{object_label(i, scene.objects[i])} {count[i]}" for i in ids)
-    return f"{count.sum()} times {event} ({objects}), {remedy}" if ids else ""
+    return f"{count.sum()} times a ray {event} ({objects}), {remedy}" if ids else ""
 
 
 def _in_box(points: Floats, low: Floats, high: Floats) -> NDArray[np.bool_]:

@@ -6,7 +6,7 @@ Every loop body writes only row i.
 from collections import namedtuple
 
 cimport cython
-from libc.stdint cimport INT32_MAX, int32_t, int64_t, uint8_t, uint64_t
+from libc.stdint cimport INT32_MAX, int32_t, uint8_t, uint64_t
 
 import numpy as np
 

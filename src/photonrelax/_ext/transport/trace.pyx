@@ -548,9 +548,7 @@ cdef class Paths:
             copy(out, at.to.reflection)
         else:
             copy(out, at.to.refraction)
-            if self.materials.is_tinted[i] and not self.roulette(
-                &self.materials.tint[i, 0], event, OF_DIRECTION, ABSORBED
-            ):
+            if not self.survives_tint(event):
                 return False
             ray.media = at.beyond
             if at.overflows:
@@ -559,6 +557,14 @@ cdef class Paths:
         ray.n_specular += 1
         append_signature(ray, i, kind)
         return True
+
+    cdef bint survives_tint(self, const Event* event) noexcept nogil:
+        """Apply the tint of refracted light; false if the path ends."""
+        cdef int32_t i = event.hit.object_id
+        if not self.materials.is_tinted[i]:
+            return True
+        # The random number of the surface chose refraction.
+        return self.roulette(&self.materials.tint[i, 0], event, OF_DIRECTION, ABSORBED)
 
     cdef bint scatter_diffuse(self, double* out, const Event* event) noexcept nogil:
         """Deposit light of the kind to be stored; true if the path continues along `out`."""
