@@ -208,6 +208,62 @@ PEBBLE = ball(0.4, [0.1, 0.2, 1.0])
 HIDDEN = glass(PEBBLE, 1.7, "pebble", priority=-1, absorption=5.0, tint=0.1)
 
 
+# Straight from above to the floor, and media with their depths; surfaces in one plane are moved.
+ICE = {"absorption": BLUE, "priority": 1}
+TOUCHING = {
+    "liquid on the bottom of its glass": (
+        [
+            glass(box([-3, -3, 0.5], [3, 3, 1.0]), 1.5, absorption=GREEN, priority=2),
+            glass(box([-2, -2, 1.0], [2, 2, 2.0]), 1.33, absorption=RED),
+        ],
+        [(1.33, RED * 1.0), (1.5, GREEN * 0.5), (1.0, 0.0)],
+    ),
+    "ice at the surface of the water": (
+        [
+            glass(box([-3, -3, 0.5], [3, 3, 2.0]), 1.33, absorption=RED),
+            glass(box([-2, -2, 1.5], [2, 2, 2.0]), 1.31, **ICE),
+        ],
+        [(1.31, BLUE * 0.5), (1.33, RED * 1.0), (1.0, 0.0)],
+    ),
+    "a lid of ice that water rules": (
+        [
+            glass(box([-3, -3, 0.5], [3, 3, 2.0]), 1.33, absorption=RED, priority=2),
+            glass(box([-2, -2, 1.5], [2, 2, 2.0]), 1.31, **ICE),
+        ],
+        [(1.33, RED * 1.5), (1.0, 0.0)],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TOUCHING)
+def test_surfaces_in_one_plane_are_those_of_the_body_that_rules(name):
+    objects, media = TOUCHING[name]
+    points, _ = camera_points(scene_of(objects), STRAIGHT_DOWN)
+    seen = points.weight[points.weight[:, 0].argmax()]
+    np.testing.assert_allclose(seen, through_layers(media), rtol=1e-3)
+
+
+def through_layers(media):
+    """Share of light straight from the air through layers, each an index and its optical depth."""
+    share, outside = np.ones(3), 1.0
+    for ior, depth in media:
+        share *= (1.0 - fresnel_reflectance(0.0, ior / outside)) * np.exp(-np.multiply(depth, 1))
+        outside = ior
+    return share
+
+
+def test_rays_from_afar_pass_bodies_that_are_not_there():
+    """Over a floor so wide that rays are moved to where triangles are fine."""
+    wide = pr.SceneObject(box([-1e5, -1e5, -2], [1e5, 1e5, 0]), pr.Diffuse(0.0))
+    camera = pr.Camera((300.0, 200.0, 4e4), (0.0, 0.0, 1.0), width=8, height=8, vertical_fov=4e-3)
+    seen = []
+    for objects in ([WATER], [WATER, HIDDEN]):
+        scene = pr.Scene([wide, *objects], [pr.PointEmitter([0, 0, 9.0])])
+        seen.append(camera_points(scene, camera)[0])
+    np.testing.assert_allclose(seen[1].weight, seen[0].weight, rtol=1e-6)
+    np.testing.assert_allclose(seen[1].position, seen[0].position, atol=1e-6)
+
+
 @pytest.mark.parametrize("paths", ["caustic", "all"])
 def test_a_body_inside_of_one_of_larger_priority_is_not_there(paths):
     """Photons, their bounces and signatures, and spectra."""
@@ -340,11 +396,8 @@ def test_ties_go_to_the_body_entered_last_below_those_of_larger_priority():
     # Lengths in the media from above: the inner plate entered last rules in its half of the tie.
     media = [(1.33, RED * 0.2), (1.5, GREEN * 0.2), (1.6, BLUE * 0.6), (1.5, GREEN * 0.3)]
     media += [(1.33, RED * 0.2), (1.0, 0.0)]
-    expected, outside = np.ones(3), 1.0
-    for ior, depth in media:
-        expected *= (1.0 - fresnel_reflectance(0.0, ior / outside)) * np.exp(-np.multiply(depth, 1))
-        outside = ior
-    np.testing.assert_allclose(points.weight[points.weight[:, 0].argmax()], expected, rtol=1e-9)
+    seen = points.weight[points.weight[:, 0].argmax()]
+    np.testing.assert_allclose(seen, through_layers(media), rtol=1e-9)
 
 
 def stacks_at(objects, *positions):

@@ -135,7 +135,10 @@ class RayCaster:
             [object_label(i, item) for i, item in enumerate(objects)],
             self.resolution,
         )
-        overlap_contacts(vertices, faces[of_glass], whole.faces[of_glass, 3], self.resolution)
+        priority = np.array([item.material.row().priority for item in objects], dtype=np.int64)
+        overlap_contacts(
+            vertices, faces[of_glass], whole.faces[of_glass, 3], priority, self.resolution
+        )
         open_contacts(vertices, faces, of_glass, self.resolution)
         vertices -= self.resolution.origin
         self.frame = _frame(vertices, self.resolution)
