@@ -339,8 +339,8 @@ def test_photons_without_bounces_and_direct_light_agree():
 
 
 def test_replayed_paths_skip_surfaces_that_are_not_there():
-    """Straight down through water that reaches into a tinted plate: water, plate, air, floor."""
-    plate = pr.Dielectric(1.5, absorption=GREEN, tint=(0.9, 0.5, 0.7), priority=1)
+    """Straight down through water that reaches into a plate: water, plate, air, floor."""
+    plate = pr.Dielectric(1.5, absorption=GREEN, priority=1)
     water = glass(box([-3, -3, 0.7], [3, 3, 2.0]), 1.33, absorption=RED)
     scene = scene_of([water, pr.SceneObject(box([-3, -3, 0.5], [3, 3, 1.0]), plate), HIDDEN])
     across = np.eye(3)[None, :2]
@@ -351,9 +351,7 @@ def test_replayed_paths_skip_surfaces_that_are_not_there():
     hits = PathReplayer(scene, RayCaster(scene.objects)).replay(rays, events)
     share = np.prod([1.0 - fresnel_reflectance(0.0, ior) for ior in (1.33, 1.5 / 1.33, 1.5)])
     depths = RED * 1.0 + GREEN * 0.5
-    np.testing.assert_allclose(
-        hits.throughput[0], share * plate.tint**2 * np.exp(-depths), rtol=1e-9
-    )
+    np.testing.assert_allclose(hits.throughput[0], share * np.exp(-depths), rtol=1e-9)
     np.testing.assert_allclose(hits.position[0], [0.1, 0.2, 0.0], atol=1e-12)
 
 
@@ -482,6 +480,20 @@ def test_tint_is_a_factor_on_refracted_light_at_each_surface():
     above = points.position[:, 2] > 3.9
     np.testing.assert_allclose(points.weight[above], [[1.0 - share] * 3], rtol=1e-12)
     np.testing.assert_allclose(points.weight[~above], [share**2 * tint**2], rtol=1e-12)
+
+
+def test_spectra_do_not_depend_on_tints():
+    """Nor on channels of which nothing is left; tints end paths, so that photons are fewer."""
+    lamp = pr.PointEmitter([0.1, 0.2, 4.0])
+    clear = replace(PLATE, material=pr.Dielectric(1.5))
+    tinted, plain = (
+        pr.trace_photons(scene_of([plate], lamp), 400, frequency_share=1.0)
+        for plate in (PLATE, clear)
+    )
+    distance, row = cKDTree(plain.emitter_coords).query(tinted.emitter_coords)
+    same = (distance == 0.0) & (plain.path_signature[row] == tinted.path_signature)
+    assert same.sum() > 20
+    np.testing.assert_array_equal(tinted.spectrum[same], plain.spectrum[row[same]])
 
 
 def test_a_white_tint_changes_no_bit():

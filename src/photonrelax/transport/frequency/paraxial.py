@@ -43,7 +43,8 @@ class ParaxialRays:
     origin_offset : (n, 3)
         `Intersections.offset` of where the ray starts, NaN in free space.
     throughput : (n, 3)
-        Transmitted share of the light, without the reflectances of mirrors.
+        Transmitted share of the light, without the reflectances of mirrors and tints, which are the
+        same for all rays of a path.
     media : (n,) uint64
         Stack of the media that the ray is in.
     """
@@ -104,16 +105,14 @@ class ParaxialOptics:
             operators.reflect(incidence.cosine, shape),
             operators.refract(incidence.cosine, cosine_out, at.n1 / at.n2, shape),
         )
-        share = np.where(reflected, at.reflected, 1.0 - at.reflected)[:, np.newaxis]
-        tint = self.materials.table.tint[hits.object_id]
-        share = share * np.where(reflected[:, np.newaxis], 1.0, tint)
+        share = np.where(reflected, at.reflected, 1.0 - at.reflected)
         return ParaxialRays(
             rays.origin,
             direction,
             incidence.across(direction),
             operator @ incidence.operator,
             hits.offset,
-            share * rays.throughput,
+            share[:, np.newaxis] * rays.throughput,
             np.where(reflected, rays.media, at.beyond),
         )
 
