@@ -49,6 +49,13 @@ def test_crossings_are_of_live_rays(context):
             paths.cross(found, np.arange(first, first + N), hits)
 
 
+def test_hits_are_replaced_by_as_many(context):
+    rays = (np.ones((3, 3), np.float32),) * 2
+    found = context.caster.find(*rays)
+    with pytest.raises(ValueError, match="found should be of 2 rays, but is of 3"):
+        found.replace(np.arange(2), context.caster.find(*rays))
+
+
 COLUMNS = {
     **dict.fromkeys(("position", "normal", "wi", "flux", "emitter_coords"), (N, 3)),
     **dict.fromkeys(("emitter_density", "emitter_id", "path_signature"), (N,)),

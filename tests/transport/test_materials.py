@@ -1,5 +1,7 @@
 """Materials as kernels read them: kinds, interfaces, media."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from photonrelax._ext.transport.materials import Materials
@@ -31,7 +33,7 @@ def test_only_diffuse_objects_receive_light(materials):
 
 
 def test_an_unknown_kind_is_refused():
-    table = MaterialTable(("velvet",), *(np.ones(shape) for shape in ((1, 3), 1, 1, (1, 3))))
+    table = replace(MaterialTable.of([Diffuse()]), kind=("velvet",))
     with pytest.raises(KeyError, match="velvet"):
         Materials(table)
 
@@ -99,6 +101,38 @@ def test_a_surface_separates_the_media_that_rule_on_its_sides(name):
     if here is not None:
         assert (at.n1[0], at.n2[0]) == (IORS[here], IORS[there])
         assert (at.reflected[0] == 0.0) == (here == there)
+
+
+# Media before, body met, whether from inside: media beyond, and which rule on both sides; bodies 1
+# and 2 have priority 0, 3 has 1, and 4 has -1.
+RANKED = {
+    "enter one that rules": ([1, 2], 3, DOWN, [1, 2, 3], 2, 3),
+    "enter one that is ruled": ([1, 3], 2, DOWN, [1, 2, 3], 3, 3),
+    "enter one below all others": ([1, 2, 3], 4, DOWN, [4, 1, 2, 3], 3, 3),
+    "enter one of equal rank": ([4, 1, 3], 2, DOWN, [4, 1, 2, 3], 3, 3),
+    "leave the one that rules": ([4, 1, 3], 3, UP, [4, 1], 3, 1),
+    "leave one that is ruled": ([4, 1, 3], 4, UP, [1, 3], 3, 3),
+    "one too many: the least is lost": ([4] + [1] * 6 + [3], 2, DOWN, [1] * 6 + [2, 3], 3, 3),
+    "one too many: itself the least": ([1, 2] * 3 + [1, 3], 4, DOWN, [1, 2] * 3 + [1, 3], 3, 3),
+}
+
+
+@pytest.mark.parametrize("name", RANKED)
+def test_the_largest_priority_rules_and_ties_go_to_the_last_entered(name):
+    before, body, direction, beyond, here, there = RANKED[name]
+    bodies = [
+        replace(each, priority=priority)
+        for each, priority in zip(BODIES[:4], (0, 0, 1, -1), strict=True)
+    ]
+    materials = Materials(MaterialTable.of(bodies))
+    at = interfaces(materials, np.array([direction]), hits_on(body - 1), stack(*before))
+    assert int(at.beyond[0]) == stack(*beyond)
+    assert (at.n1[0], at.n2[0]) == (IORS[here], IORS[there])
+    # Where nothing that rules changes the surface is not there, and the ray is taken on.
+    media = np.array([stack(*before)], dtype=np.uint64)
+    passed = materials.pass_hidden(np.array([direction]), hits_on(body - 1), media)
+    assert len(passed) == (here == there)
+    assert int(media[0]) == stack(*(beyond if here == there else before))
 
 
 def test_an_index_outside_of_its_own_holds_whatever_is_around():

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .._util.frozen import frozen, set_field
-from .._util.validation import Floats, positive, rgb
+from .._util.validation import Floats, count, positive, rgb
+
+MAX_PRIORITY = 2**31 - 1
+"""Ceiling of priorities, and of their negatives."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +33,10 @@ class MaterialRow:
         Index of refraction outside; None for that of the medium around.
     absorption : (3,)
         1/m.
+    priority : int
+        Of the medium inside, where others overlap it.
+    tint : (3,)
+        Factor on light that is refracted.
     """
 
     kind: str
@@ -37,6 +44,8 @@ class MaterialRow:
     ior: float = 1.0
     exterior_ior: float | None = 1.0
     absorption: ArrayLike = (0.0, 0.0, 0.0)
+    priority: int = 0
+    tint: ArrayLike = (1.0, 1.0, 1.0)
 
 
 class Material(ABC):
@@ -106,7 +115,9 @@ class Dielectric(Material):
     """Perfectly smooth transparent body; the faces of its mesh wind outwards.
 
     Bodies may lie in one another: a bubble in water is a body of index 1 in a body of index 1.33.
-    Where several overlap, that which a ray entered last rules.
+    Where several overlap, that of the largest priority rules; of equal ones, that which a ray
+    entered last. The surface of a body is not there inside of a body of larger priority: light goes
+    straight on, which is no bounce.
 
     Parameters
     ----------
@@ -114,10 +125,18 @@ class Dielectric(Material):
         Index of refraction inside the mesh.
     exterior_ior : float, optional
         Index of refraction outside of it. None, the default, is that of the dielectric around, or
-        1 in none. A number holds for this surface alone, whatever is around it.
+        1 in none. A number holds for this surface alone, whatever is around it: the surface is
+        there inside of bodies of larger priority too, with both of its indices.
     absorption : (3,) or float
-        Absorption inside the mesh per channel, 1/m (Beer–Lambert). It does not add to that of
-        dielectrics around.
+        Absorption inside the mesh per channel, 1/m (Beer–Lambert), where the body rules. It does
+        not add to that of dielectrics around.
+    priority : int
+        Larger ones rule, at most 2^31 - 1 in size: a liquid that overlaps its glass has a smaller
+        one than the glass.
+    tint : (3,) or float
+        Factor per channel, in [0, 1], on the light that is refracted at the surface, whichever way
+        it goes; the rest is absorbed. Reflected light has none, nor has light at a surface that is
+        not there.
     """
 
     has_inside: ClassVar[bool] = True
@@ -125,12 +144,17 @@ class Dielectric(Material):
     ior: float = 1.5
     exterior_ior: float | None = None
     absorption: ArrayLike = (0.0, 0.0, 0.0)
+    priority: int = 0
+    tint: ArrayLike = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
         set_field(self, "ior", positive(self.ior, "ior"))
         if self.exterior_ior is not None:
             set_field(self, "exterior_ior", positive(self.exterior_ior, "exterior_ior"))
         set_field(self, "absorption", frozen(rgb(self.absorption, "absorption")))
+        priority = count(self.priority, "priority", low=-MAX_PRIORITY, high=MAX_PRIORITY)
+        set_field(self, "priority", priority)
+        set_field(self, "tint", frozen(rgb(self.tint, "tint", high=1.0)))
 
     def row(self) -> MaterialRow:
         return MaterialRow(
@@ -138,6 +162,8 @@ class Dielectric(Material):
             ior=self.ior,
             exterior_ior=self.exterior_ior,
             absorption=self.absorption,
+            priority=self.priority,
+            tint=self.tint,
         )
 
 
@@ -175,6 +201,10 @@ class MaterialTable:
         materials.
     absorption : (n, 3)
         1/m; 0 for other materials.
+    priority : (n,) int64
+        Of dielectrics, where they overlap; 0 for other materials.
+    tint : (n, 3)
+        Factor on light that dielectrics refract; 1 for other materials.
     """
 
     kind: tuple[str, ...]
@@ -182,6 +212,8 @@ class MaterialTable:
     ior: Floats
     exterior_ior: Floats
     absorption: Floats
+    priority: NDArray[np.int64]
+    tint: Floats
 
     @classmethod
     def of(cls, materials: Iterable[Material]) -> MaterialTable:
@@ -194,4 +226,6 @@ class MaterialTable:
             # None becomes NaN.
             exterior_ior=np.array([row.exterior_ior for row in rows], dtype=np.float64),
             absorption=np.array([row.absorption for row in rows], dtype=np.float64),
+            priority=np.array([row.priority for row in rows], dtype=np.int64),
+            tint=np.array([row.tint for row in rows], dtype=np.float64),
         )

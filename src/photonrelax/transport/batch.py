@@ -19,7 +19,7 @@ from ..photons.energy_ledger import PATH_OUTCOMES
 from ..scene.scene import Scene
 from .aim import LUMINANCE
 from .emission import PATHS, EmissionPlan
-from .media import MediaFinder
+from .media import MediaFinder, NestingFaults
 from .raycast import RayCaster
 from .sensors import sensor_casters, store_crossings
 
@@ -45,7 +45,8 @@ class BatchLedger:
     """Outcomes of some paths of one region.
 
     `energy` (blocks, outcomes, 3) is relative to the flux of a photon; `ends` (outcomes,) and
-    `n_met_specular` count paths, `n_overflows` events that lose a medium (`warn_of_overflows`).
+    `n_met_specular` count paths, `faults` the rays that the nesting of dielectrics contradicts
+    (`warn_of_faults`).
     """
 
     region_id: int
@@ -53,7 +54,7 @@ class BatchLedger:
     energy: Floats
     ends: NDArray[np.int64]
     n_met_specular: int
-    n_overflows: int
+    faults: NestingFaults
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +108,8 @@ class TraceContext:
             )
         self.scene, self.plan, self.settings, self.size = scene, plan, settings, size
         self.caster = caster or RayCaster(scene.objects)
-        self.media = MediaFinder(scene, self.caster, self.materials).at_emitters()
+        finder = MediaFinder(scene, self.caster, self.materials)
+        self.media, self.faults = finder.at_emitters(), finder.faults
         self.flux = plan.flux_per_photon
         self._along_curve = sum(len(item.mesh.faces) for item in scene.objects) > _MANY_FACES
         self.emissions = [plan.emission(region) for region in range(len(plan.aimed))]
@@ -194,7 +196,7 @@ def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
         paths.advance(found)
     deposits, coords, density = paths.take_deposits()
     ledger = BatchLedger(
-        region_id, len(photons), energy, ends, paths.n_met_specular, paths.n_overflows
+        region_id, len(photons), energy, ends, paths.n_met_specular, paths.faults.take()
     )
     context.release_paths(paths)
     path, rows = _spectrum_rows(context, region_id, candidates, deposits)

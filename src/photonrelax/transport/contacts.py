@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,13 +64,18 @@ def open_contacts(
 
 
 def overlap_contacts(
-    vertices: Floats, faces: NDArray, object_id: NDArray[np.int32], resolution: Resolution
+    vertices: Floats,
+    faces: NDArray,
+    object_id: NDArray[np.int32],
+    priority: NDArray[np.int64],
+    resolution: Resolution,
 ) -> None:
     """Move faces of transparent objects off those of others in the same plane.
 
     Of two such objects the smaller one is moved: into the other where they touch from outside, so
     that rays enter it before they leave the other; off the surface of the other where it lies
-    inside, so that rays enter it after the other.
+    inside, so that rays enter it after the other, or through that surface if it has the larger
+    priority, so that the other ends where it begins.
 
     Parameters
     ----------
@@ -77,6 +83,8 @@ def overlap_contacts(
         m; changed in place.
     faces, object_id : (f, 3), (f,)
         Of transparent objects, which wind outwards, without common vertices; ids ascend.
+    priority : (n_objects,)
+        Of all objects.
     resolution : Resolution
         Faces nearer than the gap count as in the same plane.
     """
@@ -99,19 +107,32 @@ def overlap_contacts(
         )
         if len(mine) and len(others):
             movable = np.unique(faces[first[inner] : last[inner]])
-            _shift_contacts(vertices, movable, faces[mine], faces[others], resolution)
+            pair_faces = _PairFaces(movable, faces[mine], faces[others])
+            rules = bool(priority[ids[inner]] > priority[ids[outer]])
+            _shift_contacts(vertices, pair_faces, resolution, inner_rules=rules)
+
+
+class _PairFaces(NamedTuple):
+    # Faces of two objects, and the vertices of the inner one.
+    movable: NDArray
+    inner: NDArray
+    outer: NDArray
 
 
 def _shift_contacts(
-    vertices: Floats, movable: NDArray, inner: NDArray, outer: NDArray, resolution: Resolution
+    vertices: Floats, pair: _PairFaces, resolution: Resolution, *, inner_rules: bool
 ) -> None:
-    """Move inner faces in the plane of an outer one: outwards if they face each other."""
+    """Move inner faces in the plane of an outer one.
+
+    They are moved outwards if they face each other, or if the inner object rules; else inwards.
+    """
+    movable, inner, outer = pair
     gap, normals = _gap(vertices, inner, resolution), face_normals(vertices[inner])
     facing = _in_planes(vertices, inner, outer[:, ::-1], gap)
     flush = _in_planes(vertices, inner, outer, gap) & ~facing
     moved = facing | flush
     if moved.any():
-        sign = np.where(facing, 1.0, -1.0)[:, np.newaxis]
+        sign = np.where(facing | inner_rules, 1.0, -1.0)[:, np.newaxis]
         _move(vertices, movable, inner[moved], (sign * gap * normals)[moved])
 
 

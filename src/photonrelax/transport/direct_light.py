@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import ArrayLike
+from typing import NamedTuple
 
-from .._ext.transport.direct_light import add_unoccluded, shadow_rays
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._ext.transport.direct_light import ShadowRays, add_unoccluded, shadow_rays
 from .._ext.transport.materials import Materials
 from .._util.parallel import for_each_slice, thread_count
 from .._util.validation import Floats, float_array, unit_vectors
 from ..scene.emitters import DirectLight, Emitter
 from ..scene.scene import Scene
-from .media import MediaFinder
+from .hidden import first_hits
+from .media import Media, MediaFinder
 from .optics import beer_lambert
 from .raycast import RayCaster
 
@@ -32,9 +35,10 @@ def direct_irradiance(
     """Return the irradiance at points from the emitters they see.
 
     Every object occludes, transparent ones too: light that passes through them is carried by
-    photons. An absorbing dielectric that emitter and point both lie in absorbs. Points nearer to
-    an emitter than `Scene.emitter_offset` get no light from it, because the inverse square of their
-    distance is no measure of the mean over a pixel.
+    photons. Surfaces of dielectrics inside of one of larger priority are not there, and do not. An
+    absorbing dielectric that emitter and point both lie in absorbs. Points nearer to an emitter
+    than `Scene.emitter_offset` get no light from it, because the inverse square of their distance
+    is no measure of the mean over a pixel.
 
     Parameters
     ----------
@@ -68,34 +72,64 @@ def direct_irradiance(
     return total
 
 
+class _Source(NamedTuple):
+    # An emitter of a scene, the media that it lies in, and what these absorb, 1/m.
+    emitter: Emitter
+    offset: float
+    media: np.uint64
+    absorption: Floats
+
+
 class _DirectLight:
     """A scene prepared for the direct light of its emitters."""
 
     def __init__(self, scene: Scene, caster: RayCaster) -> None:
-        self._caster = caster
-        self._emitters = [
-            (emitter, scene.emitter_offset(emitter), absorption)
-            for emitter, absorption in zip(
-                scene.emitters, _absorption_at_emitters(scene, caster), strict=True
+        self._caster, self._materials = caster, Materials(scene.material_table())
+        media = self._media_at_emitters(scene)
+        self._sources = [
+            _Source(
+                emitter, scene.emitter_offset(emitter), stack, self._materials.absorption_in(stack)
             )
+            for emitter, stack in zip(scene.emitters, media, strict=True)
         ]
+
+    def _media_at_emitters(self, scene: Scene) -> Media:
+        """Media at the emitters (n_emitters,), none where nothing follows from them."""
+        if not (self._materials.table.absorption.any() or self._materials.has_hidden):
+            return np.zeros(len(scene.emitters), dtype=np.uint64)
+        return MediaFinder(scene, self._caster, self._materials).at_emitters()
 
     def add(self, total: Floats, position: Floats, normal: Floats) -> None:
         """Add the irradiance (m, 3) at points to `total`."""
-        for emitter, offset, absorption in self._emitters:
-            light = _light_at(emitter, position, offset)
+        for source in self._sources:
+            light = _light_at(source.emitter, position, source.offset)
             rays = shadow_rays(self._caster.frame, position, normal, **light._asdict())
-            occluded = self._caster.occluded(
-                rays.origin,
-                rays.direction,
-                rays.distance - offset,
-                origin_offset=rays.origin_offset,
-            )
+            occluded = self._occluded(rays, source)
             irradiance = rays.irradiance
             # No surface lies between: all of the way is in the medium at the emitter.
-            if absorption.any():
-                irradiance *= beer_lambert(absorption, np.minimum(rays.distance, _FARTHEST))
+            if source.absorption.any():
+                irradiance *= beer_lambert(source.absorption, np.minimum(rays.distance, _FARTHEST))
             add_unoccluded(total, rays.row, irradiance, occluded.view(np.uint8))
+
+    def _occluded(self, rays: ShadowRays, source: _Source) -> NDArray[np.bool_]:
+        """Mask (n,) of the shadow rays that meet a surface that is there."""
+        limit = rays.distance - source.offset
+        occluded = self._caster.occluded(
+            rays.origin, rays.direction, limit, origin_offset=rays.origin_offset
+        )
+        if not self._materials.has_hidden or source.media == 0:
+            return occluded
+        # The same medium rules all along an unoccluded ray, whatever else is entered and left.
+        rows = np.flatnonzero(occluded)
+        hits, _ = first_hits(
+            self._caster,
+            self._materials,
+            (rays.origin[rows], rays.direction[rows], rays.origin_offset[rows]),
+            np.full(len(rows), source.media),
+            n_threads=1,
+        )
+        occluded[rows] = hits.distance < limit[rows]
+        return occluded
 
 
 def _light_at(emitter: Emitter, position: Floats, offset: float) -> DirectLight:
@@ -107,13 +141,3 @@ def _light_at(emitter: Emitter, position: Floats, offset: float) -> DirectLight:
         float_array(distance, f"distance of {name}", (m,), finite=False),
         float_array(irradiance, f"irradiance of {name}", (m, 3), finite=False),
     )
-
-
-def _absorption_at_emitters(scene: Scene, caster: RayCaster) -> Floats:
-    """Absorption (n_emitters, 3) of the media that emitters lie in, 1/m."""
-    table = scene.material_table()
-    if not table.absorption.any():
-        return np.zeros((len(scene.emitters), 3))
-    materials = Materials(table)
-    media = MediaFinder(scene, caster, materials).at_emitters()
-    return np.array([materials.absorption_in(stack) for stack in media])

@@ -19,7 +19,7 @@ from .._util.parallel import ordered_map, thread_count, thread_executor
 from .._util.validation import MAX_REPEATS, Floats, count
 from ..scene.camera import Camera, film_corners, pixel_rays, sample_changes
 from ..scene.scene import Scene
-from .media import MediaFinder, warn_of_overflows
+from .media import MediaFinder, NestingFaults, warn_of_faults
 from .raycast import RayCaster, empty_intersections
 
 # Between parallel mirrors without loss rays never end.
@@ -135,7 +135,9 @@ def trace_hit_points(
     batches = [rows[i : i + per_batch] for i in range(0, len(rows), per_batch)] or [rows]
     with thread_executor(min(threads, len(batches))) as executor:
         done = list(ordered_map(tracer.trace, batches, executor))
-    warn_of_overflows(sum(batch.n_overflows for batch in done), tracer.materials)
+    faults = [*tracer.media.faults, *(batch.faults for batch in done)]
+    n_rays = len(rows) * camera.width * supersampling**2
+    warn_of_faults(scene, faults, n_rays, tracer.materials)
     first = FirstSurfaces(
         np.concatenate([batch.first.normal for batch in done]),
         np.concatenate([batch.first.depth for batch in done]),
@@ -147,7 +149,7 @@ class _Batch(NamedTuple):
     # Columns of `HitPoints`, but for the albedo.
     seen: dict[str, NDArray]
     first: FirstSurfaces
-    n_overflows: int
+    faults: NestingFaults
 
 
 class _CameraTracer:
@@ -167,8 +169,8 @@ class _CameraTracer:
         self._caster, self._camera = caster, camera
         self._supersampling, self._offset = supersampling, offset
         self._max_depth = max_depth
-        self._media = MediaFinder(scene, caster, self.materials)
-        self._may_be_inside = self._media.may_be_inside(film_corners(camera))
+        self.media = MediaFinder(scene, caster, self.materials)
+        self._may_be_inside = self.media.may_be_inside(film_corners(camera))
         self._changes = sample_changes(camera, supersampling)
         self._axis = camera.axes()[2]
         self._extent = scene.scale
@@ -186,7 +188,7 @@ class _CameraTracer:
         follow_paths(paths, self._caster, found, self._max_depth)
         seen = paths.seen_points()
         seen["weight"] /= self._supersampling**2
-        return _Batch(seen, first, paths.n_overflows)
+        return _Batch(seen, first, paths.faults.take())
 
     def _start(self, paths: CameraPaths, rows: range) -> tuple[FirstSurfaces, EmbreeHits]:
         """Start the rays of some rows, in their media and off the surfaces that they start on.
@@ -210,7 +212,10 @@ class _CameraTracer:
         if self._may_be_inside:
             hits = empty_intersections(len(pixel))
             self._caster.triangles.refine_hits(origin, direction, found, hits)
-            paths.set_media(self._media.along(origin, direction, hits))
+            paths.set_media(self.media.along(origin, direction, hits))
+            if self.materials.has_hidden:
+                self._caster.find_beyond(paths, found)
+                normal, depth, _ = paths.first_surfaces(found, self._axis, s * s)
         shape = len(rows), self._camera.width
         return FirstSurfaces(normal.reshape(*shape, 3), depth.reshape(shape)), found
 

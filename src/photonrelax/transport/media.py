@@ -2,32 +2,53 @@
 
 A ray through all surfaces leaves the dielectrics that its origin lies in, the innermost first. So
 the first face of a dielectric that it meets says whether the origin is inside: it is where the ray
-meets that face from behind. `photonrelax._ext.transport.media` has the stacks.
+meets that face from behind. `photonrelax._ext.transport.media` has the stacks. Counts of rays that
+the nesting of bodies contradicts come from there and from the kernels that follow rays.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._ext.transport.materials import Materials
 from .._util.validation import Floats
-from ..scene.scene import Scene
+from ..scene.scene import Scene, object_label
 from .optics import from_behind
 from .raycast import Intersections, RayCaster
 
 Media = NDArray[np.uint64]
 """A stack of media for each ray."""
+NestingFaults = NDArray[np.int64]
+"""Objects (k, 3): id, rays that left it unentered, rays that entered it beyond a full stack."""
 
+# Rays that leave a dielectric unentered by rounding at its edges: one, or this share of all.
+_STRAY, _STRAYS = 1, 1e-4
+_UNENTERED = (
+    "and was taken to have been in it since the surface before: close the mesh, and its contacts "
+    "with others."
+)
+_OVERFLOWED = (
+    "and the outermost of those of least priority was forgotten until the ray left it: index and "
+    "absorption are wrong where that one alone is left. Nest objects less deeply."
+)
+_warned_of: WeakSet[Scene] = WeakSet()
 # Directions of the rays from emitters, along no edges of usual models.
 _PROBES = np.array([[0.413, 0.271, 0.869], [-0.782, 0.561, 0.271], [0.319, -0.847, -0.425]])
 
 
 class MediaFinder:
-    """A scene prepared for finding the media at points."""
+    """A scene prepared for finding the media at points, from several threads at once.
+
+    Attributes
+    ----------
+    faults : list of (k, 3) int64
+        `NestingFaults` of the rays so far.
+    """
 
     def __init__(self, scene: Scene, caster: RayCaster, materials: Materials) -> None:
         self._scene, self._caster, self._materials = scene, caster, materials
@@ -36,6 +57,7 @@ class MediaFinder:
         # Points may lie on surfaces.
         margin = caster.resolution.at(np.concatenate([low, high])).max(initial=0.0)
         self._low, self._high = low - margin, high + margin
+        self.faults: list[NestingFaults] = []
 
     def at_emitters(self) -> Media:
         """Media at the emitters of the scene, (n_emitters,).
@@ -112,27 +134,48 @@ class MediaFinder:
         number = np.searchsorted(self._ids, object_id[first])
         inside = _in_box(origin[ray[first]], self._low[number], self._high[number])
         first, number = first[inside], number[inside]
-        order = np.lexsort((first, ray[first]))
+        priority = self._materials.table.priority[self._ids][number]
+        order = np.lexsort((first, -priority, ray[first]))
         ray, number = ray[first][order], number[order]
-        # Innermost first: the depth of each is its place among those of its ray.
+        # The largest priority first, then innermost first: depth is the place among those of a ray.
         depth = np.arange(len(ray)) - np.searchsorted(ray, ray)
         kept = depth < self._materials.max_depth
         shifted = (1 + number[kept]).astype(np.uint64) << (
             self._materials.bits * depth[kept]
         ).astype(np.uint64)
         np.bitwise_or.at(media, ray[kept], shifted)
-        warn_of_overflows(int((~kept).sum()), self._materials)
+        lost, times = np.unique(self._ids[number[~kept]], return_counts=True)
+        if len(lost):
+            self.faults.append(np.column_stack([lost, np.zeros_like(times), times]))
 
 
-def warn_of_overflows(n: int, materials: Materials) -> None:
-    """Warn of `n` events by which rays were in more dielectrics than a stack holds."""
-    if n:
-        warnings.warn(
-            f"{n} times a ray was in more than {materials.max_depth} dielectrics at once, and the "
-            "outermost was forgotten until the ray left it: index and absorption are wrong where "
-            "that one alone is left. Nest objects less deeply.",
-            stacklevel=3,
-        )
+def warn_of_faults(
+    scene: Scene, faults: Sequence[NestingFaults], n_rays: int, materials: Materials
+) -> None:
+    """Warn once a scene of what the nesting of its dielectrics contradicts, if anything does.
+
+    `faults` are those of `n_rays` rays of emitters or cameras.
+    """
+    count = np.zeros((len(scene.objects), 2), dtype=np.int64)
+    for rows in faults:
+        np.add.at(count, rows[:, 0], rows[:, 1:])
+    unentered, overflowed = count.T
+    unentered[unentered <= max(_STRAY, _STRAYS * n_rays)] = 0
+    beyond = f"was in more than {materials.max_depth} dielectrics at once"
+    texts = [
+        _fault_text(scene, unentered, "left a dielectric that it had not entered", _UNENTERED),
+        _fault_text(scene, overflowed, beyond, _OVERFLOWED),
+    ]
+    if any(texts) and scene not in _warned_of:
+        _warned_of.add(scene)
+        warnings.warn(" ".join(filter(None, texts)), stacklevel=3)
+
+
+def _fault_text(scene: Scene, count: NDArray[np.int64], event: str, remedy: str) -> str:
+    """Events of rays with their counts (objects,) by object; empty if there are none."""
+    ids = [int(i) for i in np.argsort(-count, kind="stable") if count[i]]
+    objects = ", ".join(f"{object_label(i, scene.objects[i])} {count[i]}" for i in ids)
+    return f"{count.sum()} times a ray {event} ({objects}), {remedy}" if ids else ""
 
 
 def _in_box(points: Floats, low: Floats, high: Floats) -> NDArray[np.bool_]:

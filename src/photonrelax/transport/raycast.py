@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._ext.transport.hit_points import CameraPaths
 from .._ext.transport.raycast import EmbreeFrame, EmbreeHits, Triangles
 from .._ext.transport.trace import Paths
 from .._util.parallel import for_each_slice, thread_count
@@ -26,6 +27,9 @@ from .split_triangles import Pieces, split_triangles
 
 # Rays per call of embree: limits the float32 copies and is the grain size of parallel work.
 _CHUNK = 65536
+# Surfaces in a row that a ray passes as they are not there. Along a sharp edge float32 may lead it
+# through the same ones again and again: those beyond are events, at which it goes straight on.
+MAX_HIDDEN = 1000
 # Length of embree's frame: far from the extremes of float32, whose squares it takes.
 _EMBREE_SIZE = 100.0
 # Coordinates of a scene over those where its triangles are fine, above which rays from outside of
@@ -131,7 +135,10 @@ class RayCaster:
             [object_label(i, item) for i, item in enumerate(objects)],
             self.resolution,
         )
-        overlap_contacts(vertices, faces[of_glass], whole.faces[of_glass, 3], self.resolution)
+        priority = np.array([item.material.row().priority for item in objects], dtype=np.int64)
+        overlap_contacts(
+            vertices, faces[of_glass], whole.faces[of_glass, 3], priority, self.resolution
+        )
         open_contacts(vertices, faces, of_glass, self.resolution)
         vertices -= self.resolution.origin
         self.frame = _frame(vertices, self.resolution)
@@ -168,12 +175,24 @@ class RayCaster:
             hits.to_faces(self._face, self._pieces.uv)
         return hits
 
-    def find_paths(self, paths: Paths) -> EmbreeHits:
-        """Embree's hits of the live rays of a batch of paths."""
+    def find_paths(self, paths: Paths | CameraPaths) -> EmbreeHits:
+        """Embree's hits of the live rays of a batch of paths, on surfaces that are there."""
         if len(self._cubes) > 1:
             _, origins, directions = paths.live_rays()
             self._start_near(origins, directions, *paths.rays)
-        return self.find(*paths.rays)
+        found = self.find(*paths.rays)
+        self.find_beyond(paths, found)
+        return found
+
+    def find_beyond(self, paths: Paths | CameraPaths, found: EmbreeHits) -> None:
+        """Replace hits of live rays on surfaces that are not there by those beyond."""
+        for _ in range(MAX_HIDDEN):
+            rows, positions, directions = paths.pass_hidden(found)
+            if len(rows) == 0:
+                return
+            rays = [array[rows] for array in paths.rays]
+            self._start_near(positions, directions, *rays)
+            found.replace(rows, self.find(*rays))
 
     def _start_near(
         self,

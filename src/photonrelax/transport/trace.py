@@ -37,7 +37,7 @@ from ..scene.scene import Scene
 from .batch import BatchLedger, Job, TraceContext, TracedBatch, TraceSettings, trace_batch
 from .emission import MAX_PHOTONS, PATHS, EmissionPlan, emit, plan_emission
 from .frequency.spectra import ReplayBatch, SpectrumTracer, batches_by_region
-from .media import warn_of_overflows
+from .media import warn_of_faults
 from .raycast import RayCaster
 
 # Far beyond any path that matters; in a mirrored room paths would never end.
@@ -207,7 +207,9 @@ def _trace_all(context: TraceContext, n_threads: int, progress: Progress | None)
             report.advance(batch.ledger.n_paths)
             # The deposits are freed before the next batch is traced.
             del batch
-    warn_of_overflows(sum(ledger.n_overflows for ledger in ledgers), context.materials)
+    faults = [*context.faults, *(ledger.faults for ledger in ledgers)]
+    n_paths = sum(ledger.n_paths for ledger in ledgers)
+    warn_of_faults(context.scene, faults, n_paths, context.materials)
     photons = _photon_map(context, columns, ledgers)
     if not settings.frequency_share:
         return photons

@@ -13,8 +13,10 @@ import numpy as np
 
 from ..common.vec3 cimport copy, dot, orthonormal_frame
 from .curvature cimport change_along, normal_derivative
+from .hidden cimport Passage, pass_surface
 from .materials cimport (
-    Arrival, Interface, Materials, interface_at, is_absorbing, is_diffuse, media_at, transmittance,
+    OVERFLOWED, Arrival, Faults, Interface, Materials, add_fault, counted_media_at, interface_at,
+    is_absorbing, is_diffuse, transmittance,
 )
 from .optics cimport reflection_change, refraction_change
 from .raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
@@ -77,7 +79,7 @@ cdef class CameraPaths:
     cdef Py_ssize_t n_seen
     cdef bint finite
     cdef readonly Py_ssize_t n_live
-    cdef readonly int64_t n_overflows
+    cdef readonly Faults faults
 
     def __init__(
         self, Materials materials, EmbreeFrame frame, Triangles triangles, *, double least_weight,
@@ -88,6 +90,7 @@ cdef class CameraPaths:
         self.memory = self.next_memory = np.empty(0, np.uint8)
         self.origins = np.empty((0, 3), np.float32)
         self.seen_memory = np.empty(0, np.uint8)
+        self.faults = Faults(len(materials.kind))
 
     @property
     def rays(self):
@@ -140,7 +143,7 @@ cdef class CameraPaths:
                     &origin_change[0, 0], &film_change[0, 0],
                 )
                 self.ray[i].pixel = pixel[i]
-                self.to_embree(&self.ray[i], i, NULL)
+                self.to_embree(i, self.ray[i].origin, self.ray[i].direction, NULL)
         self.n_live = n
         self.check_finite()
 
@@ -163,13 +166,14 @@ cdef class CameraPaths:
             for i in range(n):
                 start_square(&self.ray[i], &origin[i, 0], &direction[i, 0], spread[i])
                 self.ray[i].pixel = pixel[i]
-                self.to_embree(&self.ray[i], i, NULL)
+                self.to_embree(i, self.ray[i].origin, self.ray[i].direction, NULL)
         self.n_live = n
         self.check_finite()
 
     cdef restart(self, Py_ssize_t n):
         """Make room for n rays of a new batch."""
-        self.n_seen = self.n_overflows = 0
+        self.n_seen = 0
+        self.faults.take()
         self.reserve(n)
         self.ray, self.next_ray = self.next_ray, self.ray
         self.memory, self.next_memory = self.next_memory, self.memory
@@ -182,6 +186,44 @@ cdef class CameraPaths:
             raise ValueError(f"media should be of {self.n_live} rays, but are {media.shape[0]}")
         for i in range(self.n_live):
             self.ray[i].media = media[i]
+
+    def pass_hidden(self, EmbreeHits found):
+        """Take live rays on from surfaces that they hit and that are not there.
+
+        Their origins stay: they start anew in embree's frame alone.
+
+        Returns
+        -------
+        (k,) intp, (k, 3), (k, 3)
+            Rows of these rays among the live ones, where they hit the surfaces, and directions.
+        """
+        cdef Py_ssize_t i, k = 0, n = self.n_live if self.materials.has_hidden else 0
+        cdef Py_ssize_t[::1] rows = np.empty(n, np.intp)
+        cdef double[:, ::1] position = np.empty((n, 3)), direction = np.empty((n, 3))
+        with nogil:
+            for i in range(n):
+                if self.pass_one(found, i, &position[k, 0]):
+                    copy(&direction[k, 0], self.ray[i].direction)
+                    rows[k] = i
+                    k += 1
+        return rows.base[:k], position.base[:k], direction.base[:k]
+
+    cdef bint pass_one(self, EmbreeHits found, Py_ssize_t i, double* position) noexcept nogil:
+        """Take a ray on from its hit, whose position is written; false if the surface is there."""
+        cdef CameraRay* ray = &self.ray[i]
+        cdef Passage passage = Passage(&ray.origin[0], &ray.direction[0], &ray.media)
+        cdef double[3] offset
+        cdef Hit hit
+        cdef int c
+        if not pass_surface(
+            &hit, &passage, self.materials, self.triangles, found, i, self.faults
+        ):
+            return False
+        copy(position, hit.position)
+        for c in range(3):
+            offset[c] = hit.step * hit.geometric[c]
+        self.to_embree(i, position, ray.direction, offset)
+        return True
 
     def first_surfaces(self, EmbreeHits found, const double[::1] axis, Py_ssize_t n_samples):
         """Surfaces that pixels of `n_samples` live rays each see first.
@@ -315,14 +357,14 @@ cdef class CameraPaths:
             return False
         for c in range(3):
             offset[c] = hit.step * hit.geometric[c]
-        self.to_embree(&self.ray[i], i, offset)
+        self.to_embree(i, self.ray[i].origin, self.ray[i].direction, offset)
         return True
 
     cdef void to_embree(
-        self, const CameraRay* ray, Py_ssize_t row, const double* offset
+        self, Py_ssize_t row, const double* origin, const double* direction, const double* offset
     ) noexcept nogil:
         cdef double skipped = self.frame.ray_to_embree(
-            ray.origin, ray.direction, offset, &self.origins[row, 0], &self.directions[row, 0]
+            origin, direction, offset, &self.origins[row, 0], &self.directions[row, 0]
         )
         if not isfinite(skipped):
             self.finite = False
@@ -340,7 +382,9 @@ cdef class CameraPaths:
         at.triangle = found.triangle[row]
         at.inside = dot(at.ray.direction, at.hit.geometric) > 0.0
         transfer(&at)
-        at.ray.media = media_at(self.materials, at.hit.object_id, at.inside, at.ray.media)
+        at.ray.media = counted_media_at(
+            self.materials, self.faults, at.hit.object_id, at.inside, at.ray.media
+        )
         if is_absorbing(self.materials, at.ray.media):
             transmittance(transmitted, self.materials, at.ray.media, at.hit.distance)
             for c in range(3):
@@ -381,12 +425,13 @@ cdef class CameraPaths:
         cdef Interface to
         cdef double[2][3] normal_change
         cdef double[3] weight
+        cdef int32_t i = at.hit.object_id
         cdef int c
         interface_at(&to, self.materials, &arrival)
         self.change_normal(normal_change, at, to.to.is_shading)
         for c in range(3):
             weight[c] = (
-                at.ray.weight[c] * to.reflected * self.materials.reflectance[at.hit.object_id, c]
+                at.ray.weight[c] * to.reflected * self.materials.reflectance[i, c]
             )
         if self.is_followed(weight):
             self.follow(at, target, to.to.reflection, weight, at.ray.media)
@@ -401,7 +446,9 @@ cdef class CameraPaths:
         for c in range(3):
             # Radiance over the square of the index is constant across an interface.
             weight[c] = at.ray.weight[c] * (1.0 - to.reflected) * (to.n1 / to.n2) ** 2
-        self.n_overflows += to.overflows
+            weight[c] *= self.materials.tint[i, c]
+        if to.overflows:
+            add_fault(self.faults, i, OVERFLOWED)
         if self.is_followed(weight):
             self.follow(at, target, to.to.refraction, weight, to.beyond)
             for c in range(2):
@@ -432,7 +479,7 @@ cdef class CameraPaths:
         ray.pixel = at.ray.pixel
         for c in range(3):
             offset[c] = at.hit.step * at.hit.geometric[c]
-        self.to_embree(ray, target, offset)
+        self.to_embree(target, ray.origin, ray.direction, offset)
 
     cdef void change_normal(
         self, double[3]* out, const Meeting* at, bint is_shading

@@ -5,7 +5,7 @@ case in the functions below that tell kinds apart, and a class in `scene/materia
 """
 
 from libc.math cimport exp, isnan
-from libc.stdint cimport int32_t, uint8_t, uint64_t
+from libc.stdint cimport int32_t, int64_t, uint8_t, uint64_t
 
 from ..common.vec3 cimport dot
 from .media cimport current, entered, is_full, left
@@ -18,6 +18,13 @@ cdef enum:
     DIELECTRIC = 2
     # Rays of paths and of cameras pass sensors without an event.
     SENSOR = 3
+
+
+# Events by which the stack of a ray and the nesting of bodies disagree; columns of `Faults`.
+cdef enum:
+    LEFT_UNENTERED = 0
+    OVERFLOWED = 1
+    N_FAULTS = 2
 
 
 cdef struct Arrival:
@@ -34,7 +41,7 @@ cdef struct Arrival:
 cdef struct Interface:
     # A specular surface at a hit. n1 and n2 are the indices of refraction on the ray's side and
     # beyond. `reflected` is the share of the light that is reflected; the rest is refracted into
-    # the media `beyond`, of which the outermost is lost where `overflows`.
+    # the media `beyond`, of which one is lost where `overflows`.
     Directions to
     double n1, n2, reflected
     uint64_t beyond
@@ -43,14 +50,29 @@ cdef struct Interface:
 
 cdef class Materials:
     # `medium` (objects,) is 0 but for dielectrics. The tables of media start with the surroundings.
+    # Media rule over surfaces of a lower `surface_rank` (objects,), which are not there in them;
+    # `has_hidden` is false if none is.
     cdef readonly object table
     cdef readonly int bits
-    cdef const int32_t[::1] kind
-    cdef const double[:, ::1] reflectance
+    cdef readonly bint has_hidden
+    cdef const int32_t[::1] kind, surface_rank, rank
+    cdef const double[:, ::1] reflectance, tint
+    cdef const uint8_t[::1] is_tinted
     cdef const uint64_t[::1] medium
     cdef const double[::1] exterior_ior, medium_ior
     cdef const double[:, ::1] absorption
     cdef const uint8_t[::1] is_absorbing
+
+
+cdef class Faults:
+    # (objects, N_FAULTS)
+    cdef int64_t[:, ::1] count
+    cdef int64_t total
+
+
+cdef inline void add_fault(Faults faults, int32_t object_id, int kind) noexcept nogil:
+    faults.count[object_id, kind] += 1
+    faults.total += 1
 
 
 cdef inline bint is_diffuse(Materials materials, int32_t object_id) noexcept nogil:
@@ -71,8 +93,40 @@ cdef inline uint64_t media_at(
     """
     cdef uint64_t medium = materials.medium[object_id]
     if inside and medium and left(media, medium, materials.bits) == media:
-        return entered(media, medium, materials.bits)
+        return entered(media, medium, materials.bits, &materials.rank[0])
     return media
+
+
+cdef inline uint64_t counted_media_at(
+    Materials materials, Faults faults, int32_t object_id, bint inside, uint64_t media
+) noexcept nogil:
+    """Media that a ray was in up to its hit; a fault if it was not seen to enter one."""
+    cdef uint64_t there = media_at(materials, object_id, inside, media)
+    if there != media:
+        add_fault(faults, object_id, LEFT_UNENTERED)
+    return there
+
+
+cdef inline bint is_hidden(
+    Materials materials, int32_t object_id, uint64_t media
+) noexcept nogil:
+    """True for the surface of a dielectric inside of a medium of larger priority."""
+    return materials.surface_rank[object_id] < materials.rank[current(media, materials.bits)]
+
+
+cdef inline uint64_t beyond_hidden(
+    Materials materials, Faults faults, int32_t object_id, bint inside, uint64_t media
+) noexcept nogil:
+    """Media of a ray beyond a surface that is not there; the same one rules."""
+    cdef uint64_t medium = materials.medium[object_id]
+    cdef uint64_t outside = left(
+        counted_media_at(materials, faults, object_id, inside, media), medium, materials.bits
+    )
+    if inside:
+        return outside
+    if is_full(outside, materials.bits):
+        add_fault(faults, object_id, OVERFLOWED)
+    return entered(outside, medium, materials.bits, &materials.rank[0])
 
 
 cdef inline bint is_absorbing(Materials materials, uint64_t media) noexcept nogil:
@@ -116,9 +170,11 @@ cdef inline void set_media(
     """
     cdef int bits = materials.bits
     cdef uint64_t outside = left(at.media, medium, bits)
-    cdef uint64_t inside = at.media if at.inside else entered(outside, medium, bits)
-    cdef double inner = materials.medium_ior[current(inside, bits)]
-    cdef double outer = materials.exterior_ior[at.object_id]
+    cdef uint64_t inside = at.media
+    cdef double inner, outer = materials.exterior_ior[at.object_id]
+    if not at.inside:
+        inside = entered(outside, medium, bits, &materials.rank[0])
+    inner = materials.medium_ior[current(inside, bits)]
     if isnan(outer):
         outer = materials.medium_ior[current(outside, bits)]
     else:

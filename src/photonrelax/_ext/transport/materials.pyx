@@ -6,7 +6,7 @@ Every loop body writes only row i.
 from collections import namedtuple
 
 cimport cython
-from libc.stdint cimport int32_t, uint8_t, uint64_t
+from libc.stdint cimport INT32_MAX, int32_t, uint8_t, uint64_t
 
 import numpy as np
 
@@ -36,6 +36,8 @@ cdef class Materials:
         self.table = table
         self.kind = np.array([KINDS[kind] for kind in table.kind], dtype=np.int32)
         self.reflectance, self.exterior_ior = table.reflectance, table.exterior_ior
+        self.tint = table.tint
+        self.is_tinted = (table.tint != 1.0).any(axis=1).astype(np.uint8)
         dielectrics = self.dielectrics
         numbers = np.zeros(len(table.kind), np.uint64)
         numbers[dielectrics] = 1 + np.arange(len(dielectrics))
@@ -45,6 +47,19 @@ cdef class Materials:
         self.medium_ior = np.concatenate([[1.0], table.ior[dielectrics]])
         self.absorption = absorption
         self.is_absorbing = absorption.any(axis=1).astype(np.uint8)
+        self.set_ranks(table.priority[dielectrics], dielectrics)
+
+    def set_ranks(self, priority, dielectrics):
+        """Set the ranks of media and of surfaces by the priorities (m,) of the dielectrics.
+
+        Surfaces with indices of their own, and those of other materials, are there in all media.
+        """
+        _, rank = np.unique(priority, return_inverse=True)
+        surface = np.full(len(self.kind), INT32_MAX, np.int32)
+        surface[dielectrics] = rank
+        surface[~np.isnan(self.exterior_ior)] = INT32_MAX
+        self.rank, self.surface_rank = np.concatenate([[-1], rank]).astype(np.int32), surface
+        self.has_hidden = surface.min(initial=INT32_MAX) < rank.max(initial=-1)
 
     @property
     def diffuse(self):
@@ -82,6 +97,27 @@ cdef class Materials:
                     transmittance(&transmitted[i, 0], self, at_hit[i], distance[i])
         return at_hit.base, transmitted.base
 
+    def pass_hidden(self, const double[:, ::1] direction, hits, uint64_t[::1] media):
+        """Rows (k,) of rays (m, 3) whose hits are of surfaces that are not there.
+
+        `media` (m,), where the rays started, become those beyond for these rays.
+        """
+        cdef const int32_t[::1] object_id = hits.object_id
+        cdef const double[:, ::1] geometric = hits.geometric_normal
+        cdef Py_ssize_t i, k = 0, m = direction.shape[0]
+        cdef Py_ssize_t[::1] rows = np.empty(m, np.intp)
+        cdef Faults faults = Faults(len(self.kind))
+        cdef bint inside
+        check_rows(m, direction.shape[1], hits, media)
+        with nogil:
+            for i in range(m):
+                if object_id[i] >= 0 and is_hidden(self, object_id[i], media[i]):
+                    inside = dot(&direction[i, 0], &geometric[i, 0]) > 0.0
+                    media[i] = beyond_hidden(self, faults, object_id[i], inside, media[i])
+                    rows[k] = i
+                    k += 1
+        return rows.base[:k]
+
     def absorption_in(self, uint64_t media):
         """Absorption (3,) of the medium that rules in a stack, 1/m."""
         return np.array(self.absorption[current(media, self.bits)])
@@ -112,6 +148,27 @@ cdef class Materials:
         return Interfaces(
             normal.base, is_shading.base.view(np.bool_), *numbers.base, beyond.base
         )
+
+
+@cython.final
+cdef class Faults:
+    """Counts, by object, of events by which stacks of media and the nesting of bodies disagree."""
+
+    def __init__(self, Py_ssize_t n_objects):
+        self.count = np.zeros((n_objects, N_FAULTS), np.int64)
+
+    def take(self):
+        """Rows (k, 3) of objects and their counts, which start again from zero.
+
+        Counts are of rays that left an object unentered, and that entered it beyond the media that
+        a stack holds.
+        """
+        cdef object counts = self.count.base
+        object_id = np.flatnonzero(counts.any(axis=1)) if self.total else np.empty(0, np.intp)
+        rows = np.column_stack([object_id, counts[object_id]])
+        counts[object_id] = 0
+        self.total = 0
+        return rows
 
 
 cdef check_rows(Py_ssize_t m, Py_ssize_t width, hits, const uint64_t[::1] media):

@@ -1,21 +1,31 @@
-"""Stacks of the media that a ray is in, innermost first, as inline functions for kernels.
+"""Stacks of the media that a ray is in, as inline functions for kernels.
 
 A medium is a number: 0 is the surroundings of all objects, others are dielectrics of the scene. A
-stack packs media into one integer, `bits` each, the last entered in the lowest; the surroundings
-are not stored. A full stack loses its outermost medium. `docs/methods/media.md` has the rules.
+stack packs media into one integer, `bits` each, by rank: the medium that rules is in the lowest,
+and of equal ranks the last entered lies lowest. The surroundings, of the least rank, are not
+stored. A full stack loses its highest medium. `docs/methods/media.md` has the rules.
 """
 
-from libc.stdint cimport uint64_t
+from libc.stdint cimport int32_t, uint64_t
 
 
 cdef inline uint64_t current(uint64_t media, int bits) noexcept nogil:
-    """Medium that rules where a stack holds: the one entered last."""
+    """Medium that rules where a stack holds."""
     return media & ((<uint64_t>1 << bits) - 1)
 
 
-cdef inline uint64_t entered(uint64_t media, uint64_t medium, int bits) noexcept nogil:
-    """Stack with a medium on top."""
-    return media << bits | medium
+cdef inline uint64_t entered(
+    uint64_t media, uint64_t medium, int bits, const int32_t* rank
+) noexcept nogil:
+    """Stack with a medium more, below those of larger rank; `rank` is that of each medium."""
+    cdef int shift = 0
+    while shift < 64 and rank[current(media >> shift, bits)] > rank[medium]:
+        shift += bits
+    if shift == 0:
+        return media << bits | medium
+    if shift == 64:
+        return media
+    return (media >> shift << bits | medium) << shift | media & ((<uint64_t>1 << shift) - 1)
 
 
 cdef inline bint is_full(uint64_t media, int bits) noexcept nogil:

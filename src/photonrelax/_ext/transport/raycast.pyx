@@ -243,6 +243,15 @@ cdef class EmbreeHits:
                 )
         self.triangle, self.u, self.v = found["primID"], found["u"], found["v"]
 
+    def replace(self, const Py_ssize_t[::1] rows, EmbreeHits found):
+        """Replace the hits of some rays by those found of these alone."""
+        cdef Py_ssize_t i
+        if found.n_rays != rows.shape[0]:
+            raise ValueError(f"found should be of {rows.shape[0]} rays, but is of {found.n_rays}")
+        for i in range(rows.shape[0]):
+            self.triangle[rows[i]] = found.triangle[i]
+            self.u[rows[i]], self.v[rows[i]] = found.u[i], found.v[i]
+
     def to_faces(self, const int[::1] face, const double[:, :, ::1] uv):
         """Replace embree's triangles by faces, and barycentric coordinates by those in faces.
 

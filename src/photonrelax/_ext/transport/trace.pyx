@@ -16,9 +16,10 @@ from ..common.rng cimport mix, uniform
 from ..common.vec3 cimport copy, dot, orthonormal_frame
 from .deposits cimport Deposit, Deposits
 from .emission cimport Emission
+from .hidden cimport Passage, pass_surface
 from .materials cimport (
-    Arrival, Interface, Materials, interface_at, is_absorbing, is_absorbing_surface, is_diffuse,
-    media_at, transmittance,
+    OVERFLOWED, Arrival, Faults, Interface, Materials, add_fault, counted_media_at, interface_at,
+    is_absorbing, is_absorbing_surface, is_diffuse, media_at, transmittance,
 )
 from .raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
 from .sampling cimport disk_point, hemisphere_direction
@@ -204,7 +205,8 @@ cdef class Paths:
     cdef int path_filter, max_bounces
     cdef bint finite
     cdef readonly Py_ssize_t size, n_live
-    cdef readonly int64_t n_met_specular, n_overflows
+    cdef readonly int64_t n_met_specular
+    cdef readonly Faults faults
 
     def __init__(
         self, Materials materials, EmbreeFrame frame, Triangles triangles, Py_ssize_t size, *,
@@ -220,6 +222,7 @@ cdef class Paths:
         self.origins = self.origin_array = np.empty((size, 3), np.float32)
         self.directions = self.direction_array = np.empty((size, 3), np.float32)
         self.deposits = Deposits(0)
+        self.faults = Faults(len(materials.kind))
         self.path_filter, self.max_bounces = path_filter, max_bounces
 
     @property
@@ -246,7 +249,8 @@ cdef class Paths:
         ):
             raise ValueError("luminance, ledger and ends do not fit the photons")
         self.ledger, self.ends = ledger, ends
-        self.n_met_specular = self.n_overflows = 0
+        self.n_met_specular = 0
+        self.faults.take()
         self.deposits = Deposits(n)
         for c in range(3):
             self.luminance[c] = luminance[c]
@@ -262,7 +266,7 @@ cdef class Paths:
             self.follow_curve(n)
         with nogil:
             for i in range(n):
-                self.to_embree(i, NULL)
+                self.to_embree(i, self.ray[i].origin, NULL)
         self.n_live = n
         self.check_finite()
 
@@ -285,6 +289,44 @@ cdef class Paths:
                 origins[i, c] = self.ray[i].origin[c]
                 directions[i, c] = self.ray[i].direction[c]
         return path, origin, direction
+
+    def pass_hidden(self, EmbreeHits found):
+        """Take live rays on from surfaces that they hit and that are not there.
+
+        Their origins stay: they start anew in embree's frame alone.
+
+        Returns
+        -------
+        (k,) intp, (k, 3), (k, 3)
+            Rows of these rays among the live ones, where they hit the surfaces, and directions.
+        """
+        cdef Py_ssize_t i, k = 0, n = self.n_live if self.materials.has_hidden else 0
+        cdef Py_ssize_t[::1] rows = np.empty(n, np.intp)
+        cdef double[:, ::1] position = np.empty((n, 3)), direction = np.empty((n, 3))
+        with nogil:
+            for i in range(n):
+                if self.pass_one(found, i, &position[k, 0]):
+                    copy(&direction[k, 0], self.ray[i].direction)
+                    rows[k] = i
+                    k += 1
+        return rows.base[:k], position.base[:k], direction.base[:k]
+
+    cdef bint pass_one(self, EmbreeHits found, Py_ssize_t row, double* position) noexcept nogil:
+        """Take a ray on from its hit, whose position is written; false if the surface is there."""
+        cdef Ray* ray = &self.ray[row]
+        cdef Passage passage = Passage(&ray.origin[0], &ray.direction[0], &ray.media)
+        cdef double[3] offset
+        cdef Hit hit
+        cdef int c
+        if not pass_surface(
+            &hit, &passage, self.materials, self.triangles, found, row, self.faults
+        ):
+            return False
+        copy(position, hit.position)
+        for c in range(3):
+            offset[c] = hit.step * hit.geometric[c]
+        self.to_embree(row, position, offset)
+        return True
 
     def stored_rays(self):
         """Rows (m,), origins and directions (m, 3) of the live rays whose light is stored."""
@@ -426,11 +468,12 @@ cdef class Paths:
         if not self.finite:
             raise ValueError("rays should be finite, but the scene leads some to infinity")
 
-    cdef void to_embree(self, Py_ssize_t row, const double* offset) noexcept nogil:
-        """Write a ray in embree's frame."""
-        cdef Ray* ray = &self.ray[row]
+    cdef void to_embree(
+        self, Py_ssize_t row, const double* origin, const double* offset
+    ) noexcept nogil:
+        """Write a ray in embree's frame, from an origin on."""
         cdef double skipped = self.frame.ray_to_embree(
-            ray.origin, ray.direction, offset, &self.origins[row, 0],
+            origin, self.ray[row].direction, offset, &self.origins[row, 0],
             &self.directions[row, 0],
         )
         if not isfinite(skipped):
@@ -471,13 +514,13 @@ cdef class Paths:
             ray.origin[c] = event.hit.position[c]
             ray.direction[c] = direction[c]
             offset[c] = event.hit.step * event.facing[c]
-        self.to_embree(target, offset)
+        self.to_embree(target, ray.origin, offset)
 
     cdef bint survives_medium(self, const Event* event) noexcept nogil:
         """Apply the absorption on the way to the hit; false if the path ends."""
         cdef double[3] factor
-        event.ray.media = media_at(
-            self.materials, event.hit.object_id, event.inside, event.ray.media
+        event.ray.media = counted_media_at(
+            self.materials, self.faults, event.hit.object_id, event.inside, event.ray.media
         )
         if not is_absorbing(self.materials, event.ray.media):
             return True
@@ -505,12 +548,23 @@ cdef class Paths:
             copy(out, at.to.reflection)
         else:
             copy(out, at.to.refraction)
+            if not self.survives_tint(event):
+                return False
             ray.media = at.beyond
-            self.n_overflows += at.overflows
+            if at.overflows:
+                add_fault(self.faults, i, OVERFLOWED)
             kind = LEFT if event.inside else ENTERED
         ray.n_specular += 1
         append_signature(ray, i, kind)
         return True
+
+    cdef bint survives_tint(self, const Event* event) noexcept nogil:
+        """Apply the tint of refracted light; false if the path ends."""
+        cdef int32_t i = event.hit.object_id
+        if not self.materials.is_tinted[i]:
+            return True
+        # The random number of the surface chose refraction.
+        return self.roulette(&self.materials.tint[i, 0], event, OF_DIRECTION, ABSORBED)
 
     cdef bint scatter_diffuse(self, double* out, const Event* event) noexcept nogil:
         """Deposit light of the kind to be stored; true if the path continues along `out`."""

@@ -43,7 +43,8 @@ class ParaxialRays:
     origin_offset : (n, 3)
         `Intersections.offset` of where the ray starts, NaN in free space.
     throughput : (n, 3)
-        Transmitted share of the light, without the reflectances of mirrors.
+        Transmitted share of the light, without the reflectances of mirrors and tints, which are the
+        same for all rays of a path.
     media : (n,) uint64
         Stack of the media that the ray is in.
     """
@@ -71,16 +72,16 @@ def emitted_rays(
 
 
 class ParaxialOptics:
-    """Propagation and scattering of paraxial rays in a scene."""
+    """Propagation and scattering of paraxial rays in a scene of `materials`."""
 
     def __init__(self, scene: Scene) -> None:
-        self._materials = Materials(scene.material_table())
+        self.materials = Materials(scene.material_table())
         self._derivatives = NormalDerivatives(scene.objects)
 
     def propagate(self, rays: ParaxialRays, hits: Intersections) -> ParaxialRays:
         """Rays at their hits: the operator of free flight, and the absorption on the way."""
         operator = operators.propagate(hits.distance, 2) @ rays.operator
-        media, transmitted = self._materials.arrive(rays.direction, hits, rays.media)
+        media, transmitted = self.materials.arrive(rays.direction, hits, rays.media)
         throughput = transmitted * rays.throughput
         return replace(
             rays, origin=hits.position, operator=operator, throughput=throughput, media=media
@@ -93,7 +94,7 @@ class ParaxialOptics:
 
         Rays that cannot be refracted go straight on.
         """
-        at = self._materials.interfaces(rays.direction, hits, rays.media)
+        at = self.materials.interfaces(rays.direction, hits, rays.media)
         incidence = _Incidence.of(rays, at.normal)
         side = np.where(at.is_shading, _side(rays.direction, hits), 0.0)
         shape = side[:, np.newaxis, np.newaxis] * incidence.along(self._derivatives.at(hits))

@@ -6,7 +6,7 @@ each carries the operator of its path (see `operators`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..._util.parallel import thread_count
 from ..._util.validation import Floats
 from ...scene.scene import Scene
+from ..hidden import first_hits
 from ..raycast import Intersections, RayCaster
 from .paraxial import ParaxialOptics, ParaxialRays, at_receivers
 
@@ -56,7 +57,7 @@ class ReplayHits:
     operator : (n, 4, 4)
         From the frequencies of the light as it left the emitter to those along `axes`.
     throughput : (n, 3)
-        Transmitted share of the light, without the reflectances of mirrors.
+        Transmitted share of the light, without the reflectances of mirrors and tints.
     """
 
     position: Floats
@@ -89,12 +90,14 @@ class PathReplayer:
         out = ReplayHits(*(np.full(shape, np.nan) for shape in shapes))
         rows = np.arange(n)
         for event in range(int(events.length.max(initial=0))):
-            hits = self._caster.intersect(
-                rays.origin,
-                rays.direction,
-                origin_offset=rays.origin_offset,
-                n_threads=self._n_threads,
+            hits, media = first_hits(
+                self._caster,
+                self._optics.materials,
+                (rays.origin, rays.direction, rays.origin_offset),
+                rays.media,
+                self._n_threads,
             )
+            rays = replace(rays, media=media)
             on_path = hits.object_id == events.objects[rows, event]
             rows, rays, hits = rows[on_path], rays[on_path], hits[on_path]
             rays = self._optics.propagate(rays, hits)
