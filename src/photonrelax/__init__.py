@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from .scene.emitters import CollimatedEmitter as CollimatedEmitter
     from .scene.emitters import LambertianEmitter as LambertianEmitter
     from .scene.emitters import PointEmitter as PointEmitter
+    from .scene.emitters import SpotEmitter as SpotEmitter
     from .scene.materials import Dielectric as Dielectric
     from .scene.materials import Diffuse as Diffuse
     from .scene.materials import Mirror as Mirror
@@ -85,6 +86,7 @@ _MODULE_OF = {
     "Scene": "scene.scene",
     "SceneObject": "scene.scene",
     "Sensor": "scene.materials",
+    "SpotEmitter": "scene.emitters",
     "Structure": "relaxation.structure",
     "StructureSettings": "relaxation.structure",
     "detect_gradient": "relaxation.gradient",

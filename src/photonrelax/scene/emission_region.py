@@ -9,7 +9,7 @@ import numpy as np
 
 from .._util.validation import Floats
 
-DISK, CAP, SPHERE, ELLIPSE = range(4)
+DISK, CAP, SPHERE, ELLIPSE, SPOT = range(5)
 """Values of `EmissionRegion.kind`; the kernel of emission has the same."""
 
 # Rays start this fraction of the scene's radius before its bounding sphere.
@@ -23,6 +23,39 @@ class Sphere(NamedTuple):
     radius: float
 
 
+class SpotLobe(NamedTuple):
+    """Intensity around the axis of a spot, relative to that on it.
+
+    It falls from the inner to the outer cone as (cos θ - cos θ_outer)² / (cos θ_inner -
+    cos θ_outer)², the falloff of glTF's KHR_lights_punctual.
+
+    Attributes
+    ----------
+    inner, outer : float
+        1 - cos of the half angles of both cones.
+    """
+
+    inner: float
+    outer: float
+
+    @classmethod
+    def of(cls, inner_angle: float, outer_angle: float) -> SpotLobe:
+        """The lobe of half angles in rad."""
+        return cls(_drop(inner_angle), _drop(outer_angle))
+
+    def falloff(self, drop: Floats) -> Floats:
+        """Relative intensity at directions, by 1 - cos of their angles to the axis."""
+        rest = np.clip((self.outer - drop) / (self.outer - self.inner), 0.0, 1.0)
+        return np.square(rest)
+
+    def content(self, angle: float) -> float:
+        """Integral of the relative intensity up to an angle in rad, over 2π: sr."""
+        drop, width = min(_drop(angle), self.outer), self.outer - self.inner
+        if drop <= self.inner:
+            return drop
+        return self.inner + width / 3.0 * (1.0 - ((self.outer - drop) / width) ** 3)
+
+
 @dataclass(frozen=True, eq=False)
 class EmissionRegion:
     """The region one emitter is sampled over, and the flux that leaves through it.
@@ -32,16 +65,17 @@ class EmissionRegion:
     kind : int
         `DISK` on the plane of parallel light; `CAP` or `SPHERE` of directions, sampled uniformly;
         `ELLIPSE`, the outline of a cap in the projected hemisphere of a cosine lobe, in which the
-        lobe is uniform.
+        lobe is uniform; `SPOT`, a sector of the cone of a spot, by its intensity.
     origin : (3,) float64
         Centre of the disk, or the point all rays come from, m.
     frame : (3, 3) float64
         Unit rows u, v, w; w is the direction of the light, the axis of the cap, or the normal.
-    shape : (4,) float64
+    shape : (4,) float64, (5,) of a spot
         Disk: radius, m. Cap: 1 - cos of its half angle. Ellipse: cos and sin of the angle between
-        normal and axis of the cap, cos and sin of its half angle.
+        normal and axis of the cap, cos and sin of its half angle. Spot: 1 - cos of its inner and
+        outer angles; `SpotLobe.content` where the sector begins and ends; half its azimuth, rad.
     area : float
-        Of the region: m², sr, or projected sr.
+        Of the region: m², sr, or sr weighted with the cosine or falloff of a lobe.
     flux : (3,) float64
         Leaving through the region, W.
     start_distance : float
@@ -49,6 +83,9 @@ class EmissionRegion:
         on, and up to the scene. Rays from afar would lose their digits in float32 otherwise.
     coords_offset : (2,) float64
         Emitter coordinates of the centre of a disk, m.
+    clip : (3,) float64 and float, optional
+        Centre and radius, in emitter coordinates, of the ball that photons lie in: what is sampled
+        reaches beyond it.
     """
 
     kind: int
@@ -59,6 +96,7 @@ class EmissionRegion:
     flux: Floats
     start_distance: float = 0.0
     coords_offset: Floats = field(default_factory=lambda: np.zeros(2))
+    clip: tuple[Floats, float] | None = None
 
     @property
     def is_plane(self) -> bool:
@@ -71,6 +109,8 @@ class EmissionRegion:
 
         The radius of a cap is the chord from its axis to its border.
         """
+        if self.clip is not None:
+            return self.clip
         if self.kind == DISK:
             return self.coords_offset, float(self.shape[0])
         if self.kind == CAP:
@@ -80,6 +120,8 @@ class EmissionRegion:
             return cos_tilt * self.frame[2] + sin_tilt * self.frame[0], float(
                 sin * np.sqrt(2.0 / (1.0 + cos))
             )
+        if self.kind == SPOT:
+            return self.frame[2], float(np.sqrt(2.0 * self.shape[1]))
         return self.frame[2], 2.0
 
     @property
@@ -156,6 +198,62 @@ def cosine_lobe_region(
         projected * power,
         start_distance,
     )
+
+
+def spot_region(
+    position: Floats, axis: Floats, power: Floats, lobe: SpotLobe, target: Sphere, *, start: float
+) -> EmissionRegion:
+    """Return the part of a spot's cone that a target may lie in, or the whole cone from inside.
+
+    `power` is that of the cone, `start` as `EmissionRegion.start_distance`. A target wholly
+    outside of the cone gets no flux.
+    """
+    cone, whole = 2.0 * np.arcsin(np.sqrt(0.5 * lobe.outer)), lobe.content(np.pi)
+    low, high, azimuth, aside, clip = 0.0, whole, np.pi, np.zeros(3), None
+    to_target, distance = _towards(target.centre, position)
+    cap = np.pi if distance <= target.radius else float(np.arcsin(target.radius / distance))
+    tilt = _angle(axis, to_target)
+    if cap < min(tilt + cone, np.pi):
+        first, last = min(max(tilt - cap, 0.0), cone), min(tilt + cap, cone)
+        low, high = lobe.content(first), lobe.content(last)
+        if 0.0 < first < last:
+            azimuth = _half_azimuth(cap, tilt, last)
+        aside, clip = to_target - (to_target @ axis) * axis, (to_target, 2.0 * np.sin(0.5 * cap))
+    share = azimuth / np.pi * (high - low) / whole
+    return EmissionRegion(
+        SPOT,
+        position,
+        _frame(axis, aside),
+        np.array([lobe.inner, lobe.outer, low, high, azimuth]),
+        2.0 * np.pi * whole * share,
+        share * power,
+        start,
+        clip=clip,
+    )
+
+
+def _drop(angle: float) -> float:
+    """Return 1 - cos, without its cancellation for small angles."""
+    return float(2.0 * np.sin(0.5 * angle) ** 2)
+
+
+def _angle(a: Floats, b: Floats) -> float:
+    """Angle between unit vectors, which keeps its digits where it is small."""
+    return float(2.0 * np.arctan2(np.linalg.norm(a - b), np.linalg.norm(a + b)))
+
+
+def _half_azimuth(cap: float, tilt: float, last: float) -> float:
+    """Half the azimuths, around an axis, of a cap that does not hold it, up to a polar angle.
+
+    `tilt` is the angle from the axis to the cap's, `cap` and `last` are the half angle and the
+    largest polar angle, all in rad. The cap is widest where great circles through the axis touch
+    it.
+    """
+    touching = np.arccos(np.clip(np.cos(tilt) / max(np.cos(cap), 1e-12), -1.0, 1.0))
+    at = min(last, touching)
+    # Half-angle form: 1 - cos of the azimuth, without cancellation.
+    square = np.sin(0.5 * (cap + tilt - at)) * np.sin(0.5 * (cap - tilt + at))
+    return float(2.0 * np.arcsin(np.sqrt(np.clip(square / (np.sin(at) * np.sin(tilt)), 0.0, 1.0))))
 
 
 def start_distance(position: Floats, scene: Sphere, emitter_offset: float) -> float:

@@ -15,11 +15,16 @@ from .._util.validation import Floats, float_array, rgb, unit_vectors
 from .emission_region import (
     EmissionRegion,
     Sphere,
+    SpotLobe,
     cap_region,
     cosine_lobe_region,
     disk_region,
+    spot_region,
     start_distance,
 )
+
+# Largest half angle of a spot, degrees, as in glTF.
+_WIDEST_SPOT = 90.0
 
 
 class DirectLight(NamedTuple):
@@ -187,6 +192,70 @@ class LambertianEmitter(Emitter):
         direction, distance, inverse = _towards(self.position, position, emitter_offset)
         cosine = np.maximum(-direction @ np.asarray(self.direction), 0.0)[:, None]
         intensity = np.asarray(self.power) / np.pi * cosine
+        return DirectLight(direction, distance, intensity * inverse**2)
+
+
+@dataclass(frozen=True, eq=False)
+class SpotEmitter(Emitter):
+    """A point with light in a cone, whose intensity falls off from an inner cone outwards.
+
+    The intensity is I within the inner cone, and I ((cos θ - cos θ_outer) / (cos θ_inner -
+    cos θ_outer))² from there to the outer one, as in glTF (KHR_lights_punctual); I = power /
+    (2π (1 - cos θ_inner + (cos θ_inner - cos θ_outer) / 3)).
+
+    Parameters
+    ----------
+    position : (3,)
+        m.
+    direction : (3,)
+        Axis of the cone; any length.
+    power : (3,) or float
+        Flux emitted into the cone, W.
+    inner_angle, outer_angle : float
+        Half angles of the cones, degrees: 0 <= inner < outer <= 90.
+    """
+
+    position: ArrayLike
+    direction: ArrayLike
+    power: ArrayLike = (1.0, 1.0, 1.0)
+    inner_angle: float = 0.0
+    outer_angle: float = 45.0
+
+    def __post_init__(self) -> None:
+        set_field(self, "position", frozen(float_array(self.position, "position", (3,))))
+        set_field(self, "direction", frozen(unit_vectors(self.direction, "direction", (3,))))
+        set_field(self, "power", frozen(rgb(self.power, "power")))
+        for name in ("inner_angle", "outer_angle"):
+            set_field(self, name, float(float_array(getattr(self, name), name, ())))
+        if not 0.0 <= self.inner_angle < self.outer_angle <= _WIDEST_SPOT:
+            raise ValueError(
+                "inner_angle and outer_angle should be half angles in degrees with 0 <= inner < "
+                f"outer <= {_WIDEST_SPOT:.0f}, but are {self.inner_angle} and {self.outer_angle}"
+            )
+
+    @property
+    def point(self) -> Floats:
+        return np.asarray(self.position)
+
+    @property
+    def _lobe(self) -> SpotLobe:
+        return SpotLobe.of(np.radians(self.inner_angle), np.radians(self.outer_angle))
+
+    def emission_region(
+        self, target: Sphere, scene: Sphere, emitter_offset: float
+    ) -> EmissionRegion:
+        """Return the sector of the cone that holds the target, or the cone from inside of it."""
+        position, axis = np.asarray(self.position), np.asarray(self.direction)
+        start = start_distance(position, scene, emitter_offset)
+        return spot_region(position, axis, np.asarray(self.power), self._lobe, target, start=start)
+
+    def direct(self, position: Floats, emitter_offset: float) -> DirectLight:
+        """Return the intensity towards each point over the squared distance."""
+        direction, distance, inverse = _towards(self.position, position, emitter_offset)
+        # 1 - cos from the chord keeps its digits in narrow cones.
+        drop = 0.5 * np.square(direction + np.asarray(self.direction)).sum(axis=1)
+        on_axis = np.asarray(self.power) / (2.0 * np.pi * self._lobe.content(np.pi))
+        intensity = on_axis * self._lobe.falloff(drop)[:, np.newaxis]
         return DirectLight(direction, distance, intensity * inverse**2)
 
 

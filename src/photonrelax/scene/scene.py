@@ -107,7 +107,7 @@ class Scene:
     ----------
     objects : sequence of SceneObject
         At least one; an object's position in the sequence is its `object_id`.
-    emitters : sequence of CollimatedEmitter, PointEmitter, LambertianEmitter or other Emitter
+    emitters : sequence of CollimatedEmitter, PointEmitter, LambertianEmitter, SpotEmitter, …
         At least one; an emitter's position in the sequence is its `emitter_id`.
     camera : Camera, optional
         Needed to render, not to trace photons.
@@ -226,7 +226,7 @@ def _defects_text(object_id: int, item: SceneObject) -> str:
 
 _DESCRIPTIONS = {
     SceneObject: "a SceneObject",
-    Emitter: "an Emitter: a CollimatedEmitter, PointEmitter or LambertianEmitter",
+    Emitter: "an Emitter: a CollimatedEmitter, PointEmitter, LambertianEmitter or SpotEmitter",
 }
 
 

@@ -63,11 +63,16 @@ def luminance(region: EmissionRegion) -> float:
 def overlapped(regions: list[EmissionRegion]) -> list[Floats]:
     """Outlines (m, 4) of the earlier regions that overlap each: centre and squared radius.
 
-    Centres are emitter coordinates, of disks with a third one of zero.
+    Centres are emitter coordinates, of disks with a third one of zero. That of a region which is
+    clipped is the last, with a negative square: its photons lie within it.
     """
     table, radius, distance = _outlines(regions)
     overlaps = distance < radius[:, np.newaxis] + radius
-    return [table[:i][overlaps[i, :i]] for i in range(len(regions))]
+    within = table * [1.0, 1.0, 1.0, -1.0]
+    return [
+        np.concatenate([table[:i][overlaps[i, :i]], within[i : i + (region.clip is not None)]])
+        for i, region in enumerate(regions)
+    ]
 
 
 def _in_chart(emitter: Emitter, region: EmissionRegion, whole: EmissionRegion) -> EmissionRegion:

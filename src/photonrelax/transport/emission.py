@@ -51,7 +51,7 @@ class AimedRegion(NamedTuple):
     region : EmissionRegion
         The region.
     outlines : (m, 4) float64
-        Of the emitter's earlier regions that overlap it, as of `transport.aim.overlapped`.
+        What its photons lie outside or inside of, as of `transport.aim.overlapped`.
     """
 
     emitter_id: int

@@ -24,7 +24,8 @@ cdef class Emission:
     cdef uint64_t seed, stream
     cdef bint halton
     cdef double[2] shift
-    # Of earlier regions: centre in emitter coordinates and squared radius.
+    # Of earlier regions, and the clip of this one, whose square is negative: centre in emitter
+    # coordinates and squared radius.
     cdef const double[:, ::1] outlines
 
     cdef uint64_t key(self, uint64_t index) noexcept nogil

@@ -2,7 +2,7 @@
 
 cimport cython
 from cython.parallel cimport prange
-from libc.math cimport sqrt
+from libc.math cimport M_PI, cbrt, cos, fabs, sin, sqrt
 from libc.stdint cimport int64_t, uint8_t, uint64_t
 
 from ..common.rng cimport hash_key, uniform
@@ -20,10 +20,13 @@ cdef enum:
     CAP = 1
     SPHERE = 2
     ELLIPSE = 3
+    SPOT = 4
 
 cdef enum:
     # Candidates between looks for signals.
     LOOK_EVERY = 1 << 12
+
+cdef double SMALLEST_REST = 2.0**-53
 
 # Random numbers of a photon: two for its coordinates, this one, then those of events.
 cdef enum:
@@ -48,6 +51,33 @@ cdef double ellipse_direction(double* out, const double* p, const double* shape)
     )
     out[2] = sqrt(square) if square > 0.0 else 0.0
     return out[2]
+
+
+cdef double spot_direction(double* out, double u, double v, const double* shape) noexcept nogil:
+    """Map the unit square to a sector of a spot's cone, or to the whole cone around z.
+
+    The density follows the intensity, which is returned relative to that on the axis.
+    """
+    cdef double inner = shape[0], width = shape[1] - shape[0], half_azimuth = shape[4]
+    cdef double content, drop, root = 1.0, stretch, radius = 1.0
+    if half_azimuth < M_PI:
+        content = shape[2] + u * (shape[3] - shape[2])
+        out[0] = cos(half_azimuth * (2.0 * v - 1.0))
+        out[1] = sin(half_azimuth * (2.0 * v - 1.0))
+    else:
+        disk_point(out, u, v)
+        radius = sqrt(out[0] * out[0] + out[1] * out[1])
+        content = shape[3] * radius * radius
+    drop = content
+    if content > inner:
+        # Rounding must not take the density to zero.
+        root = cbrt(max(1.0 - 3.0 * (content - inner) / width, SMALLEST_REST))
+        drop = inner + width * (1.0 - root)
+    stretch = sqrt(drop * (2.0 - drop)) / radius if radius > 0.0 else 0.0
+    out[0] *= stretch
+    out[1] *= stretch
+    out[2] = 1.0 - drop
+    return root * root
 
 
 @cython.final
@@ -80,18 +110,20 @@ cdef class EmissionRegion:
         """Write a direction from a point and return its density."""
         cdef double[2] disk
         cdef double[3] local
-        cdef double cosine = 1.0
+        cdef double relative = 1.0
         if self.kind == SPHERE:
             sphere_direction(local, u, v)
+        elif self.kind == SPOT:
+            relative = spot_direction(local, u, v, &self.shape[0])
         else:
             disk_point(disk, u, v)
             if self.kind == CAP:
                 cap_direction(local, disk, self.shape[0])
             else:
-                cosine = ellipse_direction(local, disk, &self.shape[0])
+                relative = ellipse_direction(local, disk, &self.shape[0])
         self.to_world(direction, local)
         normalise(direction)
-        return self.density * cosine
+        return self.density * relative
 
     cdef double from_plane(
         self, double* origin, double* direction, double* coords, double u, double v
@@ -129,7 +161,8 @@ cdef class EmissionRegion:
 cdef class Emission:
     """The candidates of a region, by index; an empty shift selects the random sampler.
 
-    Those that lie in the `outlines` (m, 4) of earlier regions are no photons.
+    Those that lie in the `outlines` (m, 4) of earlier regions are no photons, nor those beyond one
+    whose squared radius is negative.
     """
 
     def __init__(
@@ -201,7 +234,7 @@ cdef class Emission:
         return np.asarray(out)
 
     cdef bint accepts(self, uint64_t index) noexcept nogil:
-        """False if a candidate lies in an earlier region."""
+        """False if a candidate lies in an earlier region, or beyond the clip of its own."""
         cdef double[3] origin
         cdef double[3] direction
         cdef double[3] coords
@@ -214,7 +247,7 @@ cdef class Emission:
             squared = 0.0
             for c in range(3):
                 squared += (coords[c] - self.outlines[i, c]) * (coords[c] - self.outlines[i, c])
-            if squared < self.outlines[i, 3]:
+            if (squared < fabs(self.outlines[i, 3])) == (self.outlines[i, 3] > 0.0):
                 return False
         return True
 
