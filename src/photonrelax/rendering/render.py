@@ -40,6 +40,7 @@ def render(
     sampler: str = "halton",
     supersampling: int = 2,
     max_depth: int = 8,
+    light_samples: int | None = None,
     photons: PhotonMap | None = None,
     n_threads: int | None = None,
     progress: Progress | None = None,
@@ -57,6 +58,9 @@ def render(
         Of the photons to emit; see `photonrelax.trace_photons`.
     supersampling, max_depth : int
         s·s samples a pixel; maximum number of specular surfaces on a camera path.
+    light_samples : int, optional
+        Shadow rays from each of these samples to each extended emitter; by default enough for noise
+        below 2 % of a pixel.
     photons : PhotonMap, optional
         Photons traced before in this scene, in place of new ones; those on sensors are left out.
         They are refused if their ledger has other emitted flux than the scene; without one, as
@@ -78,7 +82,14 @@ def render(
     TypeError, ValueError
         If an argument is invalid, no photon is stored, or those given are of another scene.
     """
-    view = View(scene, supersampling=supersampling, max_depth=max_depth, n_threads=n_threads)
+    view = View(
+        scene,
+        supersampling=supersampling,
+        max_depth=max_depth,
+        light_samples=light_samples,
+        seed=seed,
+        n_threads=n_threads,
+    )
     stages = _Stages(view, progress)
     chosen = settings_of("render", dict(settings))
     share = method_named(method).frequency_share(chosen)

@@ -9,7 +9,7 @@ import numpy as np
 
 from .._util.validation import Floats
 
-DISK, CAP, SPHERE, ELLIPSE, SPOT = range(5)
+DISK, CAP, SPHERE, ELLIPSE, SPOT, SUN = range(6)
 """Values of `EmissionRegion.kind`; the kernel of emission has the same."""
 
 # Rays start this fraction of the scene's radius before its bounding sphere.
@@ -65,7 +65,8 @@ class EmissionRegion:
     kind : int
         `DISK` on the plane of parallel light; `CAP` or `SPHERE` of directions, sampled uniformly;
         `ELLIPSE`, the outline of a cap in the projected hemisphere of a cosine lobe, in which the
-        lobe is uniform; `SPOT`, a sector of the cone of a spot, by its intensity.
+        lobe is uniform; `SPOT`, a sector of the cone of a spot, by its intensity; `SUN`, disks
+        across all directions of a cap, both sampled uniformly.
     origin : (3,) float64
         Centre of the disk, or the point all rays come from, m.
     frame : (3, 3) float64
@@ -74,15 +75,18 @@ class EmissionRegion:
         Disk: radius, m. Cap: 1 - cos of its half angle. Ellipse: cos and sin of the angle between
         normal and axis of the cap, cos and sin of its half angle. Spot: 1 - cos of its inner and
         outer angles; `SpotLobe.content` where the sector begins and ends; half its azimuth, rad.
+        Sun: radius of the disks, m; 1 - cos of the half angle of the cap; distance from `origin`
+        to the centre of the disks' spheres of light, m.
     area : float
-        Of the region: m², sr, or sr weighted with the cosine or falloff of a lobe.
+        Of the region in its chart: m², sr, or sr weighted with the cosine or falloff of a lobe.
     flux : (3,) float64
         Leaving through the region, W.
     start_distance : float
         Distance from the point to the origins of the rays, m: off the surface the point may lie
         on, and up to the scene. Rays from afar would lose their digits in float32 otherwise.
-    coords_offset : (2,) float64
-        Emitter coordinates of the centre of a disk, m.
+    coords_offset : (2,) float64, (3,) of a sun
+        Emitter coordinates of the centre of a disk, or the centre of a sun's target in the frame,
+        from that of all targets, m.
     clip : (3,) float64 and float, optional
         Centre and radius, in emitter coordinates, of the ball that photons lie in: what is sampled
         reaches beyond it.
@@ -100,14 +104,26 @@ class EmissionRegion:
 
     @property
     def is_plane(self) -> bool:
-        """True if emitter coordinates are metres on a plane, false if unit vectors."""
-        return self.kind == DISK
+        """True if emitter coordinates are metres across the light, false if unit vectors."""
+        return self.kind in (DISK, SUN)
+
+    @property
+    def is_extended(self) -> bool:
+        """True if many rays have the same emitter coordinates."""
+        return self.kind == SUN
+
+    @property
+    def target(self) -> Floats:
+        """Centre of what a sun's disks cover, m."""
+        centre: Floats = self.origin + self.shape[2] * self.frame[2]
+        return centre
 
     @property
     def outline(self) -> tuple[Floats, float]:
         """Centre and radius of the region in emitter coordinates: of a disk, or of a cap.
 
-        The radius of a cap is the chord from its axis to its border.
+        Those of a sun's target, m, as its rays are all that meet this sphere. The radius of a cap
+        is the chord from its axis to its border.
         """
         if self.clip is not None:
             return self.clip
@@ -120,6 +136,8 @@ class EmissionRegion:
             return cos_tilt * self.frame[2] + sin_tilt * self.frame[0], float(
                 sin * np.sqrt(2.0 / (1.0 + cos))
             )
+        if self.kind == SUN:
+            return self.target, float(self.shape[0])
         if self.kind == SPOT:
             return self.frame[2], float(np.sqrt(2.0 * self.shape[1]))
         return self.frame[2], 2.0
@@ -143,6 +161,30 @@ def disk_region(
         np.array([target.radius, 0.0, 0.0, 0.0]),
         area,
         area * irradiance,
+    )
+
+
+def sun_region(
+    direction: Floats, irradiance: Floats, angular_radius: float, target: Sphere, scene: Sphere
+) -> EmissionRegion:
+    """Return disks across all directions of a sun that cover the target, upstream of the scene.
+
+    The sun has the same radiance all over; `irradiance` is that of a plane that faces its centre,
+    `angular_radius` in rad.
+    """
+    between = float(np.linalg.norm(scene.centre - target.centre))
+    upstream = between + (1.0 + _CLEARANCE) * scene.radius
+    one_minus_cos = _drop(angular_radius)
+    area = np.pi * target.radius**2
+    return EmissionRegion(
+        SUN,
+        target.centre - upstream * direction,
+        _frame(direction),
+        np.array([target.radius, one_minus_cos, upstream, 0.0]),
+        area,
+        # Of solid angle over projected solid angle: the plane sees the rim of the sun aslant.
+        area * irradiance * 2.0 / (2.0 - one_minus_cos),
+        coords_offset=np.zeros(3),
     )
 
 
@@ -171,6 +213,15 @@ def cap_region(
         0.5 * shape[0] * power,
         start_distance,
     )
+
+
+def cap_directions(axis: Floats, one_minus_cos: float, sample: Floats) -> Floats:
+    """Directions (m, 3) that are uniform over the cap around an axis, for samples (m, 2)."""
+    drop, azimuth = one_minus_cos * sample[:, 0], 2.0 * np.pi * sample[:, 1]
+    aside = np.sqrt(drop * (2.0 - drop))
+    local = np.column_stack([aside * np.cos(azimuth), aside * np.sin(azimuth), 1.0 - drop])
+    directions: Floats = local @ _frame(axis)
+    return directions
 
 
 def cosine_lobe_region(

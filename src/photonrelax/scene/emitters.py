@@ -16,15 +16,19 @@ from .emission_region import (
     EmissionRegion,
     Sphere,
     SpotLobe,
+    cap_directions,
     cap_region,
     cosine_lobe_region,
     disk_region,
     spot_region,
     start_distance,
+    sun_region,
 )
 
 # Largest half angle of a spot, degrees, as in glTF.
 _WIDEST_SPOT = 90.0
+# Angular radius that those of suns are below, degrees.
+_WIDEST_SUN = 90.0
 
 
 class DirectLight(NamedTuple):
@@ -74,43 +78,85 @@ class Emitter(ABC):
             surface, m.
         """
 
+    @property
+    def is_extended(self) -> bool:
+        """True if a point gets light from many directions, which are then sampled."""
+        return False
+
     @abstractmethod
     def direct(self, position: Floats, emitter_offset: float) -> DirectLight:
-        """Return the light at points (m, 3); none nearer to the emitter than the offset, m."""
+        """Return the light at points (m, 3); none nearer to the emitter than the offset, m.
+
+        That of an extended emitter is as if all came from its middle.
+        """
+
+    def sampled(self, position: Floats, emitter_offset: float, sample: Floats) -> DirectLight:
+        """Return light of which the mean over all samples (m, 2), in [0, 1)², is that at points.
+
+        As `direct` for emitters that are not extended.
+        """
+        return self.direct(position, emitter_offset)
 
 
 @dataclass(frozen=True, eq=False)
 class CollimatedEmitter(Emitter):
-    """Parallel light from infinitely far away, covering the scene.
+    """Light from infinitely far away, covering the scene: parallel, or of a sun.
 
     Parameters
     ----------
     direction : (3,)
-        Where the light travels to; any length.
+        Where the light of the sun's centre travels to; any length.
     irradiance : (3,) or float
         W/m² on a plane facing the light.
+    angular_radius : float
+        Half the angle under which the sun is seen, degrees, below 90; its radiance is the same all
+        over. 0 is parallel light; the sun of the Earth has 0.266.
     """
 
     direction: ArrayLike
     irradiance: ArrayLike = (1.0, 1.0, 1.0)
+    angular_radius: float = 0.0
 
     def __post_init__(self) -> None:
         set_field(self, "direction", frozen(unit_vectors(self.direction, "direction", (3,))))
         set_field(self, "irradiance", frozen(rgb(self.irradiance, "irradiance")))
+        angle = float(float_array(self.angular_radius, "angular_radius", ()))
+        if not 0.0 <= angle < _WIDEST_SUN:
+            raise ValueError(
+                f"angular_radius should be in degrees, from 0 to below {_WIDEST_SUN:.0f}, "
+                f"but is {angle}"
+            )
+        set_field(self, "angular_radius", angle)
 
     def emission_region(
         self, target: Sphere, scene: Sphere, emitter_offset: float
     ) -> EmissionRegion:
         """Return a disk across the light, upstream of the scene, that covers the target."""
-        return disk_region(np.asarray(self.direction), np.asarray(self.irradiance), target, scene)
+        direction, irradiance = np.asarray(self.direction), np.asarray(self.irradiance)
+        if self.angular_radius:
+            angle = np.radians(self.angular_radius)
+            return sun_region(direction, irradiance, angle, target, scene)
+        return disk_region(direction, irradiance, target, scene)
+
+    @property
+    def is_extended(self) -> bool:
+        return self.angular_radius > 0.0
 
     def direct(self, position: Floats, emitter_offset: float) -> DirectLight:
         """Return the same light at all points."""
-        n = len(position)
+        return self._from(np.tile(-np.asarray(self.direction), (len(position), 1)), 1.0)
+
+    def sampled(self, position: Floats, emitter_offset: float, sample: Floats) -> DirectLight:
+        """Return light from directions that are uniform over the sun."""
+        one_minus_cos = 2.0 * np.sin(0.5 * np.radians(self.angular_radius)) ** 2
+        to_sun = cap_directions(-np.asarray(self.direction), one_minus_cos, sample)
+        # A plane that faces the centre sees the rim aslant, by 1 - one_minus_cos / 2 in the mean.
+        return self._from(to_sun, 1.0 / (1.0 - 0.5 * one_minus_cos))
+
+    def _from(self, to_sun: Floats, relative: float) -> DirectLight:
+        irradiance = relative * np.asarray(self.irradiance)
         return DirectLight(
-            np.tile(-np.asarray(self.direction), (n, 1)),
-            np.full(n, np.inf),
-            np.tile(np.asarray(self.irradiance), (n, 1)),
+            to_sun, np.full(len(to_sun), np.inf), np.tile(irradiance, (len(to_sun), 1))
         )
 
 

@@ -22,7 +22,7 @@ from .._util.validation import Floats, check_choice, check_seed, count
 from ..scene.emission_region import EmissionRegion, Sphere
 from ..scene.scene import Scene
 from .aim import aimed_regions, luminance, overlapped
-from .sampling import seed_shift
+from .sampling import seed_shifts
 
 PATHS = ("caustic", "global", "all")
 SAMPLERS = ("halton", "random")
@@ -97,6 +97,17 @@ class EmissionPlan:
         return np.array([each.emitter_id for each in self.aimed], dtype=np.int64)
 
     @property
+    def is_well_spaced(self) -> bool:
+        """Photons are even over their emitters: Halton points, none of extended emitters."""
+        return self.sampler == "halton" and self.extended_ids is None
+
+    @property
+    def extended_ids(self) -> NDArray[np.int64] | None:
+        """The extended ones among the emitters, ascending; None without any."""
+        extended = [region.is_extended for region in self.regions]
+        return np.unique(self.emitter_ids[extended]) if any(extended) else None
+
+    @property
     def flux_per_photon(self) -> Floats:
         """W carried by each photon of each region, (n_regions, 3)."""
         flux = np.array([each.region.flux for each in self.aimed])
@@ -137,8 +148,8 @@ class PrimalRays:
     origin, direction : (n, 3) float64
         Origins, m, and unit vectors.
     emitter_coords : (n, 2) or (n, 3) float64
-        m on the emitter plane, relative to the projection of the centre of all targets; or unit
-        vectors.
+        m on the emitter plane, of a sun on that across the ray, relative to the projection of the
+        centre of all targets; or unit vectors.
     emitter_density : (n,) float64
         Photons emitted per m² or sr around those coordinates.
     travelled : float
@@ -263,7 +274,7 @@ def _emission(aimed: AimedRegion, n_candidates: int, seed: int, sampler: str) ->
         ),
         seed,
         stream,
-        np.array(seed_shift(seed, stream) if sampler == "halton" else ()),
+        np.array(seed_shifts(seed, stream, 4) if sampler == "halton" else ()),
         aimed.outlines,
     )
 

@@ -302,12 +302,13 @@ def _photon_map(context: TraceContext, columns: _Columns, ledgers: list[BatchLed
     photons = PhotonMap(
         **columns.finished(),
         n_emitted=int(plan.counts.sum()),
-        well_spaced=plan.sampler == "halton" and settings.paths == "caustic",
+        well_spaced=plan.is_well_spaced and settings.paths == "caustic",
         ledger=ledger,
         seed=plan.seed,
         sampler=plan.sampler,
         paths=settings.paths,
         sensor_ids=context.scene.sensors if context.sensors else None,
+        extended_ids=plan.extended_ids,
     )
     if not len(photons):
         raise NothingStoredError(_nothing_stored(context, ledger, ledgers), photons)

@@ -2,12 +2,14 @@
 
 from collections import namedtuple
 
-from libc.stdint cimport uint8_t
+from libc.stdint cimport int64_t, uint8_t, uint64_t
 
 import numpy as np
 
+from ..common.rng cimport hash_key, uniform
 from ..common.vec3 cimport copy, dot
 from .raycast cimport EmbreeFrame
+from .sampling cimport radical_inverse_2, radical_inverse_3, wrapped
 
 ShadowRays = namedtuple("ShadowRays", "row origin direction origin_offset distance irradiance")
 ShadowRays.__doc__ = """Rays from n points to an emitter whose light falls on their lit side.
@@ -51,6 +53,21 @@ def shadow_rays(
         row.base[:n], origin.base[:n], to_emitter.base[:n], offset.base[:n], length.base[:n],
         arriving.base[:n],
     )
+
+
+def emitter_samples(
+    uint64_t seed, uint64_t stream, const int64_t[::1] pixel, const int64_t[::1] number
+):
+    """Points (m, 2) of the unit square: Halton points by their numbers, shifted by pixel."""
+    cdef Py_ssize_t i, m = pixel.shape[0]
+    cdef double[:, ::1] sample = np.empty((m, 2))
+    cdef uint64_t key
+    with nogil:
+        for i in range(m):
+            key = hash_key(seed, stream, pixel[i])
+            sample[i, 0] = wrapped(radical_inverse_2(number[i]), uniform(key, 0))
+            sample[i, 1] = wrapped(radical_inverse_3(number[i]), uniform(key, 1))
+    return sample.base
 
 
 def add_unoccluded(

@@ -14,8 +14,11 @@ cdef class EmissionRegion:
     cdef double from_plane(
         self, double* origin, double* direction, double* coords, double u, double v
     ) noexcept nogil
+    cdef double from_sun(
+        self, double* origin, double* direction, double* coords, const double* point
+    ) noexcept nogil
     cdef double ray(
-        self, double* origin, double* direction, double* coords, double u, double v
+        self, double* origin, double* direction, double* coords, const double* point
     ) noexcept nogil
 
 
@@ -23,7 +26,9 @@ cdef class Emission:
     cdef EmissionRegion region
     cdef uint64_t seed, stream
     cdef bint halton
-    cdef double[2] shift
+    # Numbers of a photon's ray, and their shifts.
+    cdef int n_numbers
+    cdef double[4] shift
     # Of earlier regions, and the clip of this one, whose square is negative: centre in emitter
     # coordinates and squared radius.
     cdef const double[:, ::1] outlines

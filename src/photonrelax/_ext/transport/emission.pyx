@@ -7,9 +7,10 @@ from libc.stdint cimport int64_t, uint8_t, uint64_t
 
 from ..common.rng cimport hash_key, uniform
 from ..common.threads cimport ELEMENTS, Watch, close_watch, goes_on, open_watch, team_size
-from ..common.vec3 cimport normalise
+from ..common.vec3 cimport dot, normalise, orthonormal_frame
 from .sampling cimport (
-    cap_direction, disk_point, radical_inverse_2, radical_inverse_3, sphere_direction, wrapped,
+    cap_direction, disk_point, radical_inverse, radical_inverse_2, radical_inverse_3,
+    sphere_direction, wrapped,
 )
 
 import numpy as np
@@ -21,6 +22,7 @@ cdef enum:
     SPHERE = 2
     ELLIPSE = 3
     SPOT = 4
+    SUN = 5
 
 cdef enum:
     # Candidates between looks for signals.
@@ -28,9 +30,31 @@ cdef enum:
 
 cdef double SMALLEST_REST = 2.0**-53
 
-# Random numbers of a photon: two for its coordinates, this one, then those of events.
+# Random numbers of a photon: two for its coordinates, this one, then those of events. Two more
+# coordinates come after those of any event.
 cdef enum:
     OF_SELECTION = 2
+    OF_ANGLE = 1 << 30
+
+
+cdef double squared_distance(const double* centre, const double* point) noexcept nogil:
+    cdef double squared = 0.0
+    cdef int c
+    for c in range(3):
+        squared += (point[c] - centre[c]) * (point[c] - centre[c])
+    return squared
+
+
+cdef double squared_distance_to_line(
+    const double* centre, const double* origin, const double* direction
+) noexcept nogil:
+    cdef double[3] offset, aside
+    cdef int c
+    for c in range(3):
+        offset[c] = centre[c] - origin[c]
+    for c in range(3):
+        aside[c] = offset[c] - dot(offset, direction) * direction[c]
+    return dot(aside, aside)
 
 
 cdef double ellipse_direction(double* out, const double* p, const double* shape) noexcept nogil:
@@ -143,14 +167,40 @@ cdef class EmissionRegion:
             direction[c] = self.frame[2, c]
         return self.density
 
-    cdef double ray(
-        self, double* origin, double* direction, double* coords, double u, double v
+    cdef double from_sun(
+        self, double* origin, double* direction, double* coords, const double* point
     ) noexcept nogil:
+        """Write a ray of a sun and its coordinates, across the ray from the centre of all."""
+        cdef double[3] local, across, along, start
+        cdef double[2] disk
+        cdef double upstream = self.shape[2]
+        cdef int c
+        disk_point(disk, point[2], point[3])
+        cap_direction(local, disk, self.shape[1])
+        orthonormal_frame(across, along, local)
+        disk_point(disk, point[0], point[1])
+        coords[0] = self.shape[0] * disk[0] + dot(&self.coords_offset[0], across)
+        coords[1] = self.shape[0] * disk[1] + dot(&self.coords_offset[0], along)
+        self.to_world(direction, local)
+        normalise(direction)
+        for c in range(3):
+            start[c] = self.shape[0] * (disk[0] * across[c] + disk[1] * along[c])
+        self.to_world(origin, start)
+        for c in range(3):
+            origin[c] += self.origin[c] + upstream * (self.frame[2, c] - direction[c])
+        return self.density
+
+    cdef double ray(
+        self, double* origin, double* direction, double* coords, const double* point
+    ) noexcept nogil:
+        """Write the ray and coordinates of a point of the unit square, or hypercube of a sun."""
         cdef double density
         cdef int c
         if self.kind == DISK:
-            return self.from_plane(origin, direction, coords, u, v)
-        density = self.from_point(direction, u, v)
+            return self.from_plane(origin, direction, coords, point[0], point[1])
+        if self.kind == SUN:
+            return self.from_sun(origin, direction, coords, point)
+        density = self.from_point(direction, point[0], point[1])
         for c in range(3):
             coords[c] = direction[c]
             origin[c] = self.origin[c] + self.start_distance * direction[c]
@@ -169,15 +219,19 @@ cdef class Emission:
         self, EmissionRegion region, uint64_t seed, uint64_t stream, const double[::1] shift,
         const double[:, ::1] outlines,
     ):
+        cdef int i
         if outlines.shape[1] != 4:
             raise ValueError(f"outlines should have 4 columns, but have {outlines.shape[1]}")
         self.region = region
         self.seed = seed
         self.stream = stream
         self.outlines = outlines
-        self.halton = shift.shape[0] == 2
-        if self.halton:
-            self.shift[0], self.shift[1] = shift[0], shift[1]
+        self.n_numbers = 4 if region.kind == SUN else 2
+        self.halton = shift.shape[0] > 0
+        if self.halton and shift.shape[0] < self.n_numbers:
+            raise ValueError(f"shift should have {self.n_numbers} numbers")
+        for i in range(self.n_numbers if self.halton else 0):
+            self.shift[i] = shift[i]
 
     cdef uint64_t key(self, uint64_t index) noexcept nogil:
         """Return the key of the random numbers of a photon."""
@@ -240,13 +294,13 @@ cdef class Emission:
         cdef double[3] coords
         cdef double squared
         cdef Py_ssize_t i
-        cdef int c
         coords[2] = 0.0
         self.ray(index, origin, direction, coords)
         for i in range(self.outlines.shape[0]):
-            squared = 0.0
-            for c in range(3):
-                squared += (coords[c] - self.outlines[i, c]) * (coords[c] - self.outlines[i, c])
+            if self.region.kind == SUN:
+                squared = squared_distance_to_line(&self.outlines[i, 0], origin, direction)
+            else:
+                squared = squared_distance(&self.outlines[i, 0], coords)
             if (squared < fabs(self.outlines[i, 3])) == (self.outlines[i, 3] > 0.0):
                 return False
         return True
@@ -255,15 +309,20 @@ cdef class Emission:
         self, uint64_t index, double* origin, double* direction, double* coords
     ) noexcept nogil:
         """Write a photon's primal ray and emitter coordinates, and return its density."""
-        cdef double u, v
+        cdef double[4] point
         cdef uint64_t key
         if self.halton:
-            u = wrapped(radical_inverse_2(index), self.shift[0])
-            v = wrapped(radical_inverse_3(index), self.shift[1])
+            point[0] = wrapped(radical_inverse_2(index), self.shift[0])
+            point[1] = wrapped(radical_inverse_3(index), self.shift[1])
+            if self.n_numbers == 4:
+                point[2] = wrapped(radical_inverse(index, 5), self.shift[2])
+                point[3] = wrapped(radical_inverse(index, 7), self.shift[3])
         else:
             key = self.key(index)
-            u, v = uniform(key, 0), uniform(key, 1)
-        return self.region.ray(origin, direction, coords, u, v)
+            point[0], point[1] = uniform(key, 0), uniform(key, 1)
+            if self.n_numbers == 4:
+                point[2], point[3] = uniform(key, OF_ANGLE), uniform(key, OF_ANGLE + 1)
+        return self.region.ray(origin, direction, coords, point)
 
 
 def emit(
@@ -275,7 +334,7 @@ def emit(
     if not (
         n == candidates.shape[0] == origin.shape[0] == direction.shape[0] == coords.shape[0]
         and origin.shape[1] == direction.shape[1] == 3
-        and coords.shape[1] == (2 if emission.region.kind == DISK else 3)
+        and coords.shape[1] == (2 if emission.region.kind in (DISK, SUN) else 3)
     ):
         raise ValueError("candidates, rays, coords and density do not fit one another")
     for i in prange(
