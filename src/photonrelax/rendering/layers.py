@@ -52,7 +52,7 @@ class Layer:
         Description, with the unit.
     values : callable
         Maps a `Band` and the `Estimates` there to values (rows, width, channels); None if the
-        layer needs estimates that are not among them.
+        layer needs estimates that are not among them, or nothing of the kind is in the scene.
     channels : int
         1 or 3.
     merge : Merge
@@ -78,6 +78,11 @@ def _albedo(band: Band, estimates: Estimates) -> Floats:
     return band.sums(band.hits.weight * band.hits.albedo)
 
 
+def _emission(band: Band, estimates: Estimates) -> Floats | None:
+    hits = band.hits
+    return None if hits.emission is None else band.sums(hits.weight * hits.emission)
+
+
 RECORDS = (
     Layer("caustic", "radiance from photons", _estimate("caustic"), is_light=True),
     Layer(
@@ -86,6 +91,7 @@ RECORDS = (
         lambda band, _: band.radiance(band.direct),
         is_light=True,
     ),
+    Layer("emission", "radiance of emitters seen", _emission, is_light=True),
     Layer("albedo", "of the diffuse surfaces seen", _albedo),
     Layer("N", "normal of the first surface", lambda band, _: band.first.normal),
     Layer(

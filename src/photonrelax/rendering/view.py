@@ -239,7 +239,7 @@ class View:
     @cached_property
     def caster(self) -> RayCaster:
         """Ray caster of the scene's objects, built on first use."""
-        return RayCaster(self.scene.objects)
+        return RayCaster(self.scene.surfaces)
 
     @cached_property
     def surface(self) -> Surface:

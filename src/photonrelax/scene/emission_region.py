@@ -9,11 +9,13 @@ import numpy as np
 
 from .._util.validation import Floats
 
-DISK, CAP, SPHERE, ELLIPSE, SPOT, SUN = range(6)
+DISK, CAP, SPHERE, ELLIPSE, SPOT, SUN, AREA = range(7)
 """Values of `EmissionRegion.kind`; the kernel of emission has the same."""
 
 # Rays start this fraction of the scene's radius before its bounding sphere.
 _CLEARANCE = 1e-3
+# Cosine between the normals of faces of one plane, at least.
+_FLAT = 1.0 - 1e-9
 
 
 class Sphere(NamedTuple):
@@ -66,7 +68,8 @@ class EmissionRegion:
         `DISK` on the plane of parallel light; `CAP` or `SPHERE` of directions, sampled uniformly;
         `ELLIPSE`, the outline of a cap in the projected hemisphere of a cosine lobe, in which the
         lobe is uniform; `SPOT`, a sector of the cone of a spot, by its intensity; `SUN`, disks
-        across all directions of a cap, both sampled uniformly.
+        across all directions of a cap, both sampled uniformly; `AREA`, rays from triangles to a
+        sphere, of which some are taken by the cosine at the triangle and the sphere's solid angle.
     origin : (3,) float64
         Centre of the disk, or the point all rays come from, m.
     frame : (3, 3) float64
@@ -76,7 +79,9 @@ class EmissionRegion:
         normal and axis of the cap, cos and sin of its half angle. Spot: 1 - cos of its inner and
         outer angles; `SpotLobe.content` where the sector begins and ends; half its azimuth, rad.
         Sun: radius of the disks, m; 1 - cos of the half angle of the cap; distance from `origin`
-        to the centre of the disks' spheres of light, m.
+        to the centre of the disks' spheres of light, m. Area: radius of the target, m; 1 - cos of
+        the largest half angle under which it is seen; 1 if both sides emit; density over that of
+        the candidates, or 0 where it follows the cosine.
     area : float
         Of the region in its chart: m², sr, or sr weighted with the cosine or falloff of a lobe.
     flux : (3,) float64
@@ -87,6 +92,10 @@ class EmissionRegion:
     coords_offset : (2,) float64, (3,) of a sun
         Emitter coordinates of the centre of a disk, or the centre of a sun's target in the frame,
         from that of all targets, m.
+    target : (3,) float64, optional
+        Centre of what the rays of a sun or an area meet, m.
+    triangles, cumulative : (f, 3, 3), (f,) float64, optional
+        Corners of an emitting area, m, and its share up to each.
     clip : (3,) float64 and float, optional
         Centre and radius, in emitter coordinates, of the ball that photons lie in: what is sampled
         reaches beyond it.
@@ -100,6 +109,9 @@ class EmissionRegion:
     flux: Floats
     start_distance: float = 0.0
     coords_offset: Floats = field(default_factory=lambda: np.zeros(2))
+    target: Floats | None = None
+    triangles: Floats | None = None
+    cumulative: Floats | None = None
     clip: tuple[Floats, float] | None = None
 
     @property
@@ -110,20 +122,19 @@ class EmissionRegion:
     @property
     def is_extended(self) -> bool:
         """True if many rays have the same emitter coordinates."""
-        return self.kind == SUN
+        return self.target is not None
 
     @property
-    def target(self) -> Floats:
-        """Centre of what a sun's disks cover, m."""
-        centre: Floats = self.origin + self.shape[2] * self.frame[2]
-        return centre
+    def is_thinned(self) -> bool:
+        """True if not all candidates are photons, even where no other region overlaps."""
+        return self.kind == AREA or self.clip is not None
 
     @property
     def outline(self) -> tuple[Floats, float]:
         """Centre and radius of the region in emitter coordinates: of a disk, or of a cap.
 
-        Those of a sun's target, m, as its rays are all that meet this sphere. The radius of a cap
-        is the chord from its axis to its border.
+        Those of the target of a sun or area, m, as its rays are all that meet this sphere. The
+        radius of a cap is the chord from its axis to its border.
         """
         if self.clip is not None:
             return self.clip
@@ -136,7 +147,7 @@ class EmissionRegion:
             return cos_tilt * self.frame[2] + sin_tilt * self.frame[0], float(
                 sin * np.sqrt(2.0 / (1.0 + cos))
             )
-        if self.kind == SUN:
+        if self.target is not None:
             return self.target, float(self.shape[0])
         if self.kind == SPOT:
             return self.frame[2], float(np.sqrt(2.0 * self.shape[1]))
@@ -185,7 +196,66 @@ def sun_region(
         # Of solid angle over projected solid angle: the plane sees the rim of the sun aslant.
         area * irradiance * 2.0 / (2.0 - one_minus_cos),
         coords_offset=np.zeros(3),
+        target=target.centre,
     )
+
+
+def area_region(
+    triangles: Floats,
+    normals: Floats,
+    cumulative: Floats,
+    *,
+    flux_per_sr: Floats,
+    target: Sphere,
+    two_sided: bool,
+    start: float,
+) -> EmissionRegion:
+    """Return all rays from triangles (f, 3, 3) to a target; no flux where all face away from it.
+
+    `flux_per_sr` is radiance times area, `start` the distance of the rays' origins from the
+    triangles, m. The target is seen under different angles: candidates are towards it under the
+    largest, and as many are taken as the others are smaller.
+    """
+    distance = _distance_to_triangles(target.centre, triangles) - start
+    one_minus_cos = 2.0
+    if distance > target.radius:
+        sin, cos = _half_angle(target.radius, distance)
+        one_minus_cos = sin**2 / (1.0 + cos)
+    solid_angle = 2.0 * np.pi * one_minus_cos
+    height = np.einsum("fki,fi->fk", target.centre - triangles, normals).max()
+    if not two_sided and height + target.radius <= start:
+        flux_per_sr = np.zeros(3)
+    # Of a closed convex surface a quarter of the area is seen from any side.
+    seen = 0.0 if (normals @ normals[0] > _FLAT).all() else 0.25 * (1 + two_sided)
+    return EmissionRegion(
+        AREA,
+        triangles[0].mean(axis=0) + start * normals[0],
+        _frame(normals[0]),
+        np.array(
+            np.array([target.radius, one_minus_cos, two_sided, seen]),
+        ),
+        solid_angle,
+        solid_angle * flux_per_sr,
+        start,
+        target=target.centre,
+        triangles=triangles,
+        cumulative=cumulative,
+    )
+
+
+def _distance_to_triangles(point: Floats, triangles: Floats) -> float:
+    """Least distance of a point from triangles (f, 3, 3)."""
+    corners, following = triangles, np.roll(triangles, -1, axis=1)
+    edge, offset = following - corners, point - corners
+    along = np.clip(np.einsum("fki,fki->fk", offset, edge) / np.square(edge).sum(axis=2), 0.0, 1.0)
+    squared = np.square(offset - along[..., np.newaxis] * edge).sum(axis=2)
+    least = float(np.sqrt(squared.min()))
+    # Above the inside of a triangle, its plane is nearer than its edges.
+    normal = np.cross(edge[:, 0], edge[:, 1])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    above = (np.einsum("fki,fi->fk", np.cross(edge, offset), normal) >= 0.0).all(axis=1)
+    height = np.abs(np.einsum("fi,fi->f", offset[:, 0], normal))[above]
+    return min(least, float(height.min(initial=np.inf)))
 
 
 def cap_region(

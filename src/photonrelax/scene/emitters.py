@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .._ext.scene.emitters import towards
 from .._util.frozen import frozen, set_field
@@ -24,6 +24,9 @@ from .emission_region import (
     start_distance,
     sun_region,
 )
+
+if TYPE_CHECKING:
+    from .scene import SceneObject
 
 # Largest half angle of a spot, degrees, as in glTF.
 _WIDEST_SPOT = 90.0
@@ -77,6 +80,15 @@ class Emitter(ABC):
             Distance from the emitter within which photons hit nothing, for it may lie on a
             surface, m.
         """
+
+    @property
+    def surface(self) -> SceneObject | None:
+        """What rays meet of an emitter that is a surface; None for others."""
+        return None
+
+    def surface_radiance(self, from_behind: NDArray[np.bool_]) -> Floats:
+        """Return the radiance (m, 3) of its surface, seen from behind or not, W/(m² sr)."""
+        return np.zeros((len(from_behind), 3))
 
     @property
     def is_extended(self) -> bool:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .._util.validation import Floats
 from ..scene.casters import SAVING
-from ..scene.emission_region import SUN, EmissionRegion, Sphere
+from ..scene.emission_region import AREA, SUN, EmissionRegion, Sphere
 from ..scene.emitters import Emitter
 
 Bools = NDArray[np.bool_]
@@ -82,7 +82,7 @@ def _in_chart(emitter: Emitter, region: EmissionRegion, whole: EmissionRegion) -
     """A region whose emitter coordinates are those of the whole one."""
     if region.is_plane:
         same = whole.kind == region.kind and np.abs(region.frame - whole.frame).max() < _SAME_FRAME
-        if region.kind == SUN:
+        if region.target is not None and whole.target is not None:
             offset = whole.frame @ (region.target - whole.target)
         else:
             offset = whole.frame[:2] @ (region.origin - whole.origin)
@@ -121,10 +121,12 @@ def _overlaps(regions: list[EmissionRegion], radius: Floats, distance: Floats) -
     """Matrix (m, m), true for regions that may have rays in common.
 
     Those of suns do where the nearest that any direction of the light takes their targets to one
-    another is less than the sum of their radii.
+    another is less than the sum of their radii; those of areas always may.
     """
+    if regions[0].kind == AREA:
+        return np.ones(distance.shape, dtype=bool)
     if regions[0].kind == SUN:
-        centres = np.array([region.target for region in regions])
+        centres = np.array([region.outline[0] for region in regions])
         along = (centres[:, np.newaxis] - centres) @ regions[0].frame[2]
         aside = np.sqrt(np.maximum(distance**2 - along**2, 0.0))
         angle = np.arccos(1.0 - regions[0].shape[1])

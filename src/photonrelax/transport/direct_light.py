@@ -135,7 +135,8 @@ class _DirectLight:
                 n, lights = 1, [emitter.direct(position, offset)]
             for light in lights:
                 checked = _checked(light, emitter, m)
-                rays = shadow_rays(frame, position, normal, **checked._asdict())
+                aimed = emitter.surface is not None
+                rays = shadow_rays(frame, position, normal, aimed=aimed, **checked._asdict())
                 self._add(total, rays, offset, absorption, n)
 
     def _sampled(self, emitter_id: int, position: Floats, rows: slice) -> Iterator[DirectLight]:

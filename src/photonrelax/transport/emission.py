@@ -59,6 +59,11 @@ class AimedRegion(NamedTuple):
     region: EmissionRegion
     outlines: Floats
 
+    @property
+    def is_thinned(self) -> bool:
+        """True if not all candidates are photons."""
+        return self.region.is_thinned or len(self.outlines) > 0
+
 
 @dataclass(frozen=True, eq=False)
 class EmissionPlan:
@@ -72,7 +77,7 @@ class EmissionPlan:
     aimed : tuple of AimedRegion
         One or more per emitter, in the order of the emitters.
     starts : tuple of sequences of int
-        For regions that others overlap, the candidates that are their photons 0, 1024, ….
+        Candidates that are photons 0, 1024, … of regions not all of whose candidates are photons.
     counts, candidates : (n_regions,) int64
         Photons of each region, none where no flux leaves through it, and its candidates.
     seed, sampler : int, str
@@ -198,7 +203,7 @@ def plan_emission(
     draw = partial(_emission, n_candidates=0, seed=check_seed(seed), sampler=sampler)
     aimed = _aimed(scene, paths, n_emitted)
     # Whole regions are not sampled for it: there may be many emitters.
-    shares = [draw(each).share(_N_PILOT) if len(each.outlines) else 1.0 for each in aimed]
+    shares = [draw(each).share(_N_PILOT) if each.is_thinned else 1.0 for each in aimed]
     weights = [luminance(each.region) * share for each, share in zip(aimed, shares, strict=True)]
     if not any(weights):
         what = "the specular objects" if paths == "caustic" else "the scene"
@@ -208,7 +213,7 @@ def plan_emission(
         )
     found = [
         draw(each).photons(n, _STARTS_EVERY, min(int(_MAX_TRIES * n / share), 2**62))
-        if len(each.outlines)
+        if each.is_thinned
         else ((), n, n)
         for each, n, share in zip(aimed, _apportion(n_emitted, weights), shares, strict=True)
     ]
@@ -271,6 +276,9 @@ def _emission(aimed: AimedRegion, n_candidates: int, seed: int, sampler: str) ->
             start_distance=region.start_distance,
             coords_offset=region.coords_offset,
             density=n_candidates / region.area if n_candidates else 0.0,
+            target=region.target,
+            triangles=region.triangles,
+            cumulative=region.cumulative,
         ),
         seed,
         stream,
@@ -310,7 +318,7 @@ def _targets(scene: Scene, paths: str) -> tuple[tuple[Sphere, ...], Sphere, Sphe
     Light is stored on sensors after it has met another object, unless paths are "all".
     """
     check_choice(paths, "paths", PATHS)
-    whole = scene.bounding_sphere(range(len(scene.objects)) if paths == "all" else None)
+    whole = scene.bounding_sphere(range(len(scene.surfaces)) if paths == "all" else None)
     if paths != "caustic":
         return (whole,), whole, whole
     if not scene.specular_objects:

@@ -52,6 +52,8 @@ class HitPoints:
     footprint : (m, 2, 3), optional
         Edges of the part of the surface that the point stands for, m: the changes of its position
         over the width and the height of a sample, by ray differentials (Igehy 1999).
+    emission : (m, 3), optional
+        Radiance that the point emits to the camera, W/(m² sr); None where no surface emits.
     """
 
     pixel: NDArray[np.int64]
@@ -61,6 +63,7 @@ class HitPoints:
     weight: Floats
     object_id: NDArray[np.int32]
     footprint: Floats | None = None
+    emission: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.pixel)
@@ -140,7 +143,7 @@ def trace_hit_points(
         np.concatenate([batch.first.normal for batch in done]),
         np.concatenate([batch.first.depth for batch in done]),
     )
-    return _hit_points([batch.seen for batch in done], tracer.materials), first
+    return _hit_points([batch.seen for batch in done], tracer.materials, scene), first
 
 
 class _Batch(NamedTuple):
@@ -220,6 +223,24 @@ class _CameraTracer:
         return FirstSurfaces(normal.reshape(*shape, 3), depth.reshape(shape)), found
 
 
-def _hit_points(batches: list[dict[str, NDArray]], materials: Materials) -> HitPoints:
+def _hit_points(batches: list[dict[str, NDArray]], materials: Materials, scene: Scene) -> HitPoints:
     columns = {name: np.concatenate([some[name] for some in batches]) for name in batches[0]}
-    return HitPoints(**columns, albedo=materials.table.reflectance[columns["object_id"]])
+    surface, from_behind = columns.pop("object_id"), columns.pop("from_behind")
+    return HitPoints(
+        **columns,
+        albedo=materials.table.reflectance[surface],
+        object_id=scene.surface_ids[surface],
+        emission=_emission(scene, surface, from_behind),
+    )
+
+
+def _emission(scene: Scene, surface: NDArray, from_behind: NDArray[np.bool_]) -> Floats | None:
+    """Radiance (m, 3) that points emit to the camera; None in scenes where nothing emits."""
+    emitters = [emitter for emitter in scene.emitters if emitter.surface is not None]
+    if not emitters:
+        return None
+    emission = np.zeros((len(surface), 3))
+    for number, emitter in enumerate(emitters, len(scene.objects)):
+        seen = surface == number
+        emission[seen] = emitter.surface_radiance(from_behind[seen])
+    return emission

@@ -8,12 +8,23 @@ cdef class EmissionRegion:
     cdef double start_distance, density
     cdef const double[::1] origin, shape, coords_offset
     cdef const double[:, ::1] frame
+    # Of extended emitters, else None.
+    cdef const double[::1] target, cumulative
+    cdef const double[:, :, ::1] triangles
 
     cdef void to_world(self, double* out, const double* local) noexcept nogil
     cdef double from_point(self, double* direction, double u, double v) noexcept nogil
     cdef double from_plane(
         self, double* origin, double* direction, double* coords, double u, double v
     ) noexcept nogil
+    cdef double from_area(
+        self, double* origin, double* direction, double* coords, const double* point
+    ) noexcept nogil
+    cdef void at_area(self, double* position, double* normal, const double* point) noexcept nogil
+    cdef double to_target(
+        self, double* direction, const double* origin, const double* point
+    ) noexcept nogil
+    cdef double taken(self, const double* point) noexcept nogil
     cdef double from_sun(
         self, double* origin, double* direction, double* coords, const double* point
     ) noexcept nogil
@@ -35,6 +46,7 @@ cdef class Emission:
 
     cdef uint64_t key(self, uint64_t index) noexcept nogil
     cdef bint accepts(self, uint64_t index) noexcept nogil
+    cdef void point(self, uint64_t index, double* point) noexcept nogil
     cdef double ray(
         self, uint64_t index, double* origin, double* direction, double* coords
     ) noexcept nogil

@@ -7,7 +7,7 @@ from libc.stdint cimport int64_t, uint8_t, uint64_t
 
 from ..common.rng cimport hash_key, uniform
 from ..common.threads cimport ELEMENTS, Watch, close_watch, goes_on, open_watch, team_size
-from ..common.vec3 cimport dot, normalise, orthonormal_frame
+from ..common.vec3 cimport copy, cross, dot, normalise, orthonormal_frame
 from .sampling cimport (
     cap_direction, disk_point, radical_inverse, radical_inverse_2, radical_inverse_3,
     sphere_direction, wrapped,
@@ -23,6 +23,7 @@ cdef enum:
     ELLIPSE = 3
     SPOT = 4
     SUN = 5
+    AREA = 6
 
 cdef enum:
     # Candidates between looks for signals.
@@ -35,6 +36,7 @@ cdef double SMALLEST_REST = 2.0**-53
 cdef enum:
     OF_SELECTION = 2
     OF_ANGLE = 1 << 30
+    OF_SHARE = OF_ANGLE + 2
 
 
 cdef double squared_distance(const double* centre, const double* point) noexcept nogil:
@@ -45,15 +47,17 @@ cdef double squared_distance(const double* centre, const double* point) noexcept
     return squared
 
 
-cdef double squared_distance_to_line(
+cdef double squared_distance_to_ray(
     const double* centre, const double* origin, const double* direction
 ) noexcept nogil:
     cdef double[3] offset, aside
+    cdef double along
     cdef int c
     for c in range(3):
         offset[c] = centre[c] - origin[c]
+    along = max(dot(offset, direction), 0.0)
     for c in range(3):
-        aside[c] = offset[c] - dot(offset, direction) * direction[c]
+        aside[c] = offset[c] - along * direction[c]
     return dot(aside, aside)
 
 
@@ -111,7 +115,8 @@ cdef class EmissionRegion:
     def __init__(
         self, int kind, const double[::1] origin, const double[:, ::1] frame,
         const double[::1] shape, *, double start_distance, const double[::1] coords_offset,
-        double density,
+        double density, const double[::1] target=None, const double[:, :, ::1] triangles=None,
+        const double[::1] cumulative=None,
     ):
         self.kind = kind
         self.origin = origin
@@ -120,6 +125,7 @@ cdef class EmissionRegion:
         self.start_distance = start_distance
         self.coords_offset = coords_offset
         self.density = density
+        self.target, self.triangles, self.cumulative = target, triangles, cumulative
 
     cdef void to_world(self, double* out, const double* local) noexcept nogil:
         cdef int c
@@ -190,16 +196,89 @@ cdef class EmissionRegion:
             origin[c] += self.origin[c] + upstream * (self.frame[2, c] - direction[c])
         return self.density
 
+    cdef double from_area(
+        self, double* origin, double* direction, double* coords, const double* point
+    ) noexcept nogil:
+        """Write a ray from an area to the target and its direction as coordinates."""
+        cdef double[3] normal
+        cdef double cosine
+        self.at_area(origin, normal, point)
+        self.to_target(direction, origin, point)
+        cosine = dot(normal, direction)
+        copy(coords, direction)
+        for c in range(3):
+            origin[c] += (self.start_distance if cosine > 0.0 else -self.start_distance) * normal[c]
+        return self.density * (self.shape[3] if self.shape[3] > 0.0 else fabs(cosine))
+
+    cdef void at_area(self, double* position, double* normal, const double* point) noexcept nogil:
+        """Write a point of an area, uniform over it, and the normal there."""
+        cdef Py_ssize_t first = 0, last = self.cumulative.shape[0] - 1, middle
+        cdef const double* corner
+        cdef double[3] u, v
+        cdef double below, along
+        cdef int c
+        while first < last:
+            middle = (first + last) // 2
+            if self.cumulative[middle] <= point[2]:
+                first = middle + 1
+            else:
+                last = middle
+        below = self.cumulative[first - 1] if first > 0 else 0.0
+        along = sqrt((point[2] - below) / (self.cumulative[first] - below))
+        corner = &self.triangles[first, 0, 0]
+        for c in range(3):
+            u[c] = corner[3 + c] - corner[c]
+            v[c] = corner[6 + c] - corner[c]
+            position[c] = corner[c] + along * ((1.0 - point[3]) * u[c] + point[3] * v[c])
+        cross(normal, u, v)
+        normalise(normal)
+
+    cdef double to_target(
+        self, double* direction, const double* origin, const double* point
+    ) noexcept nogil:
+        """Write a direction to the target, uniform over it; return 1 - cos of its half angle."""
+        cdef double[3] axis, across, along, local
+        cdef double[2] disk
+        cdef double distance, sine, one_minus_cos
+        cdef int c
+        for c in range(3):
+            axis[c] = self.target[c] - origin[c]
+        distance = sqrt(dot(axis, axis))
+        if distance <= self.shape[0]:
+            sphere_direction(direction, point[0], point[1])
+            return 2.0
+        sine = self.shape[0] / distance
+        one_minus_cos = sine * sine / (1.0 + sqrt((1.0 - sine) * (1.0 + sine)))
+        normalise(axis)
+        disk_point(disk, point[0], point[1])
+        cap_direction(local, disk, one_minus_cos)
+        orthonormal_frame(across, along, axis)
+        for c in range(3):
+            direction[c] = local[0] * across[c] + local[1] * along[c] + local[2] * axis[c]
+        normalise(direction)
+        return one_minus_cos
+
+    cdef double taken(self, const double* point) noexcept nogil:
+        """Share of a candidate that is a photon of an area: its cosine and solid angle."""
+        cdef double[3] origin, normal, direction
+        cdef double one_minus_cos, cosine
+        self.at_area(origin, normal, point)
+        one_minus_cos = self.to_target(direction, origin, point)
+        cosine = dot(normal, direction)
+        return (fabs(cosine) if self.shape[2] > 0.0 else cosine) * one_minus_cos / self.shape[1]
+
     cdef double ray(
         self, double* origin, double* direction, double* coords, const double* point
     ) noexcept nogil:
-        """Write the ray and coordinates of a point of the unit square, or hypercube of a sun."""
+        """Write the ray and coordinates of a point of the unit square, or hypercube if extended."""
         cdef double density
         cdef int c
         if self.kind == DISK:
             return self.from_plane(origin, direction, coords, point[0], point[1])
         if self.kind == SUN:
             return self.from_sun(origin, direction, coords, point)
+        if self.kind == AREA:
+            return self.from_area(origin, direction, coords, point)
         density = self.from_point(direction, point[0], point[1])
         for c in range(3):
             coords[c] = direction[c]
@@ -226,7 +305,7 @@ cdef class Emission:
         self.seed = seed
         self.stream = stream
         self.outlines = outlines
-        self.n_numbers = 4 if region.kind == SUN else 2
+        self.n_numbers = 4 if region.kind == SUN or region.kind == AREA else 2
         self.halton = shift.shape[0] > 0
         if self.halton and shift.shape[0] < self.n_numbers:
             raise ValueError(f"shift should have {self.n_numbers} numbers")
@@ -292,13 +371,19 @@ cdef class Emission:
         cdef double[3] origin
         cdef double[3] direction
         cdef double[3] coords
+        cdef double[4] point
         cdef double squared
         cdef Py_ssize_t i
         coords[2] = 0.0
-        self.ray(index, origin, direction, coords)
+        self.point(index, point)
+        if self.region.kind == AREA and (
+            uniform(self.key(index), OF_SHARE) >= self.region.taken(point)
+        ):
+            return False
+        self.region.ray(origin, direction, coords, point)
         for i in range(self.outlines.shape[0]):
-            if self.region.kind == SUN:
-                squared = squared_distance_to_line(&self.outlines[i, 0], origin, direction)
+            if self.region.kind == SUN or self.region.kind == AREA:
+                squared = squared_distance_to_ray(&self.outlines[i, 0], origin, direction)
             else:
                 squared = squared_distance(&self.outlines[i, 0], coords)
             if (squared < fabs(self.outlines[i, 3])) == (self.outlines[i, 3] > 0.0):
@@ -310,6 +395,11 @@ cdef class Emission:
     ) noexcept nogil:
         """Write a photon's primal ray and emitter coordinates, and return its density."""
         cdef double[4] point
+        self.point(index, point)
+        return self.region.ray(origin, direction, coords, point)
+
+    cdef void point(self, uint64_t index, double* point) noexcept nogil:
+        """Write the point of the unit square or hypercube of a candidate."""
         cdef uint64_t key
         if self.halton:
             point[0] = wrapped(radical_inverse_2(index), self.shift[0])
@@ -322,7 +412,6 @@ cdef class Emission:
             point[0], point[1] = uniform(key, 0), uniform(key, 1)
             if self.n_numbers == 4:
                 point[2], point[3] = uniform(key, OF_ANGLE), uniform(key, OF_ANGLE + 1)
-        return self.region.ray(origin, direction, coords, point)
 
 
 def emit(

@@ -7,7 +7,7 @@ a sample (ray differentials, Igehy 1999), which are the edges of the sample on t
 
 cimport cython
 from libc.math cimport INFINITY, fabs, isfinite, sqrt
-from libc.stdint cimport int32_t, int64_t, uint64_t
+from libc.stdint cimport int32_t, int64_t, uint8_t, uint64_t
 
 import numpy as np
 
@@ -26,6 +26,7 @@ cdef struct SeenPoint:
     double[2][3] footprint
     int64_t pixel
     int32_t object_id
+    bint from_behind
 
 
 cdef struct CameraRay:
@@ -214,12 +215,14 @@ cdef class CameraPaths:
         cdef Py_ssize_t i, m = self.n_seen
         cdef int64_t[::1] pixel = np.empty(m, np.int64)
         cdef int32_t[::1] object_id = np.empty(m, np.int32)
+        cdef uint8_t[::1] from_behind = np.empty(m, np.uint8)
         cdef double[:, ::1] position = np.empty((m, 3)), normal = np.empty((m, 3))
         cdef double[:, ::1] weight = np.empty((m, 3))
         cdef double[:, :, ::1] footprint = np.empty((m, 2, 3))
         with nogil:
             for i in range(m):
                 pixel[i], object_id[i] = self.seen[i].pixel, self.seen[i].object_id
+                from_behind[i] = self.seen[i].from_behind
                 copy(&position[i, 0], self.seen[i].position)
                 copy(&normal[i, 0], self.seen[i].normal)
                 copy(&weight[i, 0], self.seen[i].weight)
@@ -231,6 +234,7 @@ cdef class CameraPaths:
             "normal": normal.base,
             "weight": weight.base,
             "object_id": object_id.base,
+            "from_behind": from_behind.base.view(np.bool_),
             "footprint": footprint.base,
         }
 
@@ -315,6 +319,7 @@ cdef class CameraPaths:
         self.n_seen += 1
         point.pixel = at.ray.pixel
         point.object_id = at.hit.object_id
+        point.from_behind = at.inside
         copy(point.position, at.hit.position)
         seen_normal(point.normal, at.ray.direction, &at.hit)
         copy(point.weight, at.ray.weight)
