@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from .scene.emitters import LambertianEmitter as LambertianEmitter
     from .scene.emitters import PointEmitter as PointEmitter
     from .scene.emitters import SpotEmitter as SpotEmitter
+    from .scene.environment import EnvironmentEmitter as EnvironmentEmitter
     from .scene.materials import Dielectric as Dielectric
     from .scene.materials import Diffuse as Diffuse
     from .scene.materials import Mirror as Mirror
@@ -71,6 +72,7 @@ _MODULE_OF = {
     "DiffusionSettings": "estimation.diffusion",
     "Disk": "scene.shapes",
     "EnergyLedger": "photons.energy_ledger",
+    "EnvironmentEmitter": "scene.environment",
     "Field": "estimation.field",
     "FrequencySettings": "estimation.frequency",
     "GatherSettings": "estimation.nearest",

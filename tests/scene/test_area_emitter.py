@@ -179,6 +179,28 @@ def test_the_back_of_a_lamp_is_dark_unless_it_is_two_sided():
         np.testing.assert_allclose(image.layers["emission"], np.tile(expected, (8, 8, 1)))
 
 
+def test_noise_of_a_lamps_shadow_is_below_two_per_cent_of_a_pixel():
+    """The default's RMS difference from many samples, over the light without the shadow."""
+    edge = sheet(1.0, z=1.0)
+    edge.apply_translation((1.0, 0, 0))
+    glass = pr.SceneObject(ball(0.1, (5, 5, 1)), pr.Dielectric())
+    camera = pr.Camera((0, 0, 0.5), (0, 0, 0), (0, 1, 0), width=24, height=24, vertical_fov=60.0)
+    lamp = pr.AreaEmitter(PANEL, power=10.0)
+    objects = [floor(), pr.SceneObject(edge, pr.Diffuse(0.0)), glass]
+    images = [
+        pr.render(
+            pr.Scene(objects, [lamp], camera),
+            method="standard",
+            n_emitted=20_000,
+            light_samples=n,
+        ).layers["direct"]
+        for n in (None, 1000)
+    ]
+    unshadowed = images[1].max()
+    assert 0.0 < images[1].min() < 0.5 * unshadowed
+    assert np.sqrt(np.mean((images[0] - images[1]) ** 2)) < 0.02 * unshadowed
+
+
 def test_scenes_without_surfaces_that_emit_have_no_layer_of_emission():
     image = pr.render(pr.gallery.scene("ring", pixels=8, sections=64), n_emitted=2000)
     assert "emission" not in image.layers

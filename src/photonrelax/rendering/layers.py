@@ -79,8 +79,11 @@ def _albedo(band: Band, estimates: Estimates) -> Floats:
 
 
 def _emission(band: Band, estimates: Estimates) -> Floats | None:
-    hits = band.hits
-    return None if hits.emission is None else band.sums(hits.weight * hits.emission)
+    hits, background = band.hits, band.first.background
+    if hits.emission is None:
+        return background
+    emission = band.sums(hits.weight * hits.emission)
+    return emission if background is None else emission + background
 
 
 RECORDS = (
@@ -91,7 +94,7 @@ RECORDS = (
         lambda band, _: band.radiance(band.direct),
         is_light=True,
     ),
-    Layer("emission", "radiance of emitters seen", _emission, is_light=True),
+    Layer("emission", "radiance of emitters and background seen", _emission, is_light=True),
     Layer("albedo", "of the diffuse surfaces seen", _albedo),
     Layer("N", "normal of the first surface", lambda band, _: band.first.normal),
     Layer(

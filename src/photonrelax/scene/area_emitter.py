@@ -139,17 +139,20 @@ class AreaEmitter(Emitter):
 
     def direct(self, position: Floats, emitter_offset: float) -> DirectLight:
         """Return the light as if all came from the middle of the surface."""
-        return self.sampled(position, emitter_offset, np.full((len(position), 2), 0.5))
+        middle = np.full((len(position), 2), 0.5)
+        return self.sampled(position, position, emitter_offset, middle)
 
-    def sampled(self, position: Floats, emitter_offset: float, sample: Floats) -> DirectLight:
+    def sampled(
+        self, position: Floats, normal: Floats, emitter_offset: float, sample: Floats
+    ) -> DirectLight:
         """Return light from points that are uniform over the surface."""
         face, point = self._points(sample)
-        normal = self._normals[face]
+        outwards = self._normals[face]
         away = position - point
-        facing = np.einsum("ni,ni->n", away, normal)
+        facing = np.einsum("ni,ni->n", away, outwards)
         # Rays end off the surface, on the side that is seen.
         side = np.where(facing < 0.0, -1.0, 1.0) if self.two_sided else 1.0
-        to_light = point + np.multiply(emitter_offset, side * normal.T).T - position
+        to_light = point + np.multiply(emitter_offset, side * outwards.T).T - position
         distance = np.linalg.norm(to_light, axis=1)
         near = distance <= emitter_offset
         distance[near] = 1.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -79,9 +79,9 @@ class EmissionRegion:
         normal and axis of the cap, cos and sin of its half angle. Spot: 1 - cos of its inner and
         outer angles; `SpotLobe.content` where the sector begins and ends; half its azimuth, rad.
         Sun: radius of the disks, m; 1 - cos of the half angle of the cap; distance from `origin`
-        to the centre of the disks' spheres of light, m. Area: radius of the target, m; 1 - cos of
-        the largest half angle under which it is seen; 1 if both sides emit; density over that of
-        the candidates, or 0 where it follows the cosine.
+        to the centre of the disks' spheres of light, m; 1 if emitter coordinates are zero. Area:
+        radius of the target, m; 1 - cos of the largest half angle under which it is seen; 1 if both
+        sides emit; density over that of the candidates, or 0 where it follows the cosine.
     area : float
         Of the region in its chart: m², sr, or sr weighted with the cosine or falloff of a lobe.
     flux : (3,) float64
@@ -200,6 +200,16 @@ def sun_region(
     )
 
 
+def environment_region(radiance: Floats, target: Sphere, scene: Sphere) -> EmissionRegion:
+    """Return disks across all directions that cover the target, upstream of the whole scene."""
+    sun = sun_region(np.array([0.0, 0.0, -1.0]), radiance, 0.0, target, scene)
+    return replace(
+        sun,
+        shape=np.array([target.radius, 2.0, sun.shape[2], 1.0]),
+        flux=4.0 * np.pi * sun.area * radiance,
+    )
+
+
 def area_region(
     triangles: Floats,
     normals: Floats,
@@ -292,6 +302,21 @@ def cap_directions(axis: Floats, one_minus_cos: float, sample: Floats) -> Floats
     local = np.column_stack([aside * np.cos(azimuth), aside * np.sin(azimuth), 1.0 - drop])
     directions: Floats = local @ _frame(axis)
     return directions
+
+
+def cosine_directions(normal: Floats, sample: Floats) -> tuple[Floats, Floats]:
+    """Directions (m, 3) around normals (m, 3) by the cosine, for samples (m, 2), and cosines."""
+    # No sample is on the horizon, as they are below 1.
+    cosine, azimuth = np.sqrt(1.0 - sample[:, 0]), 2.0 * np.pi * sample[:, 1]
+    aside = np.sqrt(sample[:, 0])
+    # A frame around each normal (Duff et al. 2017).
+    x, y, z = normal.T
+    sign = np.where(z >= 0.0, 1.0, -1.0)
+    a = -1.0 / (sign + z)
+    u = np.array([1.0 + sign * x * x * a, sign * x * y * a, -sign * x])
+    v = np.array([x * y * a, sign + y * y * a, -y])
+    directions = aside * (np.cos(azimuth) * u + np.sin(azimuth) * v) + cosine * normal.T
+    return np.ascontiguousarray(directions.T), cosine
 
 
 def cosine_lobe_region(

@@ -102,10 +102,17 @@ class Emitter(ABC):
         That of an extended emitter is as if all came from its middle.
         """
 
-    def sampled(self, position: Floats, emitter_offset: float, sample: Floats) -> DirectLight:
+    @property
+    def background(self) -> Floats | None:
+        """Radiance (3,) that is seen where there is no surface, W/(m² sr); None of others."""
+        return None
+
+    def sampled(
+        self, position: Floats, normal: Floats, emitter_offset: float, sample: Floats
+    ) -> DirectLight:
         """Return light of which the mean over all samples (m, 2), in [0, 1)², is that at points.
 
-        As `direct` for emitters that are not extended.
+        `normal` (m, 3) is on the lit side. As `direct` for emitters that are not extended.
         """
         return self.direct(position, emitter_offset)
 
@@ -158,7 +165,9 @@ class CollimatedEmitter(Emitter):
         """Return the same light at all points."""
         return self._from(np.tile(-np.asarray(self.direction), (len(position), 1)), 1.0)
 
-    def sampled(self, position: Floats, emitter_offset: float, sample: Floats) -> DirectLight:
+    def sampled(
+        self, position: Floats, normal: Floats, emitter_offset: float, sample: Floats
+    ) -> DirectLight:
         """Return light from directions that are uniform over the sun."""
         one_minus_cos = 2.0 * np.sin(0.5 * np.radians(self.angular_radius)) ** 2
         to_sun = cap_directions(-np.asarray(self.direction), one_minus_cos, sample)

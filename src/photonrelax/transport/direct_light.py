@@ -130,7 +130,7 @@ class _DirectLight:
         for number, (emitter, offset, absorption) in enumerate(self._emitters):
             lights: Iterable[DirectLight]
             if emitter.is_extended:
-                n, lights = self._samples.n, self._sampled(number, position, rows)
+                n, lights = self._samples.n, self._sampled(number, position, normal, rows)
             else:
                 n, lights = 1, [emitter.direct(position, offset)]
             for light in lights:
@@ -139,7 +139,9 @@ class _DirectLight:
                 rays = shadow_rays(frame, position, normal, aimed=aimed, **checked._asdict())
                 self._add(total, rays, offset, absorption, n)
 
-    def _sampled(self, emitter_id: int, position: Floats, rows: slice) -> Iterator[DirectLight]:
+    def _sampled(
+        self, emitter_id: int, position: Floats, normal: Floats, rows: slice
+    ) -> Iterator[DirectLight]:
         """Yield samples of the light of an extended emitter at points."""
         emitter, offset, _ = self._emitters[emitter_id]
         samples, stream = self._samples, _STREAM + emitter_id
@@ -147,7 +149,7 @@ class _DirectLight:
             sample = emitter_samples(
                 samples.seed, stream, self._pixel[rows], self._number[rows] + number
             )
-            yield emitter.sampled(position, offset, sample)
+            yield emitter.sampled(position, normal, offset, sample)
 
     def _add(
         self, total: Floats, rays: ShadowRays, offset: float, absorption: Floats, n_samples: int

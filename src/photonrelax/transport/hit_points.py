@@ -6,7 +6,7 @@ surface.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -80,10 +80,14 @@ class FirstSurfaces:
         samples that hit nothing.
     depth : (rows, width)
         Distance along the viewing axis, m, the least over the samples; inf where nothing is hit.
+    background : (rows, width, 3), optional
+        Radiance of what is behind everything, also in mirrors and through glass, W/(m² sr); None in
+        scenes without.
     """
 
     normal: Floats
     depth: Floats
+    background: Floats | None = None
 
 
 def trace_hit_points(
@@ -142,8 +146,15 @@ def trace_hit_points(
     first = FirstSurfaces(
         np.concatenate([batch.first.normal for batch in done]),
         np.concatenate([batch.first.depth for batch in done]),
+        _concatenated([batch.first.background for batch in done]),
     )
     return _hit_points([batch.seen for batch in done], tracer.materials, scene), first
+
+
+def _concatenated(parts: list[Floats | None]) -> Floats | None:
+    """Arrays as one; None if there are none."""
+    given = [part for part in parts if part is not None]
+    return np.concatenate(given) if given else None
 
 
 class _Batch(NamedTuple):
@@ -175,6 +186,8 @@ class _CameraTracer:
         self._changes = sample_changes(camera, supersampling)
         self._axis = camera.axes()[2]
         self._extent = scene.scale
+        backgrounds = [emitter.background for emitter in scene.emitters]
+        self._background = [radiance for radiance in backgrounds if radiance is not None]
 
     def trace(self, rows: range) -> _Batch:
         """Trace the rays of some rows of the image."""
@@ -184,6 +197,7 @@ class _CameraTracer:
             self._caster.triangles,
             least_weight=_MIN_WEIGHT,
             longest_edge=self._extent,
+            keep_escaped=bool(self._background),
         )
         first, found = self._start(paths, rows)
         for _ in range(self._max_depth):
@@ -194,7 +208,22 @@ class _CameraTracer:
             paths.advance(found)
         seen = paths.seen_points()
         seen["weight"] /= self._supersampling**2
+        if self._background:
+            first = self._with_background(first, seen, rows)
+            on_surface = seen["object_id"] >= 0
+            seen = {name: column[on_surface] for name, column in seen.items()}
         return _Batch(seen, first, paths.n_overflows)
+
+    def _with_background(
+        self, first: FirstSurfaces, seen: dict[str, NDArray], rows: range
+    ) -> FirstSurfaces:
+        """First surfaces with the background that rays of their pixels escape to."""
+        escaped = seen["object_id"] < 0
+        pixel = seen["pixel"][escaped] - rows.start * self._camera.width
+        weight = np.zeros(first.normal.shape).reshape(-1, 3)
+        np.add.at(weight, pixel, seen["weight"][escaped])
+        radiance = weight.reshape(first.normal.shape) * np.sum(self._background, axis=0)
+        return replace(first, background=radiance)
 
     def _start(self, paths: CameraPaths, rows: range) -> tuple[FirstSurfaces, EmbreeHits]:
         """Start the rays of some rows, in their media and off the surfaces that they start on.

@@ -185,8 +185,10 @@ cdef class EmissionRegion:
         cap_direction(local, disk, self.shape[1])
         orthonormal_frame(across, along, local)
         disk_point(disk, point[0], point[1])
-        coords[0] = self.shape[0] * disk[0] + dot(&self.coords_offset[0], across)
-        coords[1] = self.shape[0] * disk[1] + dot(&self.coords_offset[0], along)
+        coords[0] = coords[1] = 0.0
+        if self.shape[3] == 0.0:
+            coords[0] = self.shape[0] * disk[0] + dot(&self.coords_offset[0], across)
+            coords[1] = self.shape[0] * disk[1] + dot(&self.coords_offset[0], along)
         self.to_world(direction, local)
         normalise(direction)
         for c in range(3):

@@ -60,12 +60,15 @@ cdef class CameraPaths:
         Rays of less weight in every channel are not followed.
     longest_edge : float
         Limit of the edges of footprints, m: at grazing angles they have none.
+    keep_escaped : bool
+        Record rays that hit nothing as points of object -1.
     """
 
     cdef Materials materials
     cdef EmbreeFrame frame
     cdef Triangles triangles
     cdef double least_weight, longest_edge
+    cdef bint keep_escaped
     # Rays of this level and of the next, (n, sizeof(CameraRay)).
     cdef unsigned char[::1] memory, next_memory
     cdef CameraRay* ray
@@ -82,10 +85,11 @@ cdef class CameraPaths:
 
     def __init__(
         self, Materials materials, EmbreeFrame frame, Triangles triangles, *, double least_weight,
-        double longest_edge,
+        double longest_edge, bint keep_escaped=False,
     ):
         self.materials, self.frame, self.triangles = materials, frame, triangles
         self.least_weight, self.longest_edge = least_weight, longest_edge
+        self.keep_escaped = keep_escaped
         self.memory = self.next_memory = np.empty(0, np.uint8)
         self.origins = np.empty((0, 3), np.float32)
         self.seen_memory = np.empty(0, np.uint8)
@@ -298,6 +302,8 @@ cdef class CameraPaths:
         cdef double[3] transmitted
         cdef int c
         if not self.refine(&at.hit, found, row):
+            if self.keep_escaped:
+                self.record_escape(&self.ray[row])
             return target
         at.ray = self.ray[row]
         at.triangle = found.triangle[row]
@@ -312,6 +318,13 @@ cdef class CameraPaths:
             self.record(&at)
             return target
         return self.split(&at, target)
+
+    cdef void record_escape(self, const CameraRay* ray) noexcept nogil:
+        """Record a ray that hits nothing: its pixel and weight."""
+        cdef SeenPoint* point = &self.seen[self.n_seen]
+        self.n_seen += 1
+        point[0] = SeenPoint(pixel=ray.pixel, object_id=-1)
+        copy(point.weight, ray.weight)
 
     cdef void record(self, const Meeting* at) noexcept nogil:
         cdef SeenPoint* point = &self.seen[self.n_seen]
