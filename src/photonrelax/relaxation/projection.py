@@ -44,7 +44,8 @@ class SurfaceProjector:
         if photons.object_id is None:
             raise ValueError("photons should have an object_id to be kept on the scene's objects")
         surface = _surfaces_of(photons.object_id, scene)
-        photons = photons.replace(object_id=surface)
+        if surface is not photons.object_id:
+            photons = photons.replace(object_id=surface)
         self._n_photons = len(photons)
         self._parts: list[tuple[_Part, NDArray[np.intp] | None]] = []
         on_sensor = np.isin(surface, scene.sensors)
@@ -96,11 +97,14 @@ class SurfaceProjector:
         return projected, projected_normal
 
 
-def _surfaces_of(object_id: NDArray[np.int32], scene: Scene) -> NDArray[np.intp]:
+def _surfaces_of(object_id: NDArray[np.int32], scene: Scene) -> NDArray[np.int32]:
     """Indices (n,) of the surfaces of a scene that photons are on, by their `object_id`."""
-    ids = scene.surface_ids
-    surface = np.searchsorted(ids, object_id)
-    if (ids[np.minimum(surface, len(ids) - 1)] != object_id).any():
+    ids, surface = scene.surface_ids, object_id
+    known = object_id.min() >= 0 and object_id.max() <= ids[-1]
+    if known and ids[-1] >= len(ids):
+        surface = np.searchsorted(ids, object_id).astype(np.int32)
+        known = bool((ids[surface] == object_id).all())
+    if not known:
         raise ValueError(
             f"object_id should be of the scene's {len(scene.objects)} objects, but ranges from "
             f"{object_id.min()} to {object_id.max()}"

@@ -140,11 +140,17 @@ class Scene:
     def surface_ids(self) -> NDArray[np.int32]:
         """The `object_id` of photons on each of the surfaces.
 
-        That of an emitter is the number of objects plus its index among all emitters.
+        That of an emitter is the number of objects plus its index among all emitters: these are
+        the indices of the surfaces unless an emitter without a surface comes before.
         """
         n = len(self.objects)
         emitting = [n + i for i, each in enumerate(self.emitters) if each.surface is not None]
         return np.array([*range(n), *emitting], dtype=np.int32)
+
+    def ids_of(self, surface: NDArray[np.int32]) -> NDArray[np.int32]:
+        """The `object_id` of photons on surfaces, by their indices; the same array if it may be."""
+        ids = self.surface_ids
+        return surface if ids[-1] == len(ids) - 1 else ids[surface]
 
     @property
     def specular_objects(self) -> tuple[int, ...]:

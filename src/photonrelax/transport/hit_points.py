@@ -258,7 +258,7 @@ def _hit_points(batches: list[dict[str, NDArray]], materials: Materials, scene: 
     return HitPoints(
         **columns,
         albedo=materials.table.reflectance[surface],
-        object_id=scene.surface_ids[surface],
+        object_id=scene.ids_of(surface),
         emission=_emission(scene, surface, from_behind),
     )
 

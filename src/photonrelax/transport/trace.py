@@ -269,13 +269,10 @@ class _Columns:
         )
         return first
 
-    def finished(self, surface_ids: NDArray[np.int32]) -> dict[str, NDArray]:
-        """Return the columns, ready to be frozen without a copy.
-
-        `surface_ids` are the ids of the surfaces that photons are on.
-        """
+    def finished(self, scene: Scene) -> dict[str, NDArray]:
+        """Return the columns of a scene's photons, ready to be frozen without a copy."""
         self._resize(self._n_stored)
-        self._arrays["object_id"] = surface_ids[self._arrays["object_id"]]
+        self._arrays["object_id"] = scene.ids_of(self._arrays["object_id"])
         for array in self._arrays.values():
             array.setflags(write=False)
         return self._arrays
@@ -304,7 +301,7 @@ def _photon_map(context: TraceContext, columns: _Columns, ledgers: list[BatchLed
     plan, settings = context.plan, context.settings
     ledger = _ledger(plan, ledgers)
     photons = PhotonMap(
-        **columns.finished(context.scene.surface_ids),
+        **columns.finished(context.scene),
         n_emitted=int(plan.counts.sum()),
         well_spaced=plan.is_well_spaced and settings.paths == "caustic",
         ledger=ledger,
