@@ -42,16 +42,22 @@ if TYPE_CHECKING:
     from .rendering.progressive_render import Checkpoints as Checkpoints
     from .rendering.progressive_render import render_progressive as render_progressive
     from .rendering.render import render as render
+    from .scene.area_emitter import AreaEmitter as AreaEmitter
     from .scene.camera import Camera as Camera
     from .scene.emitters import CollimatedEmitter as CollimatedEmitter
     from .scene.emitters import LambertianEmitter as LambertianEmitter
     from .scene.emitters import PointEmitter as PointEmitter
+    from .scene.emitters import SpotEmitter as SpotEmitter
+    from .scene.environment import EnvironmentEmitter as EnvironmentEmitter
     from .scene.materials import Dielectric as Dielectric
     from .scene.materials import Diffuse as Diffuse
     from .scene.materials import Mirror as Mirror
     from .scene.materials import Sensor as Sensor
     from .scene.scene import Scene as Scene
     from .scene.scene import SceneObject as SceneObject
+    from .scene.shapes import Disk as Disk
+    from .scene.shapes import Rectangle as Rectangle
+    from .scene.shapes import Sphere as Sphere
     from .spatial.kdtree import KDTree as KDTree
     from .spatial.kdtree import Neighbours as Neighbours
     from .transport.hit_points import HitPoints as HitPoints
@@ -59,13 +65,16 @@ if TYPE_CHECKING:
 
 
 _MODULE_OF = {
+    "AreaEmitter": "scene.area_emitter",
     "Camera": "scene.camera",
     "Checkpoints": "rendering.progressive_render",
     "CollimatedEmitter": "scene.emitters",
     "Dielectric": "scene.materials",
     "Diffuse": "scene.materials",
     "DiffusionSettings": "estimation.diffusion",
+    "Disk": "scene.shapes",
     "EnergyLedger": "photons.energy_ledger",
+    "EnvironmentEmitter": "scene.environment",
     "Field": "estimation.field",
     "FrequencySettings": "estimation.frequency",
     "GatherSettings": "estimation.nearest",
@@ -82,12 +91,15 @@ _MODULE_OF = {
     "PointEmitter": "scene.emitters",
     "ProgressiveSettings": "estimation.progressive",
     "ProgressiveStatistics": "estimation.progressive",
+    "Rectangle": "scene.shapes",
     "RelaxSettings": "relaxation.relax",
     "RestDensity": "relaxation.rest_density",
     "RestDensitySettings": "relaxation.rest_density",
     "Scene": "scene.scene",
     "SceneObject": "scene.scene",
     "Sensor": "scene.materials",
+    "Sphere": "scene.shapes",
+    "SpotEmitter": "scene.emitters",
     "Structure": "relaxation.structure",
     "StructureSettings": "relaxation.structure",
     "detect_gradient": "relaxation.gradient",

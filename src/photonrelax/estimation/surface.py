@@ -58,7 +58,7 @@ class Surface:
 
     @cached_property
     def _proximity(self) -> SurfaceProximity:
-        return SurfaceProximity(self._scene.objects)
+        return SurfaceProximity(self._scene.surfaces)
 
     def near_edges(self, points: Floats, radius: float) -> NDArray[np.bool_]:
         """Mask (m,) of the points with an edge within reach of kernels up to a radius."""
@@ -122,12 +122,12 @@ def lit_objects(scene: Scene, photons: PhotonMap) -> list[int]:
 
 
 def _no_sensors(scene: Scene) -> list[int]:
-    return [i for i in range(len(scene.objects)) if i not in scene.sensors]
+    return [i for i in range(len(scene.surfaces)) if i not in scene.sensors]
 
 
 def _edges_of(scene: Scene, among: frozenset[int], n_threads: int) -> Any:
     """Edges of a scene's surfaces as kernels read them, None if there are none."""
-    boundary = SurfaceBoundary.of(scene.objects, among)
+    boundary = SurfaceBoundary.of(scene.surfaces, among)
     ends = boundary.segments
     if not len(ends):
         return None

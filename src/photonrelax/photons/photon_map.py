@@ -71,6 +71,9 @@ class PhotonMap:
     sensor_ids : (m,) array_like of int, optional
         Those of the objects that are sensors, ascending. Photons on them are stored again where
         their paths go on to.
+    extended_ids : (m,) array_like of int, optional
+        Those of the emitters that are extended, ascending: many of their rays have the same
+        emitter coordinates.
 
     Raises
     ------
@@ -98,6 +101,7 @@ class PhotonMap:
     sampler: str | None = None
     paths: str | None = None
     sensor_ids: NDArray[np.int32] | None = None
+    extended_ids: NDArray[np.int32] | None = None
 
     if TYPE_CHECKING:
         # What may be given is wider than what the fields then hold.
@@ -123,6 +127,7 @@ class PhotonMap:
             sampler: str | None = None,
             paths: str | None = None,
             sensor_ids: ArrayLike | None = None,
+            extended_ids: ArrayLike | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -149,9 +154,10 @@ class PhotonMap:
         self._check_scalars()
 
     def _check_scalars(self) -> None:
-        if self.sensor_ids is not None:
-            ids = int_array(self.sensor_ids, "sensor_ids", (None,), np.int32)
-            set_field(self, "sensor_ids", frozen(np.unique(ids)))
+        for name in _ID_LISTS:
+            if getattr(self, name) is not None:
+                ids = int_array(getattr(self, name), name, (None,), np.int32)
+                set_field(self, name, frozen(np.unique(ids)))
         if self.n_emitted is not None:
             set_field(self, "n_emitted", count(self.n_emitted, "n_emitted", low=0))
         set_field(self, "well_spaced", bool(self.well_spaced))
@@ -170,6 +176,13 @@ class PhotonMap:
         if self.sensor_ids is None or self.object_id is None:
             return np.zeros(len(self), dtype=bool)
         return np.isin(self.object_id, self.sensor_ids)
+
+    @property
+    def is_of_extended(self) -> NDArray[np.bool_]:
+        """Mask (n,) of the photons of extended emitters."""
+        if self.extended_ids is None or self.emitter_id is None:
+            return np.zeros(len(self), dtype=bool)
+        return np.isin(self.emitter_id, self.extended_ids)
 
     def __repr__(self) -> str:
         given = [name for name in _ARRAY_FIELDS if getattr(self, name) is not None]
@@ -198,7 +211,7 @@ class PhotonMap:
             name: getattr(self, name) for name in _ARRAY_FIELDS if getattr(self, name) is not None
         }
         arrays["photonmap_version"] = FORMAT_VERSION
-        for name in (*_SCALARS, "sensor_ids"):
+        for name in (*_SCALARS, *_ID_LISTS):
             if getattr(self, name) is not None:
                 arrays[name] = getattr(self, name)
         if self.ledger is not None:
@@ -227,6 +240,7 @@ class PhotonMap:
                 **known,
                 **scalars | {"well_spaced": bool(scalars["well_spaced"])},
                 sensor_ids=arrays.get("sensor_ids"),
+                extended_ids=arrays.get("extended_ids"),
                 ledger=ledger_from(arrays) if arrays.keys() & set(LEDGER_NAMES) else None,
             )
         except (TypeError, ValueError) as error:
@@ -241,13 +255,15 @@ _INTEGER_FIELDS: dict[str, type] = {
 }
 # Fields with one value, and the kinds of dtype it is saved with.
 _SCALARS = {"n_emitted": "iu", "well_spaced": "b", "seed": "iu", "sampler": "U", "paths": "U"}
+# Fields that list objects or emitters.
+_ID_LISTS = ("sensor_ids", "extended_ids")
 _ARRAY_FIELDS = tuple(
-    f.name for f in fields(PhotonMap) if f.name not in (*_SCALARS, "ledger", "sensor_ids")
+    f.name for f in fields(PhotonMap) if f.name not in (*_SCALARS, *_ID_LISTS, "ledger")
 )
 
 
 # Arrays of a file; others are not read.
-_NAMES = frozenset(["photonmap_version", *_ARRAY_FIELDS, *_SCALARS, "sensor_ids", *LEDGER_NAMES])
+_NAMES = frozenset(["photonmap_version", *_ARRAY_FIELDS, *_SCALARS, *_ID_LISTS, *LEDGER_NAMES])
 
 
 class NothingStoredError(ValueError):

@@ -43,19 +43,16 @@ class SurfaceProjector:
     def __init__(self, scene: Scene, photons: PhotonMap, n_threads: int) -> None:
         if photons.object_id is None:
             raise ValueError("photons should have an object_id to be kept on the scene's objects")
-        n_objects = len(scene.objects)
-        if photons.object_id.min() < 0 or photons.object_id.max() >= n_objects:
-            raise ValueError(
-                f"object_id should be of the scene's {n_objects} objects, but ranges from "
-                f"{photons.object_id.min()} to {photons.object_id.max()}"
-            )
+        surface = _surfaces_of(photons.object_id, scene)
+        if surface is not photons.object_id:
+            photons = photons.replace(object_id=surface)
         self._n_photons = len(photons)
         self._parts: list[tuple[_Part, NDArray[np.intp] | None]] = []
-        on_sensor = np.isin(photons.object_id, scene.sensors)
+        on_sensor = np.isin(surface, scene.sensors)
         if not on_sensor.all():
-            self._add(RayCaster(scene.objects), photons, ~on_sensor, n_threads)
+            self._add(RayCaster(scene.surfaces), photons, ~on_sensor, n_threads)
         for sensor, caster in zip(scene.sensors, sensor_casters(scene), strict=True):
-            self._add(caster, photons, photons.object_id == sensor, n_threads)
+            self._add(caster, photons, surface == sensor, n_threads)
 
     def _add(
         self, caster: RayCaster, photons: PhotonMap, mine: NDArray[np.bool_], n_threads: int
@@ -98,6 +95,21 @@ class SurfaceProjector:
             part.project(columns, *found)
             projected[mine], projected_normal[mine] = found
         return projected, projected_normal
+
+
+def _surfaces_of(object_id: NDArray[np.int32], scene: Scene) -> NDArray[np.int32]:
+    """Indices (n,) of the surfaces of a scene that photons are on, by their `object_id`."""
+    ids, surface = scene.surface_ids, object_id
+    known = object_id.min() >= 0 and object_id.max() <= ids[-1]
+    if known and ids[-1] >= len(ids):
+        surface = np.searchsorted(ids, object_id).astype(np.int32)
+        known = bool((ids[surface] == object_id).all())
+    if not known:
+        raise ValueError(
+            f"object_id should be of the scene's {len(scene.objects)} objects, but ranges from "
+            f"{object_id.min()} to {object_id.max()}"
+        )
+    return surface
 
 
 class _Part:

@@ -127,8 +127,9 @@ def rest_density(
     Parameters
     ----------
     photons : PhotonMap
-        Photons, n of them. No density is prescribed for those without emitter coordinates, in pools
-        of several emitters, and in sheets of fewer than k photons of one path signature.
+        Photons, n of them. No density is prescribed for those without emitter coordinates, of
+        extended emitters, in pools of several emitters, and in sheets of fewer than k photons of
+        one path signature.
     settings : RestDensitySettings, optional
         Numbers of photons, and the residual allowed.
     n_threads : int, optional
@@ -146,8 +147,11 @@ def rest_density(
     report = Reporter(progress, "rest density", len(photons))
     slope, residual = np.zeros((len(photons), 3)), np.full(len(photons), np.inf)
     limit = residual.copy()
+    extended = photons.is_of_extended
     for group in neighbour_groups(photons, threads):
-        if photons.emitter_coords is None or group.mixed or group.at_rest:
+        # Coordinates do not tell where photons of an extended emitter are.
+        no_map = group.mixed or group.at_rest or extended[group.rows].any()
+        if photons.emitter_coords is None or no_map:
             report.advance(len(residual[group.rows]))
         else:
             slope[group.rows], residual[group.rows], limit[group.rows] = _of_group(

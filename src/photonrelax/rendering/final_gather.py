@@ -13,9 +13,8 @@ import numpy as np
 from .._util.validation import Floats
 from ..estimation.indirect import IndirectField
 from ..photons.photon_map import PhotonMap
-from ..transport.direct_light import direct_irradiance
+from ..transport.direct_light import LightSamples, direct_irradiance
 from ..transport.gather_rays import GatherRays
-from ..transport.hit_points import HitPoints
 from .view import Band, View, pixel_sums
 
 # Rays traced together.
@@ -64,24 +63,22 @@ class FinalGather:
             some = slice(first, first + step)
             shifts = rng.random((len(position[some]), 2))
             hits = self._rays.trace(position[some], normal[some], n_rays, shifts)
-            irradiance = self._irradiance(hits)
+            at = hits.position, hits.normal
+            irradiance = self._direct(*at, rng) + self._field(*at, footprint=hits.footprint)
             if nearby:
                 away = np.linalg.norm(hits.position - position[some][hits.pixel], axis=1)
                 near = np.flatnonzero(away < self._field.reach)
                 at = hits.position[near], hits.normal[near]
-                irradiance[near] = self._direct(*at) + self._gathered(
+                irradiance[near] = self._direct(*at, rng) + self._gathered(
                     *at, rng, _NEARBY, nearby=False
                 )
             light = hits.weight * hits.albedo * irradiance
             out[some] = pixel_sums(hits.pixel, light, (len(position[some]), 1))[:, 0]
         return out
 
-    def _irradiance(self, hits: HitPoints) -> Floats:
-        at = hits.position, hits.normal
-        return self._direct(*at) + self._field(*at, footprint=hits.footprint)
-
-    def _direct(self, position: Floats, normal: Floats) -> Floats:
-        view = self._view
+    def _direct(self, position: Floats, normal: Floats, rng: np.random.Generator) -> Floats:
+        """Direct irradiance; of extended emitters one sample is enough, as rays are many."""
+        view, samples = self._view, LightSamples(1, int(rng.integers(2**63)))
         return direct_irradiance(
-            view.scene, view.caster, position, normal, n_threads=view.n_threads
+            *(view.scene, view.caster, position, normal), samples=samples, n_threads=view.n_threads
         )

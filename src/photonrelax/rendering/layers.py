@@ -52,7 +52,7 @@ class Layer:
         Description, with the unit.
     values : callable
         Maps a `Band` and the `Estimates` there to values (rows, width, channels); None if the
-        layer needs estimates that are not among them.
+        layer needs estimates that are not among them, or nothing of the kind is in the scene.
     channels : int
         1 or 3.
     merge : Merge
@@ -82,6 +82,14 @@ def _albedo(band: Band, estimates: Estimates) -> Floats:
     return band.sums(band.hits.weight * band.hits.albedo)
 
 
+def _emission(band: Band, estimates: Estimates) -> Floats | None:
+    hits, background = band.hits, band.first.background
+    if hits.emission is None:
+        return background
+    emission = band.sums(hits.weight * hits.emission)
+    return emission if background is None else emission + background
+
+
 RECORDS = (
     Layer("caustic", "radiance from photons", _estimate("caustic"), is_light=True),
     Layer("direct", "radiance from unoccluded emitters", _direct, is_light=True),
@@ -91,6 +99,7 @@ RECORDS = (
         _estimate("indirect"),
         is_light=True,
     ),
+    Layer("emission", "radiance of emitters and background seen", _emission, is_light=True),
     Layer("albedo", "of the diffuse surfaces seen", _albedo),
     Layer("N", "normal of the first surface", lambda band, _: band.first.normal),
     Layer(

@@ -41,10 +41,13 @@ class PassSettings:
     supersampling: int
     stochastic: bool
     max_depth: int
+    light_samples: int | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """All values by their names, for JSON."""
+        """All values by their names, for JSON; samples of lights only where there are any."""
         values = asdict(self)
+        if self.light_samples is None:
+            del values["light_samples"]
         settings = values.pop("settings")
         del settings["n_passes"]  # of photon maps that are split into passes
         return {**settings, **values}
@@ -197,7 +200,7 @@ class StochasticHitPoints:
             radius = self._least_radius(gathered.initial_radius(), offset)
             statistics = self._settings.statistics(radius, number, self._view.n_threads)
         layers, found = [], []
-        for band in self._view.bands(offset):
+        for band in self._view.bands(offset, number):
             layers.append(band_layers(band))
             if statistics is not None:
                 found.append(gathered.within_pixels(band, statistics.radius))

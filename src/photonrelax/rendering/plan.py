@@ -110,7 +110,7 @@ def plan(
             reason = "of a few thousand paths none meets a diffuse surface after another"
             indirect = Part("indirect", False, reason)
     return Plan(
-        (_emission(wanted), _direct(wanted), caustic, indirect),
+        (_emission(scene, wanted), _direct(wanted), caustic, indirect),
         n_emitted if caustic.is_modelled and photons is None else 0,
         (n_global or 0) if indirect.is_modelled else 0,
     )
@@ -129,10 +129,15 @@ def checked_components(components: Iterable[str] | None) -> tuple[str, ...]:
     return names
 
 
-def _emission(wanted: tuple[str, ...]) -> Part:
+def _emission(scene: Scene, wanted: tuple[str, ...]) -> Part:
     if "emission" not in wanted:
         return Part("emission", False, "not asked for")
-    return Part("emission", False, "no emitter has a surface that a camera could see")
+    seen = sum(
+        emitter.surface is not None or emitter.background is not None for emitter in scene.emitters
+    )
+    if seen == 0:
+        return Part("emission", False, "no emitter has a surface that a camera could see")
+    return Part("emission", True, f"emitters that a camera may see: {seen}")
 
 
 def _direct(wanted: tuple[str, ...]) -> Part:

@@ -121,7 +121,8 @@ def render_progressive(
         On Ctrl-C, after the run was saved; it is saved before any other error is raised, too.
     """
     stop = _StopCondition.from_arguments(n_passes, seconds)
-    view = View(scene, supersampling=supersampling, max_depth=max_depth, n_threads=n_threads)
+    limits: dict[str, Any] = {"supersampling": supersampling, "max_depth": max_depth}
+    view = View(scene, **limits, seed=seed, n_threads=n_threads)
     pass_settings = _pass_settings(view, settings, photons_per_pass, seed, stochastic)
     check_photons_fit(scene, pass_settings.photons_per_pass, view.caster)
     checkpoints = checkpoints or Checkpoints()

@@ -47,6 +47,7 @@ def render(
     sampler: str = "halton",
     supersampling: int = 2,
     max_depth: int = 8,
+    light_samples: int | None = None,
     photons: PhotonMap | None = None,
     indirect: GatherSettings | None = None,
     final_gather: int = 0,
@@ -58,16 +59,15 @@ def render(
 
     Parameters
     ----------
-    scene : Scene
-        With a camera.
-    method : str
-        Estimate of caustics from photons; see `photonrelax.irradiance_field`.
+    scene, method : Scene, str
+        With a camera; the estimate of caustics from photons, see `photonrelax.irradiance_field`.
     n_emitted, n_global, components : int, int, iterable of str
         Photons to emit for caustics and for indirect light, light to model; see `photonrelax.plan`.
     seed, sampler : int, str
         Of the photons; see `photonrelax.trace_photons`.
-    supersampling, max_depth : int
-        s·s samples a pixel; maximum number of specular surfaces on a camera path.
+    supersampling, max_depth, light_samples : int
+        s·s samples a pixel; maximum number of specular surfaces on a camera path; shadow rays from
+        a sample to an extended emitter, by default enough for noise below 2 % of a pixel.
     photons : PhotonMap, optional
         Photons of caustics traced before in this scene, in place of new ones; see `_check_scene`.
     indirect, final_gather : GatherSettings, int, optional
@@ -81,16 +81,16 @@ def render(
     Returns
     -------
     Image
-        Layers as in `photonrelax.rendering.layers.LAYERS`, those of light that is modelled and of
-        attributes that the photons have. `stats` holds seconds and counts of each stage,
-        `metadata` settings, seed, counts, ledger and version as text.
+        Layers as in `photonrelax.rendering.layers.LAYERS`, of what is modelled; in `stats` seconds
+        and counts of the stages, in `metadata` settings, seed, counts, ledger, version as text.
 
     Raises
     ------
     TypeError, ValueError
         If an argument is invalid, no photon of a caustic is stored, or those given do not fit.
     """
-    view = View(scene, supersampling=supersampling, max_depth=max_depth, n_threads=n_threads)
+    limits: dict[str, Any] = {"supersampling": supersampling, "max_depth": max_depth}
+    view = View(scene, **limits, light_samples=light_samples, seed=seed, n_threads=n_threads)
     stages = _Stages(view, progress, seed=seed, sampler=sampler)
     stages.plan(photons, n_emitted, n_global, components)
     stages.prepare_caustic(method, settings_of("render", dict(settings)))
@@ -266,7 +266,10 @@ class _Stages:
                 estimates["indirect"] = band.radiance(self._gather(band))
             elif self._indirect is not None:
                 estimates["indirect"] = band.radiance(band.estimates(self._indirect))
-            parts.append(with_radiance(band_layers(band, estimates)))
+            layers = band_layers(band, estimates)
+            if not self._plan.models("emission"):
+                layers.pop("emission", None)
+            parts.append(with_radiance(layers))
             n_hit_points += len(band.hits)
             report.advance(len(band.rows))
         self._record("render", perf_counter() - started, hit_points=n_hit_points)

@@ -21,7 +21,7 @@ from ..estimation.field import Densities, Field
 from ..estimation.indirect import IndirectField
 from ..estimation.surface import Surface
 from ..scene.scene import Scene
-from ..transport.direct_light import direct_irradiance
+from ..transport.direct_light import LightSamples, default_light_samples, direct_irradiance
 from ..transport.hit_points import MAX_DEPTH, FirstSurfaces, HitPoints, trace_hit_points
 from ..transport.raycast import RayCaster
 
@@ -34,6 +34,8 @@ _PILOT_SIDE = 64
 # Samples of a pixel are on one piece of surface if they are on a grid and their edges are equal, up
 # to a share of an edge, and their normals alike, by the cosines between them.
 _SAME_PIECE, _ALIKE = 0.25, 0.95
+# Between the seeds of passes: an odd number, so that all differ.
+_SEEDS_APART = 0x9E3779B97F4A7C15
 # Position of samples in the cells of the s·s grid of their pixel.
 CENTRE = (0.5, 0.5)
 
@@ -138,13 +140,16 @@ class View:
         With a camera.
     supersampling, max_depth : int
         s·s samples a pixel; maximum number of specular surfaces on a camera path.
+    light_samples, seed : int, optional
+        Shadow rays from each hit point to each extended emitter, by default enough for noise below
+        2 % of a pixel; their seed.
     n_threads : int, optional
         Threads; all available by default. Results do not depend on it.
 
     Attributes
     ----------
-    scene, supersampling, max_depth, n_threads
-        As given.
+    scene, supersampling, max_depth, light_samples, seed, n_threads
+        As given, or by default.
     camera : Camera
         Of the scene.
 
@@ -162,6 +167,8 @@ class View:
         *,
         supersampling: int = 2,
         max_depth: int = 8,
+        light_samples: int | None = None,
+        seed: int = 0,
         n_threads: int | None = None,
     ) -> None:
         if scene.camera is None:
@@ -172,6 +179,12 @@ class View:
             supersampling, "supersampling", high=validation.MAX_REPEATS
         )
         self.max_depth = validation.count(max_depth, "max_depth", low=0, high=MAX_DEPTH)
+        if light_samples is None:
+            light_samples = default_light_samples(scene, self.supersampling**2)
+        self.light_samples = validation.count(
+            light_samples, "light_samples", high=validation.MAX_REPEATS
+        )
+        self.seed = validation.check_seed(seed)
         self.n_threads = thread_count(n_threads)
         self._check_image_fits()
 
@@ -218,30 +231,36 @@ class View:
 
     @property
     def settings(self) -> dict[str, int]:
-        """Supersampling and maximum depth by their names."""
-        return {"supersampling": self.supersampling, "max_depth": self.max_depth}
+        """Supersampling, maximum depth and, with extended emitters, their samples by name."""
+        settings = {"supersampling": self.supersampling, "max_depth": self.max_depth}
+        if any(emitter.is_extended for emitter in self.scene.emitters):
+            settings["light_samples"] = self.light_samples
+        return settings
 
     @cached_property
     def caster(self) -> RayCaster:
         """Ray caster of the scene's objects, built on first use."""
-        return RayCaster(self.scene.objects)
+        return RayCaster(self.scene.surfaces)
 
     @cached_property
     def surface(self) -> Surface:
         """Surfaces of the scene that light is estimated on."""
         return Surface(self.scene, self.n_threads)
 
-    def bands(self, offset: tuple[float, float] = CENTRE, *, direct: bool = True) -> Iterator[Band]:
+    def bands(
+        self, offset: tuple[float, float] = CENTRE, number: int = 0, *, direct: bool = True
+    ) -> Iterator[Band]:
         """Trace the camera rays, band by band from the top down, and direct light if wanted.
 
-        Samples lie at `offset` in the cells of the grid of their pixel; see `pixel_rays`.
+        Samples lie at `offset` in the cells of the grid of their pixel; see `pixel_rays`. Those of
+        extended emitters differ by `number`, that of a pass.
         """
         height, width = self.shape
         rows_per_band = max(_RAYS_PER_BAND // (width * self.supersampling**2), 1)
         for top in range(0, height, rows_per_band):
-            yield self._band(range(top, min(top + rows_per_band, height)), offset, direct)
+            yield self._band(range(top, min(top + rows_per_band, height)), offset, number, direct)
 
-    def _band(self, rows: range, offset: tuple[float, float], direct: bool) -> Band:
+    def _band(self, rows: range, offset: tuple[float, float], number: int, direct: bool) -> Band:
         hits, first = trace_hit_points(
             self.scene,
             self.caster,
@@ -252,11 +271,18 @@ class View:
             max_depth=self.max_depth,
             n_threads=self.n_threads,
         )
-        at = hits.position, hits.normal
-        light = None
-        if direct:
-            light = direct_irradiance(self.scene, self.caster, *at, n_threads=self.n_threads)
+        light = self._direct(hits, number) if direct else None
         return Band(rows, self.camera.width, hits, first, light, self.supersampling)
+
+    def _direct(self, hits: HitPoints, number: int) -> Floats:
+        return direct_irradiance(
+            self.scene,
+            self.caster,
+            hits.position,
+            hits.normal,
+            samples=LightSamples(self.light_samples, _seed_of(self.seed, number), hits.pixel),
+            n_threads=self.n_threads,
+        )
 
     def stored(self, progress: Progress | None) -> StoredView:
         """Trace all bands and keep them in memory."""
@@ -268,6 +294,11 @@ class View:
             bands.append(band)
             report.advance(len(band.rows))
         return StoredView(bands, perf_counter() - started)
+
+
+def _seed_of(seed: int, number: int) -> int:
+    """Seed of a pass: another one for each, modulo 2^64."""
+    return (seed + number * _SEEDS_APART) % 2**64
 
 
 @dataclass(frozen=True, eq=False)

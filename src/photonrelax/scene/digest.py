@@ -39,6 +39,8 @@ def _parts(value: Any) -> Iterator[bytes]:
         yield type(value).__name__.encode()
         for field in fields(value):
             yield from _parts(getattr(value, field.name))
+    elif hasattr(value, "vertices") and hasattr(value, "faces"):
+        yield from _parts([np.asarray(value.vertices), np.asarray(value.faces)])
     elif isinstance(value, np.ndarray):
         yield f"{value.dtype.str}{value.shape}".encode()
         yield np.ascontiguousarray(value).tobytes()

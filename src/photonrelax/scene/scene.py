@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .._util.frozen import set_field
 from .._util.validation import Floats
@@ -107,7 +108,7 @@ class Scene:
     ----------
     objects : sequence of SceneObject
         At least one; an object's position in the sequence is its `object_id`.
-    emitters : sequence of CollimatedEmitter, PointEmitter, LambertianEmitter or other Emitter
+    emitters : sequence of CollimatedEmitter, PointEmitter, LambertianEmitter, SpotEmitter, …
         At least one; an emitter's position in the sequence is its `emitter_id`.
     camera : Camera, optional
         Needed to render, not to trace photons.
@@ -129,6 +130,28 @@ class Scene:
             if any(item.edge_defects):
                 warnings.warn(_defects_text(i, item), stacklevel=3)
 
+    @cached_property
+    def surfaces(self) -> tuple[SceneObject, ...]:
+        """The objects, then the surfaces of emitters: what rays meet."""
+        emitting = (emitter.surface for emitter in self.emitters)
+        return (*self.objects, *(item for item in emitting if item is not None))
+
+    @cached_property
+    def surface_ids(self) -> NDArray[np.int32]:
+        """The `object_id` of photons on each of the surfaces.
+
+        That of an emitter is the number of objects plus its index among all emitters: these are
+        the indices of the surfaces unless an emitter without a surface comes before.
+        """
+        n = len(self.objects)
+        emitting = [n + i for i, each in enumerate(self.emitters) if each.surface is not None]
+        return np.array([*range(n), *emitting], dtype=np.int32)
+
+    def ids_of(self, surface: NDArray[np.int32]) -> NDArray[np.int32]:
+        """The `object_id` of photons on surfaces, by their indices; the same array if it may be."""
+        ids = self.surface_ids
+        return surface if ids[-1] == len(ids) - 1 else ids[surface]
+
     @property
     def specular_objects(self) -> tuple[int, ...]:
         """The ids of the objects whose material is specular."""
@@ -141,8 +164,8 @@ class Scene:
 
     @cached_property
     def visible_objects(self) -> tuple[int, ...]:
-        """The ids of the objects that are no sensors; all where there is no other object."""
-        ids = tuple(i for i, item in enumerate(self.objects) if not item.material.is_sensor)
+        """The indices of the surfaces that are no sensors; all where there is no other."""
+        ids = tuple(i for i, item in enumerate(self.surfaces) if not item.material.is_sensor)
         return ids or self.sensors
 
     @cached_property
@@ -154,19 +177,23 @@ class Scene:
     @cached_property
     def resolution(self) -> Resolution:
         """Distance that rays to the visible objects resolve, by position."""
-        meshes = (self.objects[i].mesh for i in self.visible_objects)
+        meshes = (self.surfaces[i].mesh for i in self.visible_objects)
         return Resolution.of(*nondegenerate_triangles(meshes))
 
     def emitter_offset(self, emitter: Emitter) -> float:
         """Return the least distance from an emitter to the origins of its rays, m.
 
-        A point-like emitter may lie on a surface, which its rays must not hit.
+        A point-like emitter may lie on a surface, which its rays must not hit; one that is a
+        surface must not occlude itself.
         """
+        if emitter.surface is not None:
+            vertices = nondegenerate_vertices(emitter.surface.mesh)
+            return _EMITTER_OFFSET * float(self.resolution.at(vertices).max())
         point = emitter.point
         return 0.0 if point is None else _EMITTER_OFFSET * float(self.resolution.at(point))
 
     def bounding_sphere(self, object_ids: Iterable[int] | None = None) -> Sphere:
-        """Return centre (3,) and radius of a sphere around objects, by default the visible ones.
+        """Return centre (3,) and radius of a sphere around surfaces, by default the visible ones.
 
         The centre is that of their bounding box; the radius is the largest distance to a vertex.
 
@@ -194,18 +221,18 @@ class Scene:
 
     @cached_property
     def object_bounds(self) -> tuple[Floats, Floats]:
-        """The lowest and the highest coordinates of each object, (n, 3) both."""
+        """The lowest and the highest coordinates of each surface, (n, 3) both."""
         low = np.array([vertices.min(axis=0) for vertices in self._vertices])
         return low, np.array([vertices.max(axis=0) for vertices in self._vertices])
 
     def material_table(self) -> MaterialTable:
-        """The materials of all objects as arrays."""
-        return MaterialTable.of(item.material for item in self.objects)
+        """The materials of all surfaces as arrays."""
+        return MaterialTable.of(item.material for item in self.surfaces)
 
     @cached_property
     def _vertices(self) -> tuple[Floats, ...]:
-        """The vertices of each object that belong to a face with an area."""
-        return tuple(nondegenerate_vertices(item.mesh) for item in self.objects)
+        """The vertices of each surface that belong to a face with an area."""
+        return tuple(nondegenerate_vertices(item.mesh) for item in self.surfaces)
 
 
 def object_label(object_id: int, item: SceneObject) -> str:
@@ -226,7 +253,7 @@ def _defects_text(object_id: int, item: SceneObject) -> str:
 
 _DESCRIPTIONS = {
     SceneObject: "a SceneObject",
-    Emitter: "an Emitter: a CollimatedEmitter, PointEmitter or LambertianEmitter",
+    Emitter: "an Emitter, such as a CollimatedEmitter, PointEmitter, SpotEmitter or AreaEmitter",
 }
 
 

@@ -9,11 +9,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .._util.validation import Floats
 from ..scene.casters import SAVING
-from ..scene.emission_region import EmissionRegion, Sphere
+from ..scene.emission_region import AREA, SUN, EmissionRegion, Sphere
 from ..scene.emitters import Emitter
+
+Bools = NDArray[np.bool_]
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in the luminance (Rec. 709)."""
@@ -63,18 +66,26 @@ def luminance(region: EmissionRegion) -> float:
 def overlapped(regions: list[EmissionRegion]) -> list[Floats]:
     """Outlines (m, 4) of the earlier regions that overlap each: centre and squared radius.
 
-    Centres are emitter coordinates, of disks with a third one of zero.
+    Centres are emitter coordinates, of disks with a third one of zero. That of a region which is
+    clipped is the last, with a negative square: its photons lie within it.
     """
     table, radius, distance = _outlines(regions)
-    overlaps = distance < radius[:, np.newaxis] + radius
-    return [table[:i][overlaps[i, :i]] for i in range(len(regions))]
+    overlaps = _overlaps(regions, radius, distance)
+    within = table * [1.0, 1.0, 1.0, -1.0]
+    return [
+        np.concatenate([table[:i][overlaps[i, :i]], within[i : i + (region.clip is not None)]])
+        for i, region in enumerate(regions)
+    ]
 
 
 def _in_chart(emitter: Emitter, region: EmissionRegion, whole: EmissionRegion) -> EmissionRegion:
     """A region whose emitter coordinates are those of the whole one."""
     if region.is_plane:
-        same = whole.is_plane and np.abs(region.frame - whole.frame).max() < _SAME_FRAME
-        offset = whole.frame[:2] @ (region.origin - whole.origin)
+        same = whole.kind == region.kind and np.abs(region.frame - whole.frame).max() < _SAME_FRAME
+        if region.target is not None and whole.target is not None:
+            offset = whole.frame @ (region.target - whole.target)
+        else:
+            offset = whole.frame[:2] @ (region.origin - whole.origin)
         region = replace(region, coords_offset=offset)
     else:
         same = not whole.is_plane and np.array_equal(region.origin, whole.origin)
@@ -104,3 +115,22 @@ def _outlines(regions: list[EmissionRegion]) -> tuple[Floats, Floats, Floats]:
     table[:, : len(centres[0])], table[:, 3] = centres, np.square(radii)
     between = table[:, np.newaxis, :3] - table[:, :3]
     return table, np.array(radii), np.sqrt(np.einsum("ijk,ijk->ij", between, between))
+
+
+def _overlaps(regions: list[EmissionRegion], radius: Floats, distance: Floats) -> Bools:
+    """Matrix (m, m), true for regions that may have rays in common.
+
+    Those of suns do where the nearest that any direction of the light takes their targets to one
+    another is less than the sum of their radii; those of areas always may.
+    """
+    if regions[0].kind == AREA:
+        return np.ones(distance.shape, dtype=bool)
+    if regions[0].kind == SUN:
+        centres = np.array([region.outline[0] for region in regions])
+        along = (centres[:, np.newaxis] - centres) @ regions[0].frame[2]
+        aside = np.sqrt(np.maximum(distance**2 - along**2, 0.0))
+        angle = np.arccos(1.0 - regions[0].shape[1])
+        turned = np.arctan2(aside, np.abs(along)) - angle
+        distance = distance * np.sin(np.clip(turned, 0.0, 0.5 * np.pi))
+    overlaps: Bools = distance < radius[:, np.newaxis] + radius
+    return overlaps

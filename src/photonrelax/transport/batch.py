@@ -101,17 +101,17 @@ class TraceContext:
     ) -> None:
         self.materials = Materials(scene.material_table())
         self.sensors = sensor_casters(scene) if settings.sensors else []
-        if not (self.materials.diffuse.any() or self.sensors):
+        if not (self.materials.diffuse[: len(scene.objects)].any() or self.sensors):
             raise ValueError(
                 "scene should have a Diffuse object to store photons on, or a Sensor, "
                 f"but none of its {len(scene.objects)} objects is"
             )
         self.scene, self.plan, self.settings, self.size = scene, plan, settings, size
-        self.caster = caster or RayCaster(scene.objects)
+        self.caster = caster or RayCaster(scene.surfaces)
         finder = MediaFinder(scene, self.caster, self.materials)
         self.media, self.faults = finder.at_emitters(), finder.faults
         self.flux = plan.flux_per_photon
-        self._along_curve = sum(len(item.mesh.faces) for item in scene.objects) > _MANY_FACES
+        self._along_curve = sum(len(item.mesh.faces) for item in scene.surfaces) > _MANY_FACES
         self.emissions = [plan.emission(region) for region in range(len(plan.aimed))]
         self._free_list: list[_kernel.Paths] = []
         self._pickled: tuple[str, bytes] | None = None

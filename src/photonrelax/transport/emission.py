@@ -22,7 +22,7 @@ from .._util.validation import Floats, check_choice, check_seed, count
 from ..scene.emission_region import EmissionRegion, Sphere
 from ..scene.scene import Scene
 from .aim import aimed_regions, luminance, overlapped
-from .sampling import seed_shift
+from .sampling import seed_shifts
 
 PATHS = ("caustic", "global", "all")
 SAMPLERS = ("halton", "random")
@@ -51,13 +51,18 @@ class AimedRegion(NamedTuple):
     region : EmissionRegion
         The region.
     outlines : (m, 4) float64
-        Of the emitter's earlier regions that overlap it, as of `transport.aim.overlapped`.
+        What its photons lie outside or inside of, as of `transport.aim.overlapped`.
     """
 
     emitter_id: int
     number: int
     region: EmissionRegion
     outlines: Floats
+
+    @property
+    def is_thinned(self) -> bool:
+        """True if not all candidates are photons."""
+        return self.region.is_thinned or len(self.outlines) > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +77,7 @@ class EmissionPlan:
     aimed : tuple of AimedRegion
         One or more per emitter, in the order of the emitters.
     starts : tuple of sequences of int
-        For regions that others overlap, the candidates that are their photons 0, 1024, ….
+        Candidates that are photons 0, 1024, … of regions not all of whose candidates are photons.
     counts, candidates : (n_regions,) int64
         Photons of each region, none where no flux leaves through it, and its candidates.
     seed, sampler : int, str
@@ -95,6 +100,17 @@ class EmissionPlan:
     def emitter_ids(self) -> NDArray[np.int64]:
         """The emitter of each region, (n_regions,)."""
         return np.array([each.emitter_id for each in self.aimed], dtype=np.int64)
+
+    @property
+    def is_well_spaced(self) -> bool:
+        """Photons are even over their emitters: Halton points, none of extended emitters."""
+        return self.sampler == "halton" and self.extended_ids is None
+
+    @property
+    def extended_ids(self) -> NDArray[np.int64] | None:
+        """The extended ones among the emitters, ascending; None without any."""
+        extended = [region.is_extended for region in self.regions]
+        return np.unique(self.emitter_ids[extended]) if any(extended) else None
 
     @property
     def flux_per_photon(self) -> Floats:
@@ -137,8 +153,8 @@ class PrimalRays:
     origin, direction : (n, 3) float64
         Origins, m, and unit vectors.
     emitter_coords : (n, 2) or (n, 3) float64
-        m on the emitter plane, relative to the projection of the centre of all targets; or unit
-        vectors.
+        m on the emitter plane, of a sun on that across the ray, relative to the projection of the
+        centre of all targets; or unit vectors.
     emitter_density : (n,) float64
         Photons emitted per m² or sr around those coordinates.
     travelled : float
@@ -187,7 +203,7 @@ def plan_emission(
     draw = partial(_emission, n_candidates=0, seed=check_seed(seed), sampler=sampler)
     aimed = _aimed(scene, paths, n_emitted)
     # Whole regions are not sampled for it: there may be many emitters.
-    shares = [draw(each).share(_N_PILOT) if len(each.outlines) else 1.0 for each in aimed]
+    shares = [draw(each).share(_N_PILOT) if each.is_thinned else 1.0 for each in aimed]
     weights = [luminance(each.region) * share for each, share in zip(aimed, shares, strict=True)]
     if not any(weights):
         what = "the specular objects" if paths == "caustic" else "the scene"
@@ -197,7 +213,7 @@ def plan_emission(
         )
     found = [
         draw(each).photons(n, _STARTS_EVERY, min(int(_MAX_TRIES * n / share), 2**62))
-        if len(each.outlines)
+        if each.is_thinned
         else ((), n, n)
         for each, n, share in zip(aimed, _apportion(n_emitted, weights), shares, strict=True)
     ]
@@ -260,10 +276,13 @@ def _emission(aimed: AimedRegion, n_candidates: int, seed: int, sampler: str) ->
             start_distance=region.start_distance,
             coords_offset=region.coords_offset,
             density=n_candidates / region.area if n_candidates else 0.0,
+            target=region.target,
+            triangles=region.triangles,
+            cumulative=region.cumulative,
         ),
         seed,
         stream,
-        np.array(seed_shift(seed, stream) if sampler == "halton" else ()),
+        np.array(seed_shifts(seed, stream, 4) if sampler == "halton" else ()),
         aimed.outlines,
     )
 
@@ -299,7 +318,7 @@ def _targets(scene: Scene, paths: str) -> tuple[tuple[Sphere, ...], Sphere, Sphe
     Light is stored on sensors after it has met another object, unless paths are "all".
     """
     check_choice(paths, "paths", PATHS)
-    whole = scene.bounding_sphere(range(len(scene.objects)) if paths == "all" else None)
+    whole = scene.bounding_sphere(range(len(scene.surfaces)) if paths == "all" else None)
     if paths != "caustic":
         return (whole,), whole, whole
     if not scene.specular_objects:

@@ -38,7 +38,8 @@ class GatherRays:
     """
 
     def __init__(self, scene: Scene, caster: RayCaster, *, max_depth: int, n_threads: int) -> None:
-        self._caster, self._max_depth, self._n_threads = caster, max_depth, n_threads
+        self._scene, self._caster = scene, caster
+        self._max_depth, self._n_threads = max_depth, n_threads
         self._materials = Materials(scene.material_table())
         self._media = MediaFinder(scene, caster, self._materials)
         self._extent = scene.scale
@@ -70,7 +71,7 @@ class GatherRays:
 
         with thread_executor(self._n_threads) as executor:
             seen = list(ordered_map(work, slices, executor))
-        return hit_points_of(seen, self._materials)
+        return hit_points_of(seen, self._materials, self._scene)
 
     def _batch(
         self, position: Floats, direction: Floats, spread: Floats, *, first: int

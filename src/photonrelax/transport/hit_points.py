@@ -6,7 +6,7 @@ surface.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -52,6 +52,8 @@ class HitPoints:
     footprint : (m, 2, 3), optional
         Edges of the part of the surface that the point stands for, m: the changes of its position
         over the width and the height of a sample, by ray differentials (Igehy 1999).
+    emission : (m, 3), optional
+        Radiance that the point emits to the camera, W/(m² sr); None where no surface emits.
     """
 
     pixel: NDArray[np.int64]
@@ -61,6 +63,7 @@ class HitPoints:
     weight: Floats
     object_id: NDArray[np.int32]
     footprint: Floats | None = None
+    emission: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.pixel)
@@ -77,10 +80,14 @@ class FirstSurfaces:
         samples that hit nothing.
     depth : (rows, width)
         Distance along the viewing axis, m, the least over the samples; inf where nothing is hit.
+    background : (rows, width, 3), optional
+        Radiance of what is behind everything, also in mirrors and through glass, W/(m² sr); None in
+        scenes without.
     """
 
     normal: Floats
     depth: Floats
+    background: Floats | None = None
 
 
 def trace_hit_points(
@@ -104,10 +111,8 @@ def trace_hit_points(
     ----------
     scene, caster : Scene, RayCaster
         The scene, and a caster of its objects.
-    camera : Camera
-        It need not be that of the scene.
-    rows : range
-        Rows of pixels.
+    camera, rows : Camera, range
+        The camera, which need not be that of the scene, and rows of its pixels.
     supersampling, offset : int, (float, float)
         s·s samples per pixel; their position in the cells of the sample grid.
     max_depth : int
@@ -141,8 +146,15 @@ def trace_hit_points(
     first = FirstSurfaces(
         np.concatenate([batch.first.normal for batch in done]),
         np.concatenate([batch.first.depth for batch in done]),
+        _concatenated([batch.first.background for batch in done]),
     )
-    return hit_points_of([batch.seen for batch in done], tracer.materials), first
+    return hit_points_of([batch.seen for batch in done], tracer.materials, scene), first
+
+
+def _concatenated(parts: list[Floats | None]) -> Floats | None:
+    """Arrays as one; None if there are none."""
+    given = [part for part in parts if part is not None]
+    return np.concatenate(given) if given else None
 
 
 class _Batch(NamedTuple):
@@ -174,6 +186,8 @@ class _CameraTracer:
         self._changes = sample_changes(camera, supersampling)
         self._axis = camera.axes()[2]
         self._extent = scene.scale
+        backgrounds = [emitter.background for emitter in scene.emitters]
+        self._background = [radiance for radiance in backgrounds if radiance is not None]
 
     def trace(self, rows: range) -> _Batch:
         """Trace the rays of some rows of the image."""
@@ -183,12 +197,28 @@ class _CameraTracer:
             self._caster.triangles,
             least_weight=_MIN_WEIGHT,
             longest_edge=self._extent,
+            keep_escaped=bool(self._background),
         )
         first, found = self._start(paths, rows)
         follow_paths(paths, self._caster, found, self._max_depth)
         seen = paths.seen_points()
         seen["weight"] /= self._supersampling**2
+        if self._background:
+            first = self._with_background(first, seen, rows)
+            on_surface = seen["object_id"] >= 0
+            seen = {name: column[on_surface] for name, column in seen.items()}
         return _Batch(seen, first, paths.faults.take())
+
+    def _with_background(
+        self, first: FirstSurfaces, seen: dict[str, NDArray], rows: range
+    ) -> FirstSurfaces:
+        """First surfaces with the background that rays of their pixels escape to."""
+        escaped = seen["object_id"] < 0
+        pixel = seen["pixel"][escaped] - rows.start * self._camera.width
+        weight = np.zeros(first.normal.shape).reshape(-1, 3)
+        np.add.at(weight, pixel, seen["weight"][escaped])
+        radiance = weight.reshape(first.normal.shape) * np.sum(self._background, axis=0)
+        return replace(first, background=radiance)
 
     def _start(self, paths: CameraPaths, rows: range) -> tuple[FirstSurfaces, EmbreeHits]:
         """Start the rays of some rows, in their media and off the surfaces that they start on.
@@ -229,7 +259,27 @@ def follow_paths(paths: CameraPaths, caster: RayCaster, found: EmbreeHits, max_d
     paths.advance(found)
 
 
-def hit_points_of(batches: list[dict[str, NDArray]], materials: Materials) -> HitPoints:
-    """Hit points of the columns of some batches, but for the albedo, which materials have."""
+def hit_points_of(
+    batches: list[dict[str, NDArray]], materials: Materials, scene: Scene
+) -> HitPoints:
+    """Hit points of the columns of some batches, with what materials and emitters say of them."""
     columns = {name: np.concatenate([some[name] for some in batches]) for name in batches[0]}
-    return HitPoints(**columns, albedo=materials.table.reflectance[columns["object_id"]])
+    surface, from_behind = columns.pop("object_id"), columns.pop("from_behind")
+    return HitPoints(
+        **columns,
+        albedo=materials.table.reflectance[surface],
+        object_id=scene.ids_of(surface),
+        emission=_emission(scene, surface, from_behind),
+    )
+
+
+def _emission(scene: Scene, surface: NDArray, from_behind: NDArray[np.bool_]) -> Floats | None:
+    """Radiance (m, 3) that points emit to the camera; None in scenes where nothing emits."""
+    emitters = [emitter for emitter in scene.emitters if emitter.surface is not None]
+    if not emitters:
+        return None
+    emission = np.zeros((len(surface), 3))
+    for number, emitter in enumerate(emitters, len(scene.objects)):
+        seen = surface == number
+        emission[seen] = emitter.surface_radiance(from_behind[seen])
+    return emission

@@ -127,7 +127,7 @@ class MediaFinder:
         self, media: Media, origin: Floats, ray: NDArray, object_id: NDArray, behind: NDArray
     ) -> None:
         """Write the stacks of rays that cross surfaces in this order."""
-        _, first = np.unique(ray * len(self._scene.objects) + object_id, return_index=True)
+        _, first = np.unique(ray * len(self._scene.surfaces) + object_id, return_index=True)
         first = first[behind[first] > 0]
         dielectric = np.isin(object_id[first], self._ids)
         first = first[dielectric]

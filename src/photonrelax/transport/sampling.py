@@ -57,7 +57,13 @@ def halton(
 
 def seed_shift(seed: int, stream: int = 0) -> tuple[float, float]:
     """Shift of a seed, in [0, 1)²; each stream, such as an emitter, has its own."""
-    return _kernel.seed_shift(check_seed(seed), count(stream, "stream", low=0))
+    u, v = _kernel.seed_shifts(check_seed(seed), count(stream, "stream", low=0), 2)
+    return u, v
+
+
+def seed_shifts(seed: int, stream: int, n: int) -> Floats:
+    """As many shifts of a seed and stream; the first two are those of `seed_shift`."""
+    return np.array(_kernel.seed_shifts(seed, stream, n))
 
 
 def square_to_disk(points: ArrayLike, *, n_threads: int | None = None) -> Floats:

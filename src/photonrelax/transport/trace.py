@@ -282,9 +282,10 @@ class _Columns:
         )
         return first
 
-    def finished(self) -> dict[str, NDArray]:
-        """Return the columns, ready to be frozen without a copy."""
+    def finished(self, scene: Scene) -> dict[str, NDArray]:
+        """Return the columns of a scene's photons, ready to be frozen without a copy."""
         self._resize(self._n_stored)
+        self._arrays["object_id"] = scene.ids_of(self._arrays["object_id"])
         for array in self._arrays.values():
             array.setflags(write=False)
         return self._arrays
@@ -313,14 +314,15 @@ def _photon_map(context: TraceContext, columns: _Columns, ledgers: list[BatchLed
     plan, settings = context.plan, context.settings
     ledger = _ledger(plan, ledgers)
     photons = PhotonMap(
-        **columns.finished(),
+        **columns.finished(context.scene),
         n_emitted=int(plan.counts.sum()),
-        well_spaced=plan.sampler == "halton" and settings.paths == "caustic",
+        well_spaced=plan.is_well_spaced and settings.paths == "caustic",
         ledger=ledger,
         seed=plan.seed,
         sampler=plan.sampler,
         paths=settings.paths,
         sensor_ids=context.scene.sensors if context.sensors else None,
+        extended_ids=plan.extended_ids,
     )
     if not len(photons):
         raise NothingStoredError(_nothing_stored(context, ledger, ledgers), photons)

@@ -8,14 +8,28 @@ cdef class EmissionRegion:
     cdef double start_distance, density
     cdef const double[::1] origin, shape, coords_offset
     cdef const double[:, ::1] frame
+    # Of extended emitters, else None.
+    cdef const double[::1] target, cumulative
+    cdef const double[:, :, ::1] triangles
 
     cdef void to_world(self, double* out, const double* local) noexcept nogil
     cdef double from_point(self, double* direction, double u, double v) noexcept nogil
     cdef double from_plane(
         self, double* origin, double* direction, double* coords, double u, double v
     ) noexcept nogil
+    cdef double from_area(
+        self, double* origin, double* direction, double* coords, const double* point
+    ) noexcept nogil
+    cdef void at_area(self, double* position, double* normal, const double* point) noexcept nogil
+    cdef double to_target(
+        self, double* direction, const double* origin, const double* point
+    ) noexcept nogil
+    cdef double taken(self, const double* point) noexcept nogil
+    cdef double from_sun(
+        self, double* origin, double* direction, double* coords, const double* point
+    ) noexcept nogil
     cdef double ray(
-        self, double* origin, double* direction, double* coords, double u, double v
+        self, double* origin, double* direction, double* coords, const double* point
     ) noexcept nogil
 
 
@@ -23,12 +37,16 @@ cdef class Emission:
     cdef EmissionRegion region
     cdef uint64_t seed, stream
     cdef bint halton
-    cdef double[2] shift
-    # Of earlier regions: centre in emitter coordinates and squared radius.
+    # Numbers of a photon's ray, and their shifts.
+    cdef int n_numbers
+    cdef double[4] shift
+    # Of earlier regions, and the clip of this one, whose square is negative: centre in emitter
+    # coordinates and squared radius.
     cdef const double[:, ::1] outlines
 
     cdef uint64_t key(self, uint64_t index) noexcept nogil
     cdef bint accepts(self, uint64_t index) noexcept nogil
+    cdef void point(self, uint64_t index, double* point) noexcept nogil
     cdef double ray(
         self, uint64_t index, double* origin, double* direction, double* coords
     ) noexcept nogil

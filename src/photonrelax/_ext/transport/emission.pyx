@@ -2,14 +2,15 @@
 
 cimport cython
 from cython.parallel cimport prange
-from libc.math cimport sqrt
+from libc.math cimport M_PI, cbrt, cos, fabs, sin, sqrt
 from libc.stdint cimport int64_t, uint8_t, uint64_t
 
 from ..common.rng cimport hash_key, uniform
 from ..common.threads cimport ELEMENTS, Watch, close_watch, goes_on, open_watch, team_size
-from ..common.vec3 cimport normalise
+from ..common.vec3 cimport copy, cross, dot, normalise, orthonormal_frame
 from .sampling cimport (
-    cap_direction, disk_point, radical_inverse_2, radical_inverse_3, sphere_direction, wrapped,
+    cap_direction, disk_point, radical_inverse, radical_inverse_2, radical_inverse_3,
+    sphere_direction, wrapped,
 )
 
 import numpy as np
@@ -20,14 +21,44 @@ cdef enum:
     CAP = 1
     SPHERE = 2
     ELLIPSE = 3
+    SPOT = 4
+    SUN = 5
+    AREA = 6
 
 cdef enum:
     # Candidates between looks for signals.
     LOOK_EVERY = 1 << 12
 
-# Random numbers of a photon: two for its coordinates, this one, then those of events.
+cdef double SMALLEST_REST = 2.0**-53
+
+# Random numbers of a photon: two for its coordinates, this one, then those of events. Two more
+# coordinates come after those of any event.
 cdef enum:
     OF_SELECTION = 2
+    OF_ANGLE = 1 << 30
+    OF_SHARE = OF_ANGLE + 2
+
+
+cdef double squared_distance(const double* centre, const double* point) noexcept nogil:
+    cdef double squared = 0.0
+    cdef int c
+    for c in range(3):
+        squared += (point[c] - centre[c]) * (point[c] - centre[c])
+    return squared
+
+
+cdef double squared_distance_to_ray(
+    const double* centre, const double* origin, const double* direction
+) noexcept nogil:
+    cdef double[3] offset, aside
+    cdef double along
+    cdef int c
+    for c in range(3):
+        offset[c] = centre[c] - origin[c]
+    along = max(dot(offset, direction), 0.0)
+    for c in range(3):
+        aside[c] = offset[c] - along * direction[c]
+    return dot(aside, aside)
 
 
 cdef double ellipse_direction(double* out, const double* p, const double* shape) noexcept nogil:
@@ -50,6 +81,33 @@ cdef double ellipse_direction(double* out, const double* p, const double* shape)
     return out[2]
 
 
+cdef double spot_direction(double* out, double u, double v, const double* shape) noexcept nogil:
+    """Map the unit square to a sector of a spot's cone, or to the whole cone around z.
+
+    The density follows the intensity, which is returned relative to that on the axis.
+    """
+    cdef double inner = shape[0], width = shape[1] - shape[0], half_azimuth = shape[4]
+    cdef double content, drop, root = 1.0, stretch, radius = 1.0
+    if half_azimuth < M_PI:
+        content = shape[2] + u * (shape[3] - shape[2])
+        out[0] = cos(half_azimuth * (2.0 * v - 1.0))
+        out[1] = sin(half_azimuth * (2.0 * v - 1.0))
+    else:
+        disk_point(out, u, v)
+        radius = sqrt(out[0] * out[0] + out[1] * out[1])
+        content = shape[3] * radius * radius
+    drop = content
+    if content > inner:
+        # Rounding must not take the density to zero.
+        root = cbrt(max(1.0 - 3.0 * (content - inner) / width, SMALLEST_REST))
+        drop = inner + width * (1.0 - root)
+    stretch = sqrt(drop * (2.0 - drop)) / radius if radius > 0.0 else 0.0
+    out[0] *= stretch
+    out[1] *= stretch
+    out[2] = 1.0 - drop
+    return root * root
+
+
 @cython.final
 cdef class EmissionRegion:
     """The numbers of a `scene.emission_region.EmissionRegion`; `density` is of its photons."""
@@ -57,7 +115,8 @@ cdef class EmissionRegion:
     def __init__(
         self, int kind, const double[::1] origin, const double[:, ::1] frame,
         const double[::1] shape, *, double start_distance, const double[::1] coords_offset,
-        double density,
+        double density, const double[::1] target=None, const double[:, :, ::1] triangles=None,
+        const double[::1] cumulative=None,
     ):
         self.kind = kind
         self.origin = origin
@@ -66,6 +125,7 @@ cdef class EmissionRegion:
         self.start_distance = start_distance
         self.coords_offset = coords_offset
         self.density = density
+        self.target, self.triangles, self.cumulative = target, triangles, cumulative
 
     cdef void to_world(self, double* out, const double* local) noexcept nogil:
         cdef int c
@@ -80,18 +140,20 @@ cdef class EmissionRegion:
         """Write a direction from a point and return its density."""
         cdef double[2] disk
         cdef double[3] local
-        cdef double cosine = 1.0
+        cdef double relative = 1.0
         if self.kind == SPHERE:
             sphere_direction(local, u, v)
+        elif self.kind == SPOT:
+            relative = spot_direction(local, u, v, &self.shape[0])
         else:
             disk_point(disk, u, v)
             if self.kind == CAP:
                 cap_direction(local, disk, self.shape[0])
             else:
-                cosine = ellipse_direction(local, disk, &self.shape[0])
+                relative = ellipse_direction(local, disk, &self.shape[0])
         self.to_world(direction, local)
         normalise(direction)
-        return self.density * cosine
+        return self.density * relative
 
     cdef double from_plane(
         self, double* origin, double* direction, double* coords, double u, double v
@@ -111,14 +173,115 @@ cdef class EmissionRegion:
             direction[c] = self.frame[2, c]
         return self.density
 
-    cdef double ray(
-        self, double* origin, double* direction, double* coords, double u, double v
+    cdef double from_sun(
+        self, double* origin, double* direction, double* coords, const double* point
     ) noexcept nogil:
+        """Write a ray of a sun and its coordinates, across the ray from the centre of all."""
+        cdef double[3] local, across, along, start
+        cdef double[2] disk
+        cdef double upstream = self.shape[2]
+        cdef int c
+        disk_point(disk, point[2], point[3])
+        cap_direction(local, disk, self.shape[1])
+        orthonormal_frame(across, along, local)
+        disk_point(disk, point[0], point[1])
+        coords[0] = coords[1] = 0.0
+        if self.shape[3] == 0.0:
+            coords[0] = self.shape[0] * disk[0] + dot(&self.coords_offset[0], across)
+            coords[1] = self.shape[0] * disk[1] + dot(&self.coords_offset[0], along)
+        self.to_world(direction, local)
+        normalise(direction)
+        for c in range(3):
+            start[c] = self.shape[0] * (disk[0] * across[c] + disk[1] * along[c])
+        self.to_world(origin, start)
+        for c in range(3):
+            origin[c] += self.origin[c] + upstream * (self.frame[2, c] - direction[c])
+        return self.density
+
+    cdef double from_area(
+        self, double* origin, double* direction, double* coords, const double* point
+    ) noexcept nogil:
+        """Write a ray from an area to the target and its direction as coordinates."""
+        cdef double[3] normal
+        cdef double cosine
+        self.at_area(origin, normal, point)
+        self.to_target(direction, origin, point)
+        cosine = dot(normal, direction)
+        copy(coords, direction)
+        for c in range(3):
+            origin[c] += (self.start_distance if cosine > 0.0 else -self.start_distance) * normal[c]
+        return self.density * (self.shape[3] if self.shape[3] > 0.0 else fabs(cosine))
+
+    cdef void at_area(self, double* position, double* normal, const double* point) noexcept nogil:
+        """Write a point of an area, uniform over it, and the normal there."""
+        cdef Py_ssize_t first = 0, last = self.cumulative.shape[0] - 1, middle
+        cdef const double* corner
+        cdef double[3] u, v
+        cdef double below, along
+        cdef int c
+        while first < last:
+            middle = (first + last) // 2
+            if self.cumulative[middle] <= point[2]:
+                first = middle + 1
+            else:
+                last = middle
+        below = self.cumulative[first - 1] if first > 0 else 0.0
+        along = sqrt((point[2] - below) / (self.cumulative[first] - below))
+        corner = &self.triangles[first, 0, 0]
+        for c in range(3):
+            u[c] = corner[3 + c] - corner[c]
+            v[c] = corner[6 + c] - corner[c]
+            position[c] = corner[c] + along * ((1.0 - point[3]) * u[c] + point[3] * v[c])
+        cross(normal, u, v)
+        normalise(normal)
+
+    cdef double to_target(
+        self, double* direction, const double* origin, const double* point
+    ) noexcept nogil:
+        """Write a direction to the target, uniform over it; return 1 - cos of its half angle."""
+        cdef double[3] axis, across, along, local
+        cdef double[2] disk
+        cdef double distance, sine, one_minus_cos
+        cdef int c
+        for c in range(3):
+            axis[c] = self.target[c] - origin[c]
+        distance = sqrt(dot(axis, axis))
+        if distance <= self.shape[0]:
+            sphere_direction(direction, point[0], point[1])
+            return 2.0
+        sine = self.shape[0] / distance
+        one_minus_cos = sine * sine / (1.0 + sqrt((1.0 - sine) * (1.0 + sine)))
+        normalise(axis)
+        disk_point(disk, point[0], point[1])
+        cap_direction(local, disk, one_minus_cos)
+        orthonormal_frame(across, along, axis)
+        for c in range(3):
+            direction[c] = local[0] * across[c] + local[1] * along[c] + local[2] * axis[c]
+        normalise(direction)
+        return one_minus_cos
+
+    cdef double taken(self, const double* point) noexcept nogil:
+        """Share of a candidate that is a photon of an area: its cosine and solid angle."""
+        cdef double[3] origin, normal, direction
+        cdef double one_minus_cos, cosine
+        self.at_area(origin, normal, point)
+        one_minus_cos = self.to_target(direction, origin, point)
+        cosine = dot(normal, direction)
+        return (fabs(cosine) if self.shape[2] > 0.0 else cosine) * one_minus_cos / self.shape[1]
+
+    cdef double ray(
+        self, double* origin, double* direction, double* coords, const double* point
+    ) noexcept nogil:
+        """Write the ray and coordinates of a point of the unit square, or hypercube if extended."""
         cdef double density
         cdef int c
         if self.kind == DISK:
-            return self.from_plane(origin, direction, coords, u, v)
-        density = self.from_point(direction, u, v)
+            return self.from_plane(origin, direction, coords, point[0], point[1])
+        if self.kind == SUN:
+            return self.from_sun(origin, direction, coords, point)
+        if self.kind == AREA:
+            return self.from_area(origin, direction, coords, point)
+        density = self.from_point(direction, point[0], point[1])
         for c in range(3):
             coords[c] = direction[c]
             origin[c] = self.origin[c] + self.start_distance * direction[c]
@@ -129,22 +292,27 @@ cdef class EmissionRegion:
 cdef class Emission:
     """The candidates of a region, by index; an empty shift selects the random sampler.
 
-    Those that lie in the `outlines` (m, 4) of earlier regions are no photons.
+    Those that lie in the `outlines` (m, 4) of earlier regions are no photons, nor those beyond one
+    whose squared radius is negative.
     """
 
     def __init__(
         self, EmissionRegion region, uint64_t seed, uint64_t stream, const double[::1] shift,
         const double[:, ::1] outlines,
     ):
+        cdef int i
         if outlines.shape[1] != 4:
             raise ValueError(f"outlines should have 4 columns, but have {outlines.shape[1]}")
         self.region = region
         self.seed = seed
         self.stream = stream
         self.outlines = outlines
-        self.halton = shift.shape[0] == 2
-        if self.halton:
-            self.shift[0], self.shift[1] = shift[0], shift[1]
+        self.n_numbers = 4 if region.kind == SUN or region.kind == AREA else 2
+        self.halton = shift.shape[0] > 0
+        if self.halton and shift.shape[0] < self.n_numbers:
+            raise ValueError(f"shift should have {self.n_numbers} numbers")
+        for i in range(self.n_numbers if self.halton else 0):
+            self.shift[i] = shift[i]
 
     cdef uint64_t key(self, uint64_t index) noexcept nogil:
         """Return the key of the random numbers of a photon."""
@@ -201,20 +369,26 @@ cdef class Emission:
         return np.asarray(out)
 
     cdef bint accepts(self, uint64_t index) noexcept nogil:
-        """False if a candidate lies in an earlier region."""
+        """False if a candidate lies in an earlier region, or beyond the clip of its own."""
         cdef double[3] origin
         cdef double[3] direction
         cdef double[3] coords
+        cdef double[4] point
         cdef double squared
         cdef Py_ssize_t i
-        cdef int c
         coords[2] = 0.0
-        self.ray(index, origin, direction, coords)
+        self.point(index, point)
+        if self.region.kind == AREA and (
+            uniform(self.key(index), OF_SHARE) >= self.region.taken(point)
+        ):
+            return False
+        self.region.ray(origin, direction, coords, point)
         for i in range(self.outlines.shape[0]):
-            squared = 0.0
-            for c in range(3):
-                squared += (coords[c] - self.outlines[i, c]) * (coords[c] - self.outlines[i, c])
-            if squared < self.outlines[i, 3]:
+            if self.region.kind == SUN or self.region.kind == AREA:
+                squared = squared_distance_to_ray(&self.outlines[i, 0], origin, direction)
+            else:
+                squared = squared_distance(&self.outlines[i, 0], coords)
+            if (squared < fabs(self.outlines[i, 3])) == (self.outlines[i, 3] > 0.0):
                 return False
         return True
 
@@ -222,15 +396,24 @@ cdef class Emission:
         self, uint64_t index, double* origin, double* direction, double* coords
     ) noexcept nogil:
         """Write a photon's primal ray and emitter coordinates, and return its density."""
-        cdef double u, v
+        cdef double[4] point
+        self.point(index, point)
+        return self.region.ray(origin, direction, coords, point)
+
+    cdef void point(self, uint64_t index, double* point) noexcept nogil:
+        """Write the point of the unit square or hypercube of a candidate."""
         cdef uint64_t key
         if self.halton:
-            u = wrapped(radical_inverse_2(index), self.shift[0])
-            v = wrapped(radical_inverse_3(index), self.shift[1])
+            point[0] = wrapped(radical_inverse_2(index), self.shift[0])
+            point[1] = wrapped(radical_inverse_3(index), self.shift[1])
+            if self.n_numbers == 4:
+                point[2] = wrapped(radical_inverse(index, 5), self.shift[2])
+                point[3] = wrapped(radical_inverse(index, 7), self.shift[3])
         else:
             key = self.key(index)
-            u, v = uniform(key, 0), uniform(key, 1)
-        return self.region.ray(origin, direction, coords, u, v)
+            point[0], point[1] = uniform(key, 0), uniform(key, 1)
+            if self.n_numbers == 4:
+                point[2], point[3] = uniform(key, OF_ANGLE), uniform(key, OF_ANGLE + 1)
 
 
 def emit(
@@ -242,7 +425,7 @@ def emit(
     if not (
         n == candidates.shape[0] == origin.shape[0] == direction.shape[0] == coords.shape[0]
         and origin.shape[1] == direction.shape[1] == 3
-        and coords.shape[1] == (2 if emission.region.kind == DISK else 3)
+        and coords.shape[1] == (2 if emission.region.kind in (DISK, SUN) else 3)
     ):
         raise ValueError("candidates, rays, coords and density do not fit one another")
     for i in prange(

@@ -7,7 +7,7 @@ a sample (ray differentials, Igehy 1999), which are the edges of the sample on t
 
 cimport cython
 from libc.math cimport INFINITY, fabs, isfinite, sqrt
-from libc.stdint cimport int32_t, int64_t, uint64_t
+from libc.stdint cimport int32_t, int64_t, uint8_t, uint64_t
 
 import numpy as np
 
@@ -28,6 +28,7 @@ cdef struct SeenPoint:
     double[2][3] footprint
     int64_t pixel
     int32_t object_id
+    bint from_behind
 
 
 cdef struct CameraRay:
@@ -61,12 +62,15 @@ cdef class CameraPaths:
         Rays of less weight in every channel are not followed.
     longest_edge : float
         Limit of the edges of footprints, m: at grazing angles they have none.
+    keep_escaped : bool
+        Record rays that hit nothing as points of object -1.
     """
 
     cdef Materials materials
     cdef EmbreeFrame frame
     cdef Triangles triangles
     cdef double least_weight, longest_edge
+    cdef bint keep_escaped
     # Rays of this level and of the next, (n, sizeof(CameraRay)).
     cdef unsigned char[::1] memory, next_memory
     cdef CameraRay* ray
@@ -83,10 +87,11 @@ cdef class CameraPaths:
 
     def __init__(
         self, Materials materials, EmbreeFrame frame, Triangles triangles, *, double least_weight,
-        double longest_edge,
+        double longest_edge, bint keep_escaped=False,
     ):
         self.materials, self.frame, self.triangles = materials, frame, triangles
         self.least_weight, self.longest_edge = least_weight, longest_edge
+        self.keep_escaped = keep_escaped
         self.memory = self.next_memory = np.empty(0, np.uint8)
         self.origins = np.empty((0, 3), np.float32)
         self.seen_memory = np.empty(0, np.uint8)
@@ -297,12 +302,14 @@ cdef class CameraPaths:
         cdef Py_ssize_t i, m = self.n_seen
         cdef int64_t[::1] pixel = np.empty(m, np.int64)
         cdef int32_t[::1] object_id = np.empty(m, np.int32)
+        cdef uint8_t[::1] from_behind = np.empty(m, np.uint8)
         cdef double[:, ::1] position = np.empty((m, 3)), normal = np.empty((m, 3))
         cdef double[:, ::1] weight = np.empty((m, 3))
         cdef double[:, :, ::1] footprint = np.empty((m, 2, 3))
         with nogil:
             for i in range(m):
                 pixel[i], object_id[i] = self.seen[i].pixel, self.seen[i].object_id
+                from_behind[i] = self.seen[i].from_behind
                 copy(&position[i, 0], self.seen[i].position)
                 copy(&normal[i, 0], self.seen[i].normal)
                 copy(&weight[i, 0], self.seen[i].weight)
@@ -314,6 +321,7 @@ cdef class CameraPaths:
             "normal": normal.base,
             "weight": weight.base,
             "object_id": object_id.base,
+            "from_behind": from_behind.base.view(np.bool_),
             "footprint": footprint.base,
         }
 
@@ -377,6 +385,8 @@ cdef class CameraPaths:
         cdef double[3] transmitted
         cdef int c
         if not self.refine(&at.hit, found, row):
+            if self.keep_escaped:
+                self.record_escape(&self.ray[row])
             return target
         at.ray = self.ray[row]
         at.triangle = found.triangle[row]
@@ -394,12 +404,20 @@ cdef class CameraPaths:
             return target
         return self.split(&at, target)
 
+    cdef void record_escape(self, const CameraRay* ray) noexcept nogil:
+        """Record a ray that hits nothing: its pixel and weight."""
+        cdef SeenPoint* point = &self.seen[self.n_seen]
+        self.n_seen += 1
+        point[0] = SeenPoint(pixel=ray.pixel, object_id=-1)
+        copy(point.weight, ray.weight)
+
     cdef void record(self, const Meeting* at) noexcept nogil:
         cdef SeenPoint* point = &self.seen[self.n_seen]
         cdef int side
         self.n_seen += 1
         point.pixel = at.ray.pixel
         point.object_id = at.hit.object_id
+        point.from_behind = at.inside
         copy(point.position, at.hit.position)
         seen_normal(point.normal, at.ray.direction, &at.hit)
         copy(point.weight, at.ray.weight)

@@ -46,6 +46,16 @@ cdef inline double radical_inverse_3(uint64_t index) noexcept nogil:
     return <double>mirrored / <double>scale
 
 
+cdef inline double radical_inverse(uint64_t index, int base) noexcept nogil:
+    """Van der Corput number in a base; exact for indices below 2^53 over the base."""
+    cdef uint64_t mirrored = 0, scale = 1
+    while index > 0:
+        mirrored = base * mirrored + index % base
+        scale *= base
+        index //= base
+    return <double>mirrored / <double>scale
+
+
 cdef inline double wrapped(double x, double shift) noexcept nogil:
     """Sum of two numbers in [0, 1), modulo one."""
     x += shift

@@ -8,9 +8,9 @@ from ..common.threads cimport ELEMENTS, team_size
 from .sampling cimport disk_point, radical_inverse_2, radical_inverse_3, wrapped
 
 
-def seed_shift(uint64_t seed, uint64_t stream):
+def seed_shifts(uint64_t seed, uint64_t stream, int n):
     cdef uint64_t key = hash_key(seed, stream, 0)
-    return uniform(key, 0), uniform(key, 1)
+    return [uniform(key, i) for i in range(n)]
 
 
 def halton(uint64_t first, double shift_u, double shift_v, double[:, ::1] out, int n_threads):

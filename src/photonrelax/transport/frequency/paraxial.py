@@ -76,7 +76,7 @@ class ParaxialOptics:
 
     def __init__(self, scene: Scene) -> None:
         self.materials = Materials(scene.material_table())
-        self._derivatives = NormalDerivatives(scene.objects)
+        self._derivatives = NormalDerivatives(scene.surfaces)
 
     def propagate(self, rays: ParaxialRays, hits: Intersections) -> ParaxialRays:
         """Rays at their hits: the operator of free flight, and the absorption on the way."""

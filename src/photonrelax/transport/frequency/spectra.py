@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ..._util.validation import Floats
 from ...photons.axes import MIN_NORMAL_COSINE
-from ...scene.emission_region import EmissionRegion
+from ...scene.emission_region import DISK, EmissionRegion
 from ..batch import TraceContext
 from ..frequency import operators
 from ..raycast import Intersections, empty_intersections
@@ -226,7 +226,7 @@ class _Bundle:
 
 def _across(region: EmissionRegion, direction: Floats) -> Floats:
     """Unit vectors (n, 2, 3) across rays; the same for all rays of a plane."""
-    if region.is_plane:
+    if region.kind == DISK:
         return np.broadcast_to(region.frame[:2], (len(direction), 2, 3))
     aside = np.eye(3)[np.abs(direction).argmin(axis=1)]
     first = np.cross(direction, aside)
