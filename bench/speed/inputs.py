@@ -64,7 +64,8 @@ def hit_points(pixels: int) -> pr.HitPoints:
         seen, RayCaster(seen.objects), seen.camera, range(pixels), supersampling=2
     )
     order = np.argsort(hits.pixel, kind="stable")
-    names = [field.name for field in fields(hits) if field.name != "footprint"]
+    optional = ("footprint", "emission")
+    names = [field.name for field in fields(hits) if field.name not in optional]
     return pr.HitPoints(**{name: getattr(hits, name)[order] for name in names})
 
 
