@@ -275,7 +275,7 @@ def test_kernels_refuse_arrays_that_do_not_fit():
     three, one = np.zeros((20, 3)), np.zeros(20)
     tree = pr.KDTree(np.random.default_rng(0).random((20, 3))).kernel
     arrays = {"position": three, "normal": three, "coords": three, "slope": three}
-    arrays |= {"residual": one, "noise": one}
+    arrays |= {"residual": one, "noise": one, "places": np.arange(20)}
     settings = {"k": 8, "n_fitted": 8, "max_residual": 0.1, "lattice_force": LATTICE_FORCE}
     for name, array in arrays.items():
         wrong = arrays | {name: array[1:].copy()}

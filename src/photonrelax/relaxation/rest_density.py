@@ -24,7 +24,7 @@ from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
-from ..photons.axes import MAX_NORMAL_CHORD, hstack_rows
+from ..photons.axes import MAX_NORMAL_CHORD, hstack_rows, leaf_rows
 from ..photons.neighbourhoods import Group, neighbour_groups
 from ..photons.photon_map import PhotonMap
 from ..spatial.kdtree import KDTree
@@ -166,20 +166,21 @@ def _of_group(
     report: Reporter,
 ) -> tuple[Floats, Floats, Floats]:
     """Slopes, residuals and limits of a group whose emitter coordinates compare."""
-    position, normal, coords = (
-        np.ascontiguousarray(column[group.rows])
-        for column in (photons.position, photons.normal, coords)
-    )
-    slope = np.empty_like(position)
-    residual, noise = np.empty((2, len(position)))
     sheet = _sheets(photons, group)
-    tree = _emitter_tree(coords, normal, sheet, n_threads)
+    tree = _emitter_tree(coords[group.rows], photons.normal[group.rows], sheet, n_threads)
+    rows = leaf_rows(tree, group.rows)
+    in_tree_order = {
+        "position": photons.position[rows],
+        "normal": photons.normal[rows],
+        "coords": coords[rows],
+        "places": np.arange(len(tree)),
+    }
+    slope = np.empty((len(tree), 3))
+    residual, noise = np.empty((2, len(tree)))
     for first, end in report.chunks(len(tree)):
         _rest_density.prescribe(
             *(tree.kernel, first, end),
-            position=position,
-            normal=normal,
-            coords=coords,
+            **in_tree_order,
             k=settings.k,
             n_fitted=settings.n_fitted,
             max_residual=settings.max_residual,
@@ -190,34 +191,41 @@ def _of_group(
             n_threads=n_threads,
         )
     of_noise = np.where(residual <= settings.max_residual, _LIMIT_OF_NOISE, _LIMIT_WITHOUT_MAP)
-    limit = np.minimum(of_noise * _of_sheets(noise, sheet[:, 0]), _LARGEST_LIMIT)
+    limit = np.minimum(of_noise * _of_sheets(noise, sheet), _LARGEST_LIMIT)
     return slope, residual, np.where(np.isfinite(residual), limit, np.inf)
 
 
-def _of_sheets(noise: Floats, sheet: Floats) -> Floats:
+def _of_sheets(noise: Floats, sheet: NDArray[np.intp]) -> Floats:
     """Median noise of the sheet of each photon, of those where it is known."""
     known = np.isfinite(noise)
-    order = np.lexsort([noise[known], sheet[known]])
-    present, count = np.unique(sheet[known], return_counts=True)
-    number, of_photon = np.unique(sheet, return_inverse=True)
-    medians = np.full(len(number), _NOISE_OF_INDEPENDENT)
-    first = np.cumsum(count) - count
-    medians[np.searchsorted(number, present)] = noise[known][order][first + count // 2]
-    return medians[of_photon]
+    # Single numbers sort fastest: the sheet, and the bits of its noise, which sort as it does.
+    bits = noise[known].astype(np.float32).view(np.uint32)
+    ordered = np.sort(sheet[known] << 32 | bits)
+    count = np.bincount(sheet[known], minlength=sheet.max(initial=-1) + 1)
+    middle = (np.cumsum(count) - count + count // 2)[count > 0]
+    medians = np.full(len(count), _NOISE_OF_INDEPENDENT)
+    medians[count > 0] = ordered[middle].astype(np.uint32).view(np.float32)
+    return medians[sheet]
 
 
-def _sheets(photons: PhotonMap, group: Group) -> Floats:
-    """Numbers (m, 1) of the sheets of a group's photons: their path signatures and labels."""
-    sheet = np.zeros((len(photons.position[group.rows]), 1))
+def _sheets(photons: PhotonMap, group: Group) -> NDArray[np.intp]:
+    """Numbers (m,) of the sheets of a group's photons: their path signatures and labels."""
+    columns = []
     if photons.path_signature is not None:
-        _, number = np.unique(photons.path_signature[group.rows], return_inverse=True)
-        sheet[:, 0] = number
+        columns.append(photons.path_signature[group.rows])
     if group.labels is not None:
-        sheet += (sheet.max(initial=0.0) + 1.0) * group.labels[group.rows]
+        columns.append(group.labels[group.rows, 0])
+    sheet = np.zeros(len(photons.position[group.rows]), dtype=np.intp)
+    for column in columns:
+        # Faster than an inverse, which sorts rows.
+        present = np.unique(column)
+        sheet = sheet * len(present) + np.searchsorted(present, column)
     return sheet
 
 
-def _emitter_tree(coords: Floats, normal: Floats, sheet: Floats, n_threads: int) -> KDTree:
+def _emitter_tree(
+    coords: Floats, normal: Floats, sheet: NDArray[np.intp], n_threads: int
+) -> KDTree:
     """Tree over emitter coordinates.
 
     Photons within one on its range axes are of one sheet, on faces turned by no more than
@@ -225,7 +233,7 @@ def _emitter_tree(coords: Floats, normal: Floats, sheet: Floats, n_threads: int)
     """
     columns, scales = [coords], [1.0]
     if (sheet != sheet[:1]).any():
-        columns.append(sheet)
+        columns.append(sheet[:, np.newaxis].astype(np.float64))
         scales.append(2.0)
     if not all_nearly_equal(normal, None):
         columns.append(normal)

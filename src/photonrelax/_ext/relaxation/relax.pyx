@@ -72,25 +72,37 @@ cdef class Rest:
             f[axis] += scale * self.slope[row, axis]
 
     cdef void hold(
-        self, double* moved, Py_ssize_t row, Py_ssize_t place, double radius
+        self, double* moved, Py_ssize_t row, Py_ssize_t place, double squared_radius
     ) noexcept nogil:
-        """Put a photon that went too far back to its limits; `radius` is that of k photons."""
+        """Put a photon that went too far back to its limits, that of k photons among them."""
+        cdef double limit
         if self.start is not None:
-            put_back(moved, &self.start[place, 0], self.limit[row] * radius)
-        put_back(moved, &self.origin[place, 0], self.farthest[place])
+            limit = self.limit[row]
+            put_back(moved, &self.start[place, 0], limit * limit * squared_radius)
+        limit = self.farthest[place]
+        put_back(moved, &self.origin[place, 0], limit * limit)
+
+    cdef void prefetch(self, Py_ssize_t row) noexcept nogil:
+        """Prefetch the slope of a photon, and its limit if moves are limited by it."""
+        prefetch_row(&self.slope[row, 0], 3 * sizeof(double))
+        if self.start is not None:
+            prefetch_row(&self.limit[row], sizeof(double))
 
 
-cdef void put_back(double* moved, const double* origin, double limit) noexcept nogil:
-    """Move a point to no farther than `limit` from the origin."""
+cdef inline void put_back(
+    double* moved, const double* origin, double squared_limit
+) noexcept nogil:
+    """Move a point to no farther from the origin than a limit."""
     cdef double[3] gone
-    cdef double distance
+    cdef double squared, scale
     cdef Py_ssize_t axis
     for axis in range(3):
         gone[axis] = moved[axis] - origin[axis]
-    distance = sqrt(dot(gone, gone))
-    if distance > limit:
+    squared = dot(gone, gone)
+    if squared > squared_limit:
+        scale = sqrt(squared_limit / squared)
         for axis in range(3):
-            moved[axis] = origin[axis] + gone[axis] * limit / distance
+            moved[axis] = origin[axis] + gone[axis] * scale
 
 
 cdef class RelaxInputs:
@@ -172,6 +184,8 @@ cdef class Move(BatchWork):
         """Prefetch the constraint of a photon, and the limits at a position of the next block."""
         prefetch_row(&self.inputs.basis[row, 0, 0], 3 * sizeof(double))
         prefetch_row(&self.inputs.constraint[row], sizeof(double))
+        if self.inputs.rest is not None:
+            self.inputs.rest.prefetch(row)
         if next_place < self.tree.n_points:
             row = self.inputs.rows[next_place]
             if self.inputs.range_radius is not None:
@@ -211,10 +225,10 @@ cdef class Move(BatchWork):
         for axis in range(3):
             self.moved[place, axis] = query.bounds.low[axis] + f[axis]
         if self.inputs.rest is not None and query.candidates.count >= MIN_NEIGHBOURS:
-            # The radius of those that there are, scaled to hold k.
+            # The squared radius of those that there are, scaled to hold k.
             self.inputs.rest.hold(
                 &self.moved[place, 0], row, place,
-                sqrt(query.candidates.squared_radius * batch.k / query.candidates.count)
+                query.candidates.squared_radius * batch.k / query.candidates.count
             )
 
 

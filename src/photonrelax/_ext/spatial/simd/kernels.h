@@ -130,6 +130,26 @@ typedef struct {
     int64_t is_narrow;
 } SlantedWeights;
 
+enum {
+    /* Terms of a quadratic map of a plane: 1, a, b, a^2 / 2, ab, b^2 / 2. */
+    QUADRATIC_TERMS = 6,
+    /* Points of a lattice, in whole vectors, and their keys, in whole chunks. */
+    LATTICE_ROW = 176,
+    LATTICE_KEYS = 192
+};
+
+/* Offsets from a point, up to KEY_CHUNK of them: (a, b), of length 1 at most for those that a map
+ * is fitted to, and those that they are mapped to. */
+typedef struct {
+    double a[KEY_CHUNK], b[KEY_CHUNK], u[KEY_CHUNK], v[KEY_CHUNK];
+} MapSamples;
+
+/* Quadratic map of a lattice, without constant term. Points are left in whose product with
+ * `inward` is at least `edge`. */
+typedef struct {
+    double u[QUADRATIC_TERMS - 1], v[QUADRATIC_TERMS - 1], inward[2], edge;
+} LatticeMap;
+
 /* Kernels of one instruction set. `blocks` with `bits` are those of 16 blocks whose bits are set. */
 typedef struct {
     const char *name;
@@ -211,6 +231,19 @@ typedef struct {
     /* Weights at 16 offsets along both sides. */
     void (*slanted_weights)(const double *first, const double *second,
                             const SlantedWeights *weights, double *out);
+    /* Normal equations of a quadratic map of the first n samples, with weights exp(-squared
+     * offset): lower triangle of the matrix, and right sides. Rows are read in whole vectors. */
+    void (*quadratic_sums)(const MapSamples *samples, int64_t n, double *matrix, double *u,
+                           double *v);
+    /* Root mean square, by the same weights, of what a quadratic map leaves of n samples. */
+    double (*quadratic_residual)(const MapSamples *samples, int64_t n, const double *u,
+                                 const double *v);
+    /* Repulsion of SJ13 Eq. 8 on a point by the `nearest` points of a lattice around it that is
+     * mapped. Returns the radius of an even disc of their mean squared distance, about the square
+     * root of `expected`; zero if they are not as many or it is not finite. Rows of the lattice
+     * are the terms at its points. */
+    double (*lattice_repulsion)(const double *lattice, const LatticeMap *map, double expected,
+                                int64_t nearest, double *force);
 } SimdKernels;
 
 static inline int lowest_bit(unsigned bits) { return __builtin_ctz(bits); }

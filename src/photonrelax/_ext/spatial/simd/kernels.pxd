@@ -17,6 +17,8 @@ cdef extern from "kernels.h" nogil:
         CONE_WEIGHTS
         EPANECHNIKOV_WEIGHTS
         GAUSSIAN_WEIGHTS
+        QUADRATIC_TERMS
+        LATTICE_ROW
 
     const double GAUSSIAN_DEVIATION
     const double GAUSSIAN_EXPONENT
@@ -88,6 +90,18 @@ cdef extern from "kernels.h" nogil:
         double[4] series
         int64_t is_narrow
 
+    ctypedef struct MapSamples:
+        double[64] a
+        double[64] b
+        double[64] u
+        double[64] v
+
+    ctypedef struct LatticeMap:
+        double[5] u
+        double[5] v
+        double[2] inward
+        double edge
+
     ctypedef struct SimdKernels:
         const char* name
         unsigned int (*overlapping_boxes)(
@@ -152,6 +166,15 @@ cdef extern from "kernels.h" nogil:
         ) noexcept nogil
         void (*slanted_weights)(
             const double*, const double*, const SlantedWeights*, double*
+        ) noexcept nogil
+        void (*quadratic_sums)(
+            const MapSamples*, int64_t, double*, double*, double*
+        ) noexcept nogil
+        double (*quadratic_residual)(
+            const MapSamples*, int64_t, const double*, const double*
+        ) noexcept nogil
+        double (*lattice_repulsion)(
+            const double*, const LatticeMap*, double, int64_t, double*
         ) noexcept nogil
 
     int64_t farthest_candidate(const Candidates* found, const int64_t* ids)
