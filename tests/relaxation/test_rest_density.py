@@ -274,14 +274,16 @@ def test_bad_settings_are_refused(fields, message):
 def test_kernels_refuse_arrays_that_do_not_fit():
     three, one = np.zeros((20, 3)), np.zeros(20)
     tree = pr.KDTree(np.random.default_rng(0).random((20, 3))).kernel
-    arrays = {"position": three, "normal": three, "coords": three, "slope": three}
-    arrays |= {"residual": one, "noise": one, "places": np.arange(20)}
+    arrays = {"records": np.zeros((20, 9)), "places": np.arange(20), "slope": three}
+    arrays |= {"residual": one, "noise": one}
     settings = {"k": 8, "n_fitted": 8, "max_residual": 0.1, "lattice_force": LATTICE_FORCE}
     for name, array in arrays.items():
         wrong = arrays | {name: array[1:].copy()}
         with pytest.raises(ValueError, match="do not fit the tree"):
             kernel.prescribe(tree, 0, 20, **wrong, **settings, n_threads=1)
-    rest = {"slope": three, "origin": three, "farthest": one, "start": three, "limit": one}
+    rest = {"slope": three, "limit": one, "origin": three, "start": three}
+    rest |= {"rows": np.arange(20), "radius": one}
+    settings = {"limit_of_slope": 0.4, "share": 1.0, "n_threads": 1}
     for name, array in rest.items():
         with pytest.raises(ValueError, match="do not fit one another"):
-            relax_kernel.Rest(**rest | {name: array[1:].copy()})
+            relax_kernel.Rest(**rest | {name: array[1:].copy()}, **settings)

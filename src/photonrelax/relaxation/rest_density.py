@@ -169,18 +169,17 @@ def _of_group(
     sheet = _sheets(photons, group)
     tree = _emitter_tree(coords[group.rows], photons.normal[group.rows], sheet, n_threads)
     rows = leaf_rows(tree, group.rows)
-    in_tree_order = {
-        "position": photons.position[rows],
-        "normal": photons.normal[rows],
-        "coords": coords[rows],
-        "places": np.arange(len(tree)),
-    }
+    # Side by side: the photons around one are read in no order.
+    columns = [photons.position, coords, photons.normal]
+    records = hstack_rows(columns, [1.0] * len(columns), rows, n_threads)
+    places = np.arange(len(tree))
     slope = np.empty((len(tree), 3))
     residual, noise = np.empty((2, len(tree)))
     for first, end in report.chunks(len(tree)):
         _rest_density.prescribe(
             *(tree.kernel, first, end),
-            **in_tree_order,
+            records=records,
+            places=places,
             k=settings.k,
             n_fitted=settings.n_fitted,
             max_residual=settings.max_residual,

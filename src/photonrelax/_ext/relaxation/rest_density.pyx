@@ -1,7 +1,7 @@
 """Slope of the density that the map from emitter coordinates to positions prescribes."""
 
 from cython cimport final
-from libc.math cimport INFINITY, M_PI, asin, fabs, isfinite, sqrt
+from libc.math cimport INFINITY, M_PI, asin, isfinite, sqrt
 from libc.stdint cimport int64_t
 
 import numpy as np
@@ -10,7 +10,8 @@ from ..common.vec3 cimport dot, orthonormal_frame
 from ..spatial.batch cimport Batch
 from ..spatial.query_loop cimport BatchWork, search_points
 from ..spatial.simd.kernels cimport (
-    KEY_CHUNK, LANES, LATTICE_ROW, QUADRATIC_TERMS, LatticeMap, MapSamples, SimdKernels
+    KEY_CHUNK, LANES, LATTICE_ROW, QUADRATIC_TERMS, LatticeMap, MapSamples, QuadraticMaps,
+    SimdKernels
 )
 from ..spatial.tree cimport Tree
 from .structure cimport Components, decompose
@@ -31,8 +32,6 @@ cdef double MAX_ASPECT = 6.0
 # may lie beyond the edge by more than the margin, which only one in a thousand passes.
 cdef double EDGE_SHIFT = 0.3
 cdef double EDGE_MARGIN = 0.2
-# Pivots of normal equations below this share of their diagonal are rounding errors.
-cdef double SINGULAR = 1e-10
 
 
 def _hexagonal():
@@ -52,19 +51,10 @@ def _hexagonal():
 cdef double[:, ::1] hexagonal = _hexagonal()
 
 
-cdef struct Samples:
-    # Offsets of a photon's neighbours, nearest first: over the emitter coordinates (a, b), in units
-    # of the radius of those that are fitted, and in the tangent plane (u, v), in units of `scale`.
-    Py_ssize_t n
-    MapSamples at
-    double scale
-
-
 cdef struct QuadraticMap:
-    # Coefficients of u and v, and the root mean square of what they leave.
+    # Coefficients of u and v.
     double[TERMS] u
     double[TERMS] v
-    double residual
 
 
 cdef struct Sheet:
@@ -84,9 +74,8 @@ cdef class RestDensity(BatchWork):
 
     # Places of photons in the tree, which take the part of ids; photons are in that order.
     cdef const int64_t[::1] places
-    cdef const double[:, ::1] position
-    cdef const double[:, ::1] normal
-    cdef const double[:, ::1] coords
+    # Their positions, emitter coordinates and normals.
+    cdef const double[:, ::1] records
     cdef Py_ssize_t n_fitted
     cdef double max_residual
     cdef double lattice_force
@@ -96,7 +85,7 @@ cdef class RestDensity(BatchWork):
 
     cdef void finish(self, Batch* batch, Py_ssize_t first, int thread) noexcept nogil:
         """Fit the maps around the photons of a block; write their rows only."""
-        cdef Py_ssize_t lane
+        cdef Py_ssize_t lane, part
         for lane in range(batch.n_queries):
             self.tree.simd.gather_neighbours(
                 &self.tree.coords[0, 0, 0], &batch.queries[lane].bounds,
@@ -117,202 +106,161 @@ cdef class RestDensity(BatchWork):
                 batch.queries[lane].candidates.count, False,
                 batch.squared + lane * batch.stride, batch.id + lane * batch.stride
             )
-        for lane in range(batch.n_queries):
-            self.prescribe(batch, lane, first + lane)
+        for part in range((batch.n_queries + LANES - 1) // LANES):
+            self.prescribe_some(batch, LANES * part, first + LANES * part)
 
-    cdef void prescribe(self, Batch* batch, Py_ssize_t lane, Py_ssize_t place) noexcept nogil:
+    cdef void prescribe_some(
+        self, Batch* batch, Py_ssize_t first, Py_ssize_t place
+    ) noexcept nogil:
+        """Prescribe the slopes of the photons of some queries of a batch, in one vector."""
+        cdef MapSamples samples
+        cdef QuadraticMaps maps
+        cdef double[LANES][6] frames
+        cdef bint[LANES] complete
+        cdef Py_ssize_t lane, n = min(batch.n_queries - first, <Py_ssize_t> LANES)
+        for lane in range(LANES):
+            complete[lane] = lane < n and batch.queries[first + lane].candidates.count >= self.k
+            if complete[lane]:
+                complete[lane] = self.sample(
+                    &samples, lane, place + lane, batch.id + (first + lane) * batch.stride,
+                    frames[lane]
+                )
+            if not complete[lane]:
+                clear_lane(&samples, lane, self.k)
+        self.tree.simd.fit_maps(&samples, self.k, self.n_fitted, &maps)
+        for lane in range(n):
+            self.prescribe(
+                &samples, &maps, lane, self.tree.ids[place + lane],
+                frames[lane] if complete[lane] else NULL
+            )
+
+    cdef bint sample(
+        self, MapSamples* samples, Py_ssize_t lane, Py_ssize_t place, const int64_t* others,
+        double* frame
+    ) noexcept nogil:
+        """Offsets of a photon's neighbours, and its frame; false if it has no emitter coordinates.
+        """
+        cdef double[6] chart
+        cdef const double* at = &self.records[place, 0]
+        cdef const double* other
+        cdef Py_ssize_t j, n_axes = self.records.shape[1] - 6
+        orthonormal_frame(frame, frame + 3, at + 3 + n_axes)
+        if not chart_at(at + 3, n_axes, chart):
+            return False
+        for j in range(self.k):
+            other = &self.records[others[j], 0]
+            write_offset(other, at, 3, frame, &samples.u[j][lane], &samples.v[j][lane])
+            write_offset(
+                other + 3, at + 3, n_axes, chart, &samples.a[j][lane], &samples.b[j][lane]
+            )
+        return True
+
+    cdef void prescribe(
+        self, const MapSamples* samples, const QuadraticMaps* maps, Py_ssize_t lane,
+        Py_ssize_t row, const double* frame
+    ) noexcept nogil:
         """Write the slope at a photon, zero where no map fits, the residual, and the noise."""
-        cdef Samples samples
         cdef QuadraticMap fit
         cdef Sheet sheet
-        cdef double[6] frame
         cdef double[2] force
         cdef double radius, scale
-        cdef Py_ssize_t axis, row = self.tree.ids[place]
+        cdef Py_ssize_t axis
         self.residual[row] = self.noise[row] = INFINITY
         for axis in range(3):
             self.slope[row, axis] = 0.0
-        orthonormal_frame(frame, frame + 3, &self.normal[place, 0])
-        if batch.queries[lane].candidates.count < self.k:
+        if frame == NULL or not isfinite(maps.residual[lane]):
             return
-        if not self.sample(&samples, place, batch.id + lane * batch.stride, frame):
-            return
-        if not fit_map(self.tree.simd, &fit, &samples, self.n_fitted):
-            return
-        sheet = sheet_around(&samples)
+        for axis in range(TERMS):
+            fit.u[axis] = maps.u[axis][lane]
+            fit.v[axis] = maps.v[axis][lane]
+        sheet = sheet_around(samples, maps, lane, self.k)
         radius = lattice_force(self.tree.simd, &fit, &sheet, force)
         if not (radius > 0.0 and isfinite(force[0]) and isfinite(force[1])):
             return
-        self.residual[row] = fit.residual / radius
+        self.residual[row] = maps.residual[lane] / radius
         if not sheet.lopsided:
-            self.noise[row] = unevenness(self.tree.simd, &samples, self.n_fitted)
+            self.noise[row] = maps.unevenness[lane]
         if self.residual[row] <= self.max_residual:
             scale = -1.0 / (self.lattice_force * radius * radius)
             for axis in range(3):
                 self.slope[row, axis] = (
-                    scale * (force[0] * frame[axis] + force[1] * frame[3 + axis]) / samples.scale
+                    scale * (force[0] * frame[axis] + force[1] * frame[3 + axis])
+                    / maps.scale[lane]
                 )
 
-    cdef bint sample(
-        self, Samples* samples, Py_ssize_t place, const int64_t* others, const double* frame
-    ) noexcept nogil:
-        """Offsets of a photon's neighbours; false where they have no extent."""
-        cdef double[6] chart
-        cdef double radius, farthest = 0.0
-        cdef Py_ssize_t j
-        if not self.chart_at(place, chart):
-            return False
-        samples.n = self.k
-        write_offsets(self.coords, others, place, self.k, chart, samples.at.a, samples.at.b)
-        write_offsets(self.position, others, place, self.k, frame, samples.at.u, samples.at.v)
-        for j in range(self.k):
-            farthest = max(farthest, max(fabs(samples.at.u[j]), fabs(samples.at.v[j])))
-        j = self.n_fitted - 1
-        radius = max(fabs(samples.at.a[j]), fabs(samples.at.b[j]))
-        if not (radius > 0.0 and farthest > 0.0):
-            return False
-        # Dividing lengths, not squares, keeps very small and very large scenes in range.
-        radius *= sqrt((samples.at.a[j] / radius) ** 2 + (samples.at.b[j] / radius) ** 2)
-        samples.scale = farthest
-        scale_rows(samples, 1.0 / radius, 1.0 / farthest)
+
+cdef bint chart_at(const double* coords, Py_ssize_t n_axes, double* chart) noexcept nogil:
+    """Two axes over the emitter coordinates: those of a plane, or tangents of a sphere."""
+    cdef double[3] direction
+    cdef double length
+    cdef Py_ssize_t axis
+    if n_axes == 2:
+        for axis in range(6):
+            chart[axis] = axis == 0 or axis == 4
         return True
-
-    cdef bint chart_at(self, Py_ssize_t place, double* chart) noexcept nogil:
-        """Two axes over the emitter coordinates: those of a plane, or tangents of a sphere."""
-        cdef double[3] direction
-        cdef double length
-        cdef Py_ssize_t axis
-        if self.coords.shape[1] == 2:
-            for axis in range(6):
-                chart[axis] = axis == 0 or axis == 4
-            return True
-        length = sqrt(dot(&self.coords[place, 0], &self.coords[place, 0]))
-        if not length > 0.0:
-            return False
-        for axis in range(3):
-            direction[axis] = self.coords[place, axis] / length
-        orthonormal_frame(chart, chart + 3, direction)
-        return True
-
-
-cdef void write_offsets(
-    const double[:, ::1] points, const int64_t* others, Py_ssize_t place, Py_ssize_t n,
-    const double* frame, double* along, double* across
-) noexcept nogil:
-    """Offsets of n points from the one at `place`, along the two vectors of a frame."""
-    cdef const double* at = &points[place, 0]
-    cdef const double* other
-    cdef Py_ssize_t j, n_axes = points.shape[1]
-    cdef double x, y, z
-    for j in range(n):
-        other = &points[others[j], 0]
-        x = other[0] - at[0]
-        y = other[1] - at[1]
-        along[j] = frame[0] * x + frame[1] * y
-        across[j] = frame[3] * x + frame[4] * y
-        if n_axes > 2:
-            z = other[2] - at[2]
-            along[j] += frame[2] * z
-            across[j] += frame[5] * z
-
-
-cdef void scale_rows(Samples* samples, double emitter_scale, double scale) noexcept nogil:
-    """Scale offsets; kernels read rows in whole vectors, which are filled up with zeros."""
-    cdef Py_ssize_t j
-    for j in range(samples.n):
-        samples.at.a[j] *= emitter_scale
-        samples.at.b[j] *= emitter_scale
-        samples.at.u[j] *= scale
-        samples.at.v[j] *= scale
-    for j in range(samples.n, min(samples.n + LANES, <Py_ssize_t> KEY_CHUNK)):
-        samples.at.a[j] = samples.at.b[j] = samples.at.u[j] = samples.at.v[j] = 0.0
-
-
-# --- the map -----------------------------------------------------------------------------------
-
-
-cdef bint fit_map(
-    const SimdKernels* simd, QuadraticMap* fit, const Samples* samples, Py_ssize_t n
-) noexcept nogil:
-    """Fit the map to the nearest n samples, by exp(−squared offset); false if none is unique."""
-    cdef double[TERMS][TERMS] matrix
-    simd.quadratic_sums(&samples.at, n, &matrix[0][0], fit.u, fit.v)
-    if not factorise(&matrix[0][0]):
+    length = sqrt(dot(coords, coords))
+    if not length > 0.0:
         return False
-    back_substitute(&matrix[0][0], fit.u)
-    back_substitute(&matrix[0][0], fit.v)
-    fit.residual = simd.quadratic_residual(&samples.at, n, fit.u, fit.v)
+    for axis in range(3):
+        direction[axis] = coords[axis] / length
+    orthonormal_frame(chart, chart + 3, direction)
     return True
 
 
-cdef bint factorise(double* matrix) noexcept nogil:
-    """Cholesky factor of a symmetric matrix, in its lower triangle; false if it is singular.
-
-    The diagonal has the inverses.
-    """
-    cdef Py_ssize_t i, j, m
-    cdef double pivot
-    for j in range(TERMS):
-        pivot = matrix[TERMS * j + j]
-        for m in range(j):
-            pivot -= matrix[TERMS * j + m] * matrix[TERMS * j + m]
-        if not pivot > SINGULAR * matrix[TERMS * j + j]:
-            return False
-        matrix[TERMS * j + j] = 1.0 / sqrt(pivot)
-        for i in range(j + 1, TERMS):
-            for m in range(j):
-                matrix[TERMS * i + j] -= matrix[TERMS * i + m] * matrix[TERMS * j + m]
-            matrix[TERMS * i + j] *= matrix[TERMS * j + j]
-    return True
+cdef inline void write_offset(
+    const double* point, const double* origin, Py_ssize_t n_axes, const double* frame,
+    double* along, double* across
+) noexcept nogil:
+    """Offset of a point from another, of two or three axes, along a frame."""
+    cdef double x = point[0] - origin[0], y = point[1] - origin[1]
+    cdef double z = point[2] - origin[2] if n_axes > 2 else 0.0
+    along[0] = frame[0] * x + frame[1] * y + frame[2] * z
+    across[0] = frame[3] * x + frame[4] * y + frame[5] * z
 
 
-cdef void back_substitute(const double* factor, double* x) noexcept nogil:
-    """Solve for x, whose right side it holds, by a Cholesky factor."""
-    cdef Py_ssize_t i, m
-    for i in range(TERMS):
-        for m in range(i):
-            x[i] -= factor[TERMS * i + m] * x[m]
-        x[i] *= factor[TERMS * i + i]
-    for i in range(TERMS - 1, -1, -1):
-        for m in range(i + 1, TERMS):
-            x[i] -= factor[TERMS * m + i] * x[m]
-        x[i] *= factor[TERMS * i + i]
+cdef void clear_lane(MapSamples* samples, Py_ssize_t lane, Py_ssize_t n) noexcept nogil:
+    """Set the offsets of a lane without neighbours, whose fit is not unique, to zero."""
+    cdef Py_ssize_t j
+    for j in range(n):
+        samples.a[j][lane] = samples.b[j][lane] = 0.0
+        samples.u[j][lane] = samples.v[j][lane] = 0.0
 
 
 # --- the sheet over the emitter coordinates ----------------------------------------------------
 
 
-cdef Sheet sheet_around(const Samples* samples) noexcept nogil:
-    """Area of a photon, and the edge of the sheet, from the offsets of all samples."""
+cdef Sheet sheet_around(
+    const MapSamples* samples, const QuadraticMaps* maps, Py_ssize_t lane, Py_ssize_t n
+) noexcept nogil:
+    """Area of a photon, and the edge of the sheet, from the offsets of all n samples."""
     cdef Sheet sheet
-    cdef Py_ssize_t j, last = samples.n - 1
-    cdef double radius, shift, distance
-    sheet.a = sheet.b = 0.0
+    cdef double a = samples.a[n - 1][lane], b = samples.b[n - 1][lane]
+    cdef double radius = sqrt(a * a + b * b), shift, distance
     # The photon itself is the first, at offset zero.
-    for j in range(1, samples.n):
-        sheet.a += samples.at.a[j] / last
-        sheet.b += samples.at.b[j] / last
-    radius = sqrt(samples.at.a[last] * samples.at.a[last] + samples.at.b[last] * samples.at.b[last])
+    sheet.a = maps.sum_a[lane] / (n - 1)
+    sheet.b = maps.sum_b[lane] / (n - 1)
     shift = sqrt(sheet.a * sheet.a + sheet.b * sheet.b)
     sheet.edge = -INFINITY
-    sheet.area = M_PI * radius * radius / last
+    sheet.area = M_PI * radius * radius / (n - 1)
     sheet.lopsided = shift > EDGE_SHIFT * radius
     if sheet.lopsided:
         sheet.a /= shift
         sheet.b /= shift
         distance = edge_distance(shift / radius)
-        if extent_against(samples, sheet.a, sheet.b) <= (distance + EDGE_MARGIN) * radius:
+        if extent_against(samples, lane, n, &sheet) <= (distance + EDGE_MARGIN) * radius:
             sheet.edge = -distance * radius
-            sheet.area = cut_area(distance) * radius * radius / last
+            sheet.area = cut_area(distance) * radius * radius / (n - 1)
     return sheet
 
 
-cdef double extent_against(const Samples* samples, double a, double b) noexcept nogil:
-    """Largest offset of a sample against a direction."""
+cdef double extent_against(
+    const MapSamples* samples, Py_ssize_t lane, Py_ssize_t n, const Sheet* sheet
+) noexcept nogil:
+    """Largest offset of a sample against the direction of a sheet."""
     cdef double extent = 0.0
     cdef Py_ssize_t j
-    for j in range(samples.n):
-        extent = max(extent, -(a * samples.at.a[j] + b * samples.at.b[j]))
+    for j in range(n):
+        extent = max(extent, -(sheet.a * samples.a[j][lane] + sheet.b * samples.b[j][lane]))
     return extent
 
 
@@ -333,22 +281,6 @@ cdef double edge_distance(double shift) noexcept nogil:
         else:
             high = middle
     return low
-
-
-cdef double unevenness(
-    const SimdKernels* simd, const Samples* samples, Py_ssize_t n
-) noexcept nogil:
-    """Force of the nearest n samples over the emitter coordinates, in units of their radius."""
-    cdef double[3 * (KEY_CHUNK + LANES)] points
-    cdef double[3] centre, force
-    cdef Py_ssize_t j, stride = n + LANES
-    for j in range(n):
-        points[j] = samples.at.a[j]
-        points[stride + j] = samples.at.b[j]
-        points[2 * stride + j] = 0.0
-    centre[0] = centre[1] = centre[2] = 0.0
-    simd.repulsion(points, n, 1.0, centre, force)
-    return sqrt(force[0] * force[0] + force[1] * force[1])
 
 
 # --- the lattice -------------------------------------------------------------------------------
@@ -424,8 +356,7 @@ cdef double mixed_metric(const double* fit, double area) noexcept nogil:
 
 
 def prescribe(
-    Tree tree, Py_ssize_t first, Py_ssize_t end, *, position, normal, coords, places, Py_ssize_t k,
-    Py_ssize_t n_fitted, double max_residual, double lattice_force, double[:, ::1] slope,
+    Tree tree, Py_ssize_t first, Py_ssize_t end, *, records, places, Py_ssize_t k, Py_ssize_t n_fitted, double max_residual, double lattice_force, double[:, ::1] slope,
     double[::1] residual, double[::1] noise, int n_threads
 ):
     """Fill the rows of the photons at tree positions first … end, whole blocks.
@@ -435,8 +366,8 @@ def prescribe(
     tree : Tree
         The emitter coordinates of photons, whose neighbours are within one on the range axes.
     first, end : int
-    position, normal, coords : float64 arrays
-        Of the photons, in tree order.
+    records : (n, 8) or (n, 9) float64 array
+        Positions, emitter coordinates and normals of the photons, in tree order.
     places : (n,) int64 array
         0, 1, … of the photons.
     k, n_fitted : int
@@ -457,8 +388,7 @@ def prescribe(
     cdef RestDensity work = RestDensity(tree, k=k, radius=INFINITY, range_radius=range_radius)
     if k > KEY_CHUNK:
         raise ValueError(f"k should be at most {KEY_CHUNK}, but is {k}")
-    work.places = places
-    work.position, work.normal, work.coords = position, normal, coords
+    work.places, work.records = places, records
     work.n_fitted, work.max_residual = n_fitted, max_residual
     work.lattice_force = lattice_force
     work.slope, work.residual, work.noise = slope, residual, noise
@@ -471,9 +401,8 @@ cdef bint fits(RestDensity work):
     """Whether all arrays have a row for each of the photons of the tree."""
     cdef Py_ssize_t n = work.tree.n_points
     return (
-        n == work.position.shape[0] == work.normal.shape[0] == work.coords.shape[0]
-        and n == work.places.shape[0]
+        n == work.records.shape[0] == work.places.shape[0]
         and n == work.slope.shape[0] == work.residual.shape[0] == work.noise.shape[0]
-        and work.position.shape[1] == work.normal.shape[1] == work.slope.shape[1] == 3
-        and work.coords.shape[1] in (2, 3)
+        and work.slope.shape[1] == 3
+        and work.records.shape[1] in (8, 9)
     )

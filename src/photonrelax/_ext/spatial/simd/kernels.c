@@ -932,7 +932,6 @@ const SimdKernels SIMD_KERNELS = {
     .rectangle_band = rectangle_band,
     .rectangle_sum = rectangle_sum,
     .slanted_weights = slanted_weights,
-    .quadratic_sums = quadratic_sums,
-    .quadratic_residual = quadratic_residual,
+    .fit_maps = fit_maps,
     .lattice_repulsion = lattice_repulsion,
 };

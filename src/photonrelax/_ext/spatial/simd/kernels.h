@@ -138,11 +138,22 @@ enum {
     LATTICE_KEYS = 192
 };
 
-/* Offsets from a point, up to KEY_CHUNK of them: (a, b), of length 1 at most for those that a map
- * is fitted to, and those that they are mapped to. */
+/* Offsets from the points of eight queries, up to KEY_CHUNK each, nearest first, those at zero among
+ * them: (a, b), and those that they are mapped to. */
 typedef struct {
-    double a[KEY_CHUNK], b[KEY_CHUNK], u[KEY_CHUNK], v[KEY_CHUNK];
+    double a[KEY_CHUNK][LANES], b[KEY_CHUNK][LANES], u[KEY_CHUNK][LANES], v[KEY_CHUNK][LANES];
 } MapSamples;
+
+/* Quadratic maps of eight queries.
+ *
+ * Offsets (a, b) are in units of the radius of those fitted, (u, v) in units of `scale`. Where the
+ * fit is not unique coefficients are no numbers. `residual` is the root mean square of what maps
+ * leave, `unevenness` the length of the repulsion of SJ13 Eq. 8 by the offsets (a, b) that are
+ * fitted, and (sum_a, sum_b) the sum of all. */
+typedef struct {
+    double u[QUADRATIC_TERMS][LANES], v[QUADRATIC_TERMS][LANES];
+    double scale[LANES], residual[LANES], unevenness[LANES], sum_a[LANES], sum_b[LANES];
+} QuadraticMaps;
 
 /* Quadratic map of a lattice, without constant term. Points are left in whose product with
  * `inward` is at least `edge`. */
@@ -231,13 +242,9 @@ typedef struct {
     /* Weights at 16 offsets along both sides. */
     void (*slanted_weights)(const double *first, const double *second,
                             const SlantedWeights *weights, double *out);
-    /* Normal equations of a quadratic map of the first n samples, with weights exp(-squared
-     * offset): lower triangle of the matrix, and right sides. Rows are read in whole vectors. */
-    void (*quadratic_sums)(const MapSamples *samples, int64_t n, double *matrix, double *u,
-                           double *v);
-    /* Root mean square, by the same weights, of what a quadratic map leaves of n samples. */
-    double (*quadratic_residual)(const MapSamples *samples, int64_t n, const double *u,
-                                 const double *v);
+    /* Fit quadratic maps to the first n_fitted of n samples, with weights exp(-squared offset), and
+     * scale the samples as they are. */
+    void (*fit_maps)(MapSamples *samples, int64_t n, int64_t n_fitted, QuadraticMaps *maps);
     /* Repulsion of SJ13 Eq. 8 on a point by the `nearest` points of a lattice around it that is
      * mapped. Returns the radius of an even disc of their mean squared distance, about the square
      * root of `expected`; zero if they are not as many or it is not finite. Rows of the lattice

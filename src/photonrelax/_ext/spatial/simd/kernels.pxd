@@ -90,11 +90,21 @@ cdef extern from "kernels.h" nogil:
         double[4] series
         int64_t is_narrow
 
+    # Of KEY_CHUNK rows of LANES, and of QUADRATIC_TERMS rows.
     ctypedef struct MapSamples:
-        double[64] a
-        double[64] b
-        double[64] u
-        double[64] v
+        double[64][8] a
+        double[64][8] b
+        double[64][8] u
+        double[64][8] v
+
+    ctypedef struct QuadraticMaps:
+        double[6][8] u
+        double[6][8] v
+        double[8] scale
+        double[8] residual
+        double[8] unevenness
+        double[8] sum_a
+        double[8] sum_b
 
     ctypedef struct LatticeMap:
         double[5] u
@@ -167,12 +177,7 @@ cdef extern from "kernels.h" nogil:
         void (*slanted_weights)(
             const double*, const double*, const SlantedWeights*, double*
         ) noexcept nogil
-        void (*quadratic_sums)(
-            const MapSamples*, int64_t, double*, double*, double*
-        ) noexcept nogil
-        double (*quadratic_residual)(
-            const MapSamples*, int64_t, const double*, const double*
-        ) noexcept nogil
+        void (*fit_maps)(MapSamples*, int64_t, int64_t, QuadraticMaps*) noexcept nogil
         double (*lattice_repulsion)(
             const double*, const LatticeMap*, double, int64_t, double*
         ) noexcept nogil

@@ -1,73 +1,175 @@
-/* Sums that quadratic maps of a plane are fitted from, and the force of a lattice that one maps;
- * see relaxation/rest_density.pyx. */
+/* Quadratic maps of a plane, fitted to samples for eight queries at a time, and the force of a
+ * lattice that one of them maps; see relaxation/rest_density.pyx. */
 #ifndef PHOTONRELAX_SIMD_QUADRATIC_MAP_H
 #define PHOTONRELAX_SIMD_QUADRATIC_MAP_H
 
 /* Keys of a lattice are squared distances in units of a hundredth of the one that is expected. */
 #define LATTICE_KEY 100.0
+/* Pivots of normal equations below this share of their diagonal are rounding errors. */
+#define SINGULAR 1e-10
 
-/* Terms of a quadratic map at eight places, and the weight exp(-squared offset), zero for lanes
- * from n. */
-INLINE f64x8 quadratic_terms(const MapSamples *samples, int64_t j, int64_t n, f64x8 *terms)
+INLINE f64x8 f64x8_abs(f64x8 a) { return f64x8_max(a, f64x8_sub(f64x8_set1(0.0), a)); }
+
+/* Length of vectors, of any that a double holds. */
+INLINE f64x8 planar_length(f64x8 a, f64x8 b)
 {
-    const f64x8 half = f64x8_set1(0.5), zero = f64x8_set1(0.0);
-    const f64x8 a = f64x8_load(samples->a + j), b = f64x8_load(samples->b + j);
+    const f64x8 size = f64x8_max(f64x8_abs(a), f64x8_abs(b));
+    a = f64x8_div(a, size);
+    b = f64x8_div(b, size);
+    return f64x8_mul(size, f64x8_sqrt(f64x8_add(f64x8_mul(a, a), f64x8_mul(b, b))));
+}
+
+static void scale_rows(double (*rows)[LANES], int64_t n, f64x8 scale)
+{
+    for (int64_t j = 0; j < n; ++j) f64x8_store(rows[j], f64x8_mul(scale, f64x8_load(rows[j])));
+}
+
+/* Divide offsets by the radius of those fitted, and those mapped to by the largest of them. */
+static void normalise(MapSamples *samples, int64_t n, int64_t n_fitted, QuadraticMaps *maps)
+{
+    const f64x8 one = f64x8_set1(1.0), radius = planar_length(f64x8_load(samples->a[n_fitted - 1]),
+                                                              f64x8_load(samples->b[n_fitted - 1]));
+    f64x8 farthest = f64x8_set1(0.0);
+    for (int64_t j = 0; j < n; ++j) {
+        farthest = f64x8_max(farthest, f64x8_abs(f64x8_load(samples->u[j])));
+        farthest = f64x8_max(farthest, f64x8_abs(f64x8_load(samples->v[j])));
+    }
+    scale_rows(samples->a, n, f64x8_div(one, radius));
+    scale_rows(samples->b, n, f64x8_div(one, radius));
+    scale_rows(samples->u, n, f64x8_div(one, farthest));
+    scale_rows(samples->v, n, f64x8_div(one, farthest));
+    f64x8_store(maps->scale, farthest);
+}
+
+/* Terms of a map at sample j; returns its weight. */
+INLINE f64x8 quadratic_terms(const MapSamples *samples, int64_t j, f64x8 *terms)
+{
+    const f64x8 half = f64x8_set1(0.5);
+    const f64x8 a = f64x8_load(samples->a[j]), b = f64x8_load(samples->b[j]);
     const f64x8 aa = f64x8_mul(a, a), bb = f64x8_mul(b, b);
-    const mask8 own = mask8_of_bits(n - j < LANES ? (1u << (n - j)) - 1 : (1u << LANES) - 1);
     terms[0] = f64x8_set1(1.0);
     terms[1] = a;
     terms[2] = b;
     terms[3] = f64x8_mul(half, aa);
     terms[4] = f64x8_mul(a, b);
     terms[5] = f64x8_mul(half, bb);
-    return f64x8_select(own, exponential(f64x8_sub(zero, f64x8_add(aa, bb))), zero);
+    return exponential(f64x8_sub(f64x8_set1(0.0), f64x8_add(aa, bb)));
 }
 
-static void quadratic_sums(const MapSamples *samples, int64_t n, double *matrix, double *u,
-                           double *v)
+/* Normal equations: a symmetric matrix, in its lower triangle, and two right sides. */
+typedef struct {
+    f64x8 matrix[QUADRATIC_TERMS][QUADRATIC_TERMS], u[QUADRATIC_TERMS], v[QUADRATIC_TERMS];
+} NormalEquations;
+
+static void add_samples(const MapSamples *samples, int64_t n, NormalEquations *sums)
 {
-    enum { TERMS = QUADRATIC_TERMS };
-    f64x8 products[TERMS][TERMS], sum_u[TERMS], sum_v[TERMS];
-    for (int i = 0; i < TERMS; ++i) {
-        sum_u[i] = sum_v[i] = f64x8_set1(0.0);
-        for (int k = 0; k <= i; ++k) products[i][k] = f64x8_set1(0.0);
+    for (int i = 0; i < QUADRATIC_TERMS; ++i) {
+        sums->u[i] = sums->v[i] = f64x8_set1(0.0);
+        for (int k = 0; k <= i; ++k) sums->matrix[i][k] = f64x8_set1(0.0);
     }
-    for (int64_t j = 0; j < n; j += LANES) {
-        f64x8 terms[TERMS];
-        const f64x8 weight = quadratic_terms(samples, j, n, terms);
-        const f64x8 to_u = f64x8_load(samples->u + j), to_v = f64x8_load(samples->v + j);
-        for (int i = 0; i < TERMS; ++i) {
+    for (int64_t j = 0; j < n; ++j) {
+        f64x8 terms[QUADRATIC_TERMS];
+        const f64x8 weight = quadratic_terms(samples, j, terms);
+        const f64x8 u = f64x8_load(samples->u[j]), v = f64x8_load(samples->v[j]);
+        for (int i = 0; i < QUADRATIC_TERMS; ++i) {
             const f64x8 own = f64x8_mul(weight, terms[i]);
-            sum_u[i] = f64x8_add(sum_u[i], f64x8_mul(own, to_u));
-            sum_v[i] = f64x8_add(sum_v[i], f64x8_mul(own, to_v));
+            sums->u[i] = f64x8_add(sums->u[i], f64x8_mul(own, u));
+            sums->v[i] = f64x8_add(sums->v[i], f64x8_mul(own, v));
             for (int k = 0; k <= i; ++k)
-                products[i][k] = f64x8_add(products[i][k], f64x8_mul(own, terms[k]));
+                sums->matrix[i][k] = f64x8_add(sums->matrix[i][k], f64x8_mul(own, terms[k]));
         }
     }
-    for (int i = 0; i < TERMS; ++i) {
-        u[i] = f64x8_sum(sum_u[i]);
-        v[i] = f64x8_sum(sum_v[i]);
-        for (int k = 0; k <= i; ++k) matrix[TERMS * i + k] = f64x8_sum(products[i][k]);
+}
+
+/* Cholesky factor in the place of the matrix, inverses on its diagonal; those that are singular
+ * become no numbers. */
+static void factorise(f64x8 (*matrix)[QUADRATIC_TERMS])
+{
+    const f64x8 one = f64x8_set1(1.0), nan = f64x8_set1(NAN);
+    for (int j = 0; j < QUADRATIC_TERMS; ++j) {
+        f64x8 pivot = matrix[j][j];
+        for (int m = 0; m < j; ++m)
+            pivot = f64x8_sub(pivot, f64x8_mul(matrix[j][m], matrix[j][m]));
+        pivot = f64x8_select(f64x8_le(pivot, f64x8_mul(f64x8_set1(SINGULAR), matrix[j][j])), nan,
+                             pivot);
+        matrix[j][j] = f64x8_div(one, f64x8_sqrt(pivot));
+        for (int i = j + 1; i < QUADRATIC_TERMS; ++i) {
+            for (int m = 0; m < j; ++m)
+                matrix[i][j] = f64x8_sub(matrix[i][j], f64x8_mul(matrix[i][m], matrix[j][m]));
+            matrix[i][j] = f64x8_mul(matrix[i][j], matrix[j][j]);
+        }
     }
 }
 
-static double quadratic_residual(const MapSamples *samples, int64_t n, const double *u,
-                                 const double *v)
+/* Solve for x, whose right side it holds, by a Cholesky factor. */
+static void back_substitute(f64x8 (*factor)[QUADRATIC_TERMS], f64x8 *x)
+{
+    for (int i = 0; i < QUADRATIC_TERMS; ++i) {
+        for (int m = 0; m < i; ++m) x[i] = f64x8_sub(x[i], f64x8_mul(factor[i][m], x[m]));
+        x[i] = f64x8_mul(x[i], factor[i][i]);
+    }
+    for (int i = QUADRATIC_TERMS - 1; i >= 0; --i) {
+        for (int m = i + 1; m < QUADRATIC_TERMS; ++m)
+            x[i] = f64x8_sub(x[i], f64x8_mul(factor[m][i], x[m]));
+        x[i] = f64x8_mul(x[i], factor[i][i]);
+    }
+}
+
+/* Root mean square, by the weights of the fit, of what maps leave of n samples. */
+static f64x8 residual(const MapSamples *samples, int64_t n, const f64x8 *u, const f64x8 *v)
 {
     f64x8 weights = f64x8_set1(0.0), squares = weights;
-    for (int64_t j = 0; j < n; j += LANES) {
-        f64x8 terms[QUADRATIC_TERMS];
-        const f64x8 weight = quadratic_terms(samples, j, n, terms);
-        f64x8 left_u = f64x8_load(samples->u + j), left_v = f64x8_load(samples->v + j);
+    for (int64_t j = 0; j < n; ++j) {
+        f64x8 terms[QUADRATIC_TERMS], weight = quadratic_terms(samples, j, terms);
+        f64x8 left_u = f64x8_load(samples->u[j]), left_v = f64x8_load(samples->v[j]);
         for (int i = 0; i < QUADRATIC_TERMS; ++i) {
-            left_u = f64x8_sub(left_u, f64x8_mul(f64x8_set1(u[i]), terms[i]));
-            left_v = f64x8_sub(left_v, f64x8_mul(f64x8_set1(v[i]), terms[i]));
+            left_u = f64x8_sub(left_u, f64x8_mul(u[i], terms[i]));
+            left_v = f64x8_sub(left_v, f64x8_mul(v[i], terms[i]));
         }
         left_u = f64x8_add(f64x8_mul(left_u, left_u), f64x8_mul(left_v, left_v));
         weights = f64x8_add(weights, weight);
         squares = f64x8_add(squares, f64x8_mul(weight, left_u));
     }
-    return sqrt(f64x8_sum(squares) / f64x8_sum(weights));
+    return f64x8_sqrt(f64x8_div(squares, weights));
+}
+
+/* Length of the repulsion of SJ13 Eq. 8 by n samples, in units of their radius. */
+static f64x8 unevenness(const MapSamples *samples, int64_t n)
+{
+    const f64x8 one = f64x8_set1(1.0), least = f64x8_set1(0x1p-500);
+    f64x8 a = f64x8_set1(0.0), b = a;
+    for (int64_t j = 0; j < n; ++j) {
+        const f64x8 to_a = f64x8_load(samples->a[j]), to_b = f64x8_load(samples->b[j]);
+        f64x8 weight = f64x8_add(f64x8_mul(to_a, to_a), f64x8_mul(to_b, to_b));
+        weight = f64x8_sub(one, f64x8_div(one, f64x8_max(f64x8_sqrt(weight), least)));
+        a = f64x8_add(a, f64x8_mul(weight, to_a));
+        b = f64x8_add(b, f64x8_mul(weight, to_b));
+    }
+    a = f64x8_sqrt(f64x8_add(f64x8_mul(a, a), f64x8_mul(b, b)));
+    return f64x8_div(a, f64x8_set1((double)n));
+}
+
+static void fit_maps(MapSamples *samples, int64_t n, int64_t n_fitted, QuadraticMaps *maps)
+{
+    NormalEquations sums;
+    f64x8 a = f64x8_set1(0.0), b = a;
+    normalise(samples, n, n_fitted, maps);
+    add_samples(samples, n_fitted, &sums);
+    factorise(sums.matrix);
+    back_substitute(sums.matrix, sums.u);
+    back_substitute(sums.matrix, sums.v);
+    for (int i = 0; i < QUADRATIC_TERMS; ++i) {
+        f64x8_store(maps->u[i], sums.u[i]);
+        f64x8_store(maps->v[i], sums.v[i]);
+    }
+    f64x8_store(maps->residual, residual(samples, n_fitted, sums.u, sums.v));
+    f64x8_store(maps->unevenness, unevenness(samples, n_fitted));
+    for (int64_t j = 0; j < n; ++j) {
+        a = f64x8_add(a, f64x8_load(samples->a[j]));
+        b = f64x8_add(b, f64x8_load(samples->b[j]));
+    }
+    f64x8_store(maps->sum_a, a);
+    f64x8_store(maps->sum_b, b);
 }
 
 /* Where points of a lattice are mapped to. */
