@@ -10,11 +10,13 @@ from ..common.vec3 cimport dot, orthonormal_frame
 from ..spatial.batch cimport Batch
 from ..spatial.query_loop cimport BatchWork, search_points
 from ..spatial.simd.kernels cimport (
-    KEY_CHUNK, LANES, LATTICE_ROW, QUADRATIC_TERMS, LatticeMap, MapSamples, QuadraticMaps,
+    KEY_CHUNK, LANES, LATTICE_HALF, QUADRATIC_TERMS, LatticeMap, MapSamples, QuadraticMaps,
     SimdKernels
 )
 from ..spatial.tree cimport Tree
 from .structure cimport Components, decompose
+
+from ..spatial.tree import aligned
 
 cdef enum:
     TERMS = QUADRATIC_TERMS
@@ -35,15 +37,18 @@ cdef double EDGE_MARGIN = 0.2
 
 
 def _hexagonal():
-    """Terms (5, LATTICE_ROW) of a quadratic map at a hexagonal lattice, one point to a unit of area.
+    """Terms (5, LATTICE_HALF) of a quadratic map at half a hexagonal lattice around its centre.
 
-    Nearest first, so that few vectors hold those whose force is taken; NaN behind the last.
+    One point has a unit of area. The other half is opposite. Nearest first, so that few vectors
+    hold those whose force is taken; NaN behind the last.
     """
-    axial = np.mgrid[-RINGS : RINGS + 1, -RINGS : RINGS + 1].reshape(2, -1)
-    i, j = axial[:, np.abs(axial.sum(axis=0)) <= RINGS]
+    i, j = np.mgrid[-RINGS : RINGS + 1, -RINGS : RINGS + 1].reshape(2, -1)
+    half = (np.abs(i + j) <= RINGS) & ((i > 0) | ((i == 0) & (j >= 0)))
+    i, j = i[half], j[half]
     order = np.argsort(i * i + i * j + j * j, kind="stable")
     p, q = np.sqrt(2.0 / np.sqrt(3.0)) * np.stack([i + 0.5 * j, np.sqrt(0.75) * j])[:, order]
-    terms = np.full((TERMS - 1, LATTICE_ROW), np.nan)
+    terms = aligned((TERMS - 1, LATTICE_HALF), np.float64)
+    terms[:] = np.nan
     terms[:, : len(p)] = p, q, 0.5 * p * p, p * q, 0.5 * q * q
     return terms
 

@@ -133,16 +133,19 @@ typedef struct {
 enum {
     /* Terms of a quadratic map of a plane: 1, a, b, a^2 / 2, ab, b^2 / 2. */
     QUADRATIC_TERMS = 6,
-    /* Points of a lattice, in whole vectors, and their keys, in whole chunks. */
-    LATTICE_ROW = 176,
+    /* Points of half a lattice, in whole vectors, and keys of all, in whole chunks. */
+    LATTICE_HALF = 88,
     LATTICE_KEYS = 192
 };
+
+/* Vectors that cross cache lines are slow. */
+#define CACHE_ALIGNED __attribute__((aligned(64)))
 
 /* Offsets from the points of eight queries, up to KEY_CHUNK each, nearest first, those at zero among
  * them: (a, b), and those that they are mapped to. */
 typedef struct {
     double a[KEY_CHUNK][LANES], b[KEY_CHUNK][LANES], u[KEY_CHUNK][LANES], v[KEY_CHUNK][LANES];
-} MapSamples;
+} CACHE_ALIGNED MapSamples;
 
 /* Quadratic maps of eight queries.
  *
@@ -153,7 +156,7 @@ typedef struct {
 typedef struct {
     double u[QUADRATIC_TERMS][LANES], v[QUADRATIC_TERMS][LANES];
     double scale[LANES], residual[LANES], unevenness[LANES], sum_a[LANES], sum_b[LANES];
-} QuadraticMaps;
+} CACHE_ALIGNED QuadraticMaps;
 
 /* Quadratic map of a lattice, without constant term. Points are left in whose product with
  * `inward` is at least `edge`. */
@@ -248,7 +251,8 @@ typedef struct {
     /* Repulsion of SJ13 Eq. 8 on a point by the `nearest` points of a lattice around it that is
      * mapped. Returns the radius of an even disc of their mean squared distance, about the square
      * root of `expected`; zero if they are not as many or it is not finite. Rows of the lattice
-     * are the terms at its points. */
+     * are the terms, without the first, at one of each two points opposite, and first at its
+     * centre. */
     double (*lattice_repulsion)(const double *lattice, const LatticeMap *map, double expected,
                                 int64_t nearest, double *force);
 } SimdKernels;

@@ -18,7 +18,7 @@ cdef extern from "kernels.h" nogil:
         EPANECHNIKOV_WEIGHTS
         GAUSSIAN_WEIGHTS
         QUADRATIC_TERMS
-        LATTICE_ROW
+        LATTICE_HALF
 
     const double GAUSSIAN_DEVIATION
     const double GAUSSIAN_EXPONENT

@@ -172,36 +172,50 @@ static void fit_maps(MapSamples *samples, int64_t n, int64_t n_fitted, Quadratic
     f64x8_store(maps->sum_b, b);
 }
 
-/* Where points of a lattice are mapped to. */
+/* Where points of a lattice are mapped to: those of its table, and those opposite. */
 typedef struct {
-    double u[LATTICE_ROW], v[LATTICE_ROW], squared[LATTICE_ROW];
+    double u[2][LATTICE_HALF], v[2][LATTICE_HALF], squared[2][LATTICE_HALF];
     /* Points left in. */
     int64_t count;
-} MappedLattice;
+} CACHE_ALIGNED MappedLattice;
+
+INLINE void map_points(MappedLattice *mapped, int side, int j, f64x8 u, f64x8 v, mask8 inside)
+{
+    const f64x8 squared = f64x8_add(f64x8_mul(u, u), f64x8_mul(v, v));
+    f64x8_store(mapped->u[side] + j, u);
+    f64x8_store(mapped->v[side] + j, v);
+    f64x8_store(mapped->squared[side] + j, f64x8_select(inside, squared, f64x8_set1(INFINITY)));
+    mapped->count += count_bits(mask8_bits(inside));
+}
+
+/* A linear form of two rows of the lattice, and a quadratic one of the three behind them. */
+INLINE f64x8 linear_terms(const double *lattice, const double *factor)
+{
+    return f64x8_add(f64x8_mul(f64x8_set1(factor[0]), f64x8_load(lattice)),
+                     f64x8_mul(f64x8_set1(factor[1]), f64x8_load(lattice + LATTICE_HALF)));
+}
+
+INLINE f64x8 second_terms(const double *lattice, const double *factor)
+{
+    f64x8 sum = linear_terms(lattice + 2 * LATTICE_HALF, factor + 2);
+    return f64x8_add(sum, f64x8_mul(f64x8_set1(factor[4]), f64x8_load(lattice + 4 * LATTICE_HALF)));
+}
 
 static void map_lattice(const double *lattice, const LatticeMap *map, MappedLattice *mapped)
 {
-    enum { TERMS = QUADRATIC_TERMS - 1 };
-    const f64x8 outside = f64x8_set1(INFINITY);
+    const f64x8 edge = f64x8_set1(map->edge), zero = f64x8_set1(0.0);
     mapped->count = 0;
-    for (int j = 0; j < LATTICE_ROW; j += LANES) {
-        f64x8 u = f64x8_set1(0.0), v = u, along, squared;
-        mask8 inside;
-        for (int i = 0; i < TERMS; ++i) {
-            const f64x8 term = f64x8_load(lattice + LATTICE_ROW * i + j);
-            u = f64x8_add(u, f64x8_mul(f64x8_set1(map->u[i]), term));
-            v = f64x8_add(v, f64x8_mul(f64x8_set1(map->v[i]), term));
-        }
-        along = f64x8_add(f64x8_mul(f64x8_set1(map->inward[0]), f64x8_load(lattice + j)),
-                          f64x8_mul(f64x8_set1(map->inward[1]),
-                                    f64x8_load(lattice + LATTICE_ROW + j)));
-        inside = f64x8_le(f64x8_set1(map->edge), along);
-        squared = f64x8_add(f64x8_mul(u, u), f64x8_mul(v, v));
-        f64x8_store(mapped->u + j, u);
-        f64x8_store(mapped->v + j, v);
-        f64x8_store(mapped->squared + j, f64x8_select(inside, squared, outside));
-        mapped->count += count_bits(mask8_bits(inside));
+    for (int j = 0; j < LATTICE_HALF; j += LANES) {
+        const f64x8 u = linear_terms(lattice + j, map->u), v = linear_terms(lattice + j, map->v);
+        const f64x8 uu = second_terms(lattice + j, map->u), vv = second_terms(lattice + j, map->v);
+        const f64x8 along = linear_terms(lattice + j, map->inward);
+        map_points(mapped, 0, j, f64x8_add(uu, u), f64x8_add(vv, v), f64x8_le(edge, along));
+        map_points(mapped, 1, j, f64x8_sub(uu, u), f64x8_sub(vv, v),
+                   f64x8_le(edge, f64x8_sub(zero, along)));
     }
+    /* The centre has no opposite. */
+    mapped->squared[1][0] = INFINITY;
+    mapped->count -= 1;
 }
 
 static double smallest_of_rank(double *values, int64_t n, int64_t rank)
@@ -229,24 +243,21 @@ INLINE int64_t count_at_most(const uint8_t *keys, int most)
 static double lattice_limit(const MappedLattice *mapped, double expected, int64_t nearest,
                             uint64_t *bits)
 {
+    const double *squared = mapped->squared[0];
     uint8_t keys[LATTICE_KEYS];
-    double bucket[LATTICE_ROW], scale = LATTICE_KEY / expected;
+    double bucket[2 * LATTICE_HALF], scale = LATTICE_KEY / expected;
     int64_t n = 0;
-    int least, most = OUTSIDE_KEY;
+    int most = OUTSIDE_KEY;
     memset(keys, OUTSIDE_KEY, sizeof keys);
     /* Where the points are farther than expected, once more in larger units. */
     for (; scale > 0.0 && scale < INFINITY && most == OUTSIDE_KEY; scale *= 0.0625) {
-        for (int j = 0; j < LATTICE_ROW; j += LANES)
-            f64x8_store_u8(keys + j, f64x8_min(f64x8_mul(f64x8_load(mapped->squared + j),
-                                                         f64x8_set1(scale)),
-                                               f64x8_set1(OUTSIDE_KEY)));
-        for (least = 0, most = OUTSIDE_KEY; least < most;) {
-            const int middle = (least + most) / 2;
-            if (count_at_most(keys, middle) < nearest)
-                least = middle + 1;
-            else
-                most = middle;
-        }
+        const f64x8 to_key = f64x8_set1(scale), outside = f64x8_set1(OUTSIDE_KEY);
+        for (int j = 0; j < 2 * LATTICE_HALF; j += LANES)
+            f64x8_store_u8(keys + j, f64x8_min(f64x8_mul(f64x8_load(squared + j), to_key), outside));
+        /* The least key up to which there are as many, bit by bit. */
+        most = 0;
+        for (int bit = 128; bit > 0; bit >>= 1)
+            most += count_at_most(keys, most + bit - 1) < nearest ? bit : 0;
     }
     if (most == OUTSIDE_KEY) return INFINITY;
     for (int j = 0; j < LATTICE_KEYS; j += KEY_CHUNK) {
@@ -254,7 +265,7 @@ static double lattice_limit(const MappedLattice *mapped, double expected, int64_
         bits[j / KEY_CHUNK] = keys_at_most(keys + j, most);
         nearest -= __builtin_popcountll(below);
         for (uint64_t at = bits[j / KEY_CHUNK] & ~below; at; at &= at - 1)
-            bucket[n++] = mapped->squared[j + __builtin_ctzll(at)];
+            bucket[n++] = squared[j + __builtin_ctzll(at)];
     }
     return smallest_of_rank(bucket, n, nearest - 1);
 }
@@ -263,7 +274,7 @@ static double lattice_repulsion(const double *lattice, const LatticeMap *map, do
                                 int64_t nearest, double *force)
 {
     const f64x8 zero = f64x8_set1(0.0), one = f64x8_set1(1.0);
-    f64x8 sum_u = zero, sum_v = zero, total = zero;
+    f64x8 sum_u = zero, sum_v = zero, total = zero, radius, least;
     uint64_t bits[LATTICE_KEYS / KEY_CHUNK];
     MappedLattice mapped;
     double limit;
@@ -272,19 +283,20 @@ static double lattice_repulsion(const double *lattice, const LatticeMap *map, do
     if (mapped.count < nearest) return 0.0;
     limit = lattice_limit(&mapped, expected, nearest, bits);
     if (!(limit > 0.0 && limit < INFINITY)) return 0.0;
-    for (int j = 0; j < LATTICE_ROW; j += LANES) {
-        const f64x8 radius = f64x8_set1(sqrt(limit)), squared = f64x8_load(mapped.squared + j);
+    radius = f64x8_set1(sqrt(limit));
+    least = f64x8_mul(radius, f64x8_set1(0x1p-500));
+    for (int j = 0; j < 2 * LATTICE_HALF; j += LANES) {
+        const f64x8 squared = f64x8_load(mapped.squared[0] + j);
         f64x8 weight, u, v;
         mask8 within;
         if (!(bits[j / KEY_CHUNK] >> j % KEY_CHUNK & 0xff)) continue;
         within = f64x8_le(squared, f64x8_set1(limit));
         count += count_bits(mask8_bits(within));
         total = f64x8_add(total, f64x8_select(within, squared, zero));
-        weight = f64x8_max(f64x8_sqrt(squared), f64x8_mul(radius, f64x8_set1(0x1p-500)));
-        weight = f64x8_sub(one, f64x8_div(radius, weight));
+        weight = f64x8_sub(one, f64x8_div(radius, f64x8_max(f64x8_sqrt(squared), least)));
         /* Products, as places behind the last point are no numbers. */
-        u = f64x8_mul(weight, f64x8_load(mapped.u + j));
-        v = f64x8_mul(weight, f64x8_load(mapped.v + j));
+        u = f64x8_mul(weight, f64x8_load(mapped.u[0] + j));
+        v = f64x8_mul(weight, f64x8_load(mapped.v[0] + j));
         sum_u = f64x8_add(sum_u, f64x8_select(within, u, zero));
         sum_v = f64x8_add(sum_v, f64x8_select(within, v, zero));
     }
