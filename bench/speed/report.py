@@ -191,7 +191,11 @@ COSTS = (
         "neighbours 50, order of emission",
         "neighbours 50",
     ),
-    ("`mapped` over `parameterised`, but for estimates", "prepare, mapped", "prepare, parameterised"),
+    (
+        "`mapped` over `parameterised`, but for estimates",
+        "prepare, mapped",
+        "prepare, parameterised",
+    ),
 )
 
 SIMD = {"avx2": "held to AVX2", "portable": "held to portable code"}

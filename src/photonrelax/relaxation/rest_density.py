@@ -36,6 +36,12 @@ LATTICE_FORCE = 0.0778
 # noise is gone when photons have gone so far, after which slopes drift; where no map fits, moves
 # are as likely wrong. At the most half the radius: there g is no longer the slope.
 _LIMIT_OF_NOISE, _LIMIT_WITHOUT_MAP, _LARGEST_LIMIT = 7.0, 2.0, 0.5
+# Of sheets less than two thirds of whose maps fit, facets say, the limits are less, as the square:
+# what is left of them is as likely wrong too.
+_SMOOTH = 1.5
+# The same where there are no maps, of a thousand such photons and at the most: among few, most of
+# what differs is light, not noise.
+_LIMIT_OF_THOUSAND, _LIMIT_OF_MANY = 0.1, 0.3
 # Noise of independent photons, where that of a sheet is not known.
 _NOISE_OF_INDEPENDENT = 0.075
 # Photons of a neighbourhood are sorted in one chunk.
@@ -146,14 +152,24 @@ def rest_density(
     report = Reporter(progress, "rest density", len(photons))
     slope, residual = np.zeros((len(photons), 3)), np.full(len(photons), np.inf)
     limit = residual.copy()
+    if photons.emitter_coords is None:
+        report.advance(len(photons))
+        return RestDensity(slope, residual, limit)
     for group in neighbour_groups(photons, threads):
-        if photons.emitter_coords is None or group.mixed or group.at_rest:
+        if group.mixed or group.at_rest:
             report.advance(len(residual[group.rows]))
         else:
             slope[group.rows], residual[group.rows], limit[group.rows] = _of_group(
                 photons, photons.emitter_coords, group, settings, n_threads=threads, report=report
             )
+        unmapped = ~np.isfinite(residual[group.rows])
+        limit[group.rows] = np.where(unmapped, _limit_without(unmapped.sum()), limit[group.rows])
     return RestDensity(slope, residual, limit)
+
+
+def _limit_without(n: int) -> float:
+    """Limit of n photons of a group that have no map."""
+    return min(_LIMIT_OF_THOUSAND * np.sqrt(n / 1000.0), _LIMIT_OF_MANY)
 
 
 def _of_group(
@@ -189,9 +205,16 @@ def _of_group(
             noise=noise,
             n_threads=n_threads,
         )
-    of_noise = np.where(residual <= settings.max_residual, _LIMIT_OF_NOISE, _LIMIT_WITHOUT_MAP)
-    limit = np.minimum(of_noise * _of_sheets(noise, sheet), _LARGEST_LIMIT)
-    return slope, residual, np.where(np.isfinite(residual), limit, np.inf)
+    fits = residual <= settings.max_residual
+    of_noise = np.where(fits, _LIMIT_OF_NOISE, _LIMIT_WITHOUT_MAP) * _of_sheets(noise, sheet)
+    smoothness = np.minimum((_SMOOTH * _share_of_sheets(fits, sheet)) ** 2, 1.0)
+    return slope, residual, smoothness * np.minimum(of_noise, _LARGEST_LIMIT)
+
+
+def _share_of_sheets(fits: NDArray[np.bool_], sheet: NDArray[np.intp]) -> Floats:
+    """Share of the photons of each photon's sheet whose map fits."""
+    count = np.bincount(sheet)
+    return (np.bincount(sheet, fits) / np.maximum(count, 1))[sheet]
 
 
 def _of_sheets(noise: Floats, sheet: NDArray[np.intp]) -> Floats:

@@ -361,7 +361,8 @@ cdef double mixed_metric(const double* fit, double area) noexcept nogil:
 
 
 def prescribe(
-    Tree tree, Py_ssize_t first, Py_ssize_t end, *, records, places, Py_ssize_t k, Py_ssize_t n_fitted, double max_residual, double lattice_force, double[:, ::1] slope,
+    Tree tree, Py_ssize_t first, Py_ssize_t end, *, records, places, Py_ssize_t k,
+    Py_ssize_t n_fitted, double max_residual, double lattice_force, double[:, ::1] slope,
     double[::1] residual, double[::1] noise, int n_threads
 ):
     """Fill the rows of the photons at tree positions first … end, whole blocks.
