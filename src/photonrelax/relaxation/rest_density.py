@@ -13,6 +13,7 @@ docs/methods/mapped.md.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,7 +135,8 @@ def rest_density(
     ----------
     photons : PhotonMap
         Photons, n of them. No density is prescribed for those without emitter coordinates, in pools
-        of several emitters, and in sheets of fewer than k photons of one path signature.
+        of several emitters, and in sheets of fewer than k photons of one path signature; the last
+        two are limited all the same.
     settings : RestDensitySettings, optional
         Numbers of photons, and the residual allowed.
     n_threads : int, optional
@@ -232,7 +234,7 @@ def _of_sheets(noise: Floats, sheet: NDArray[np.intp]) -> Floats:
 
 def _sheets(photons: PhotonMap, group: Group) -> NDArray[np.intp]:
     """Numbers (m,) of the sheets of a group's photons: their path signatures and labels."""
-    columns = []
+    columns: list[NDArray[Any]] = []
     if photons.path_signature is not None:
         columns.append(photons.path_signature[group.rows])
     if group.labels is not None:
