@@ -10,7 +10,10 @@ from bench.arguments import numbers
 from bench.markdown import markdown_table
 from bench.speed import child, machine
 
-STAGES = ("trace", "tree", "structure", "relax", "relax on the scene", "gather")
+STAGES = (
+    *("trace", "tree", "structure", "rest density"),
+    *("relax", "relax to rest", "relax on the scene", "gather"),
+)
 # Every array in pages of its own, returned when freed, so that the count is of memory in use.
 _ENVIRONMENT = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
 

@@ -60,10 +60,13 @@ def _prepared(name: str, photons: pr.PhotonMap) -> Callable[[], Any]:
         return lambda: pr.KDTree(photons.position)
     if name == "structure":
         return lambda: pr.detect_structure(photons)
+    if name == "rest density":
+        return lambda: pr.rest_density(photons)
     if name.startswith("relax"):
-        structure = pr.detect_structure(photons)
+        structure, settings = pr.detect_structure(photons), pr.RelaxSettings((1, 1))
+        rest = pr.rest_density(photons) if "rest" in name else None
         scene = inputs.scene() if "scene" in name else None
-        return lambda: pr.relax(photons, structure, pr.RelaxSettings((1, 1)), scene=scene)
+        return lambda: pr.relax(photons, structure, settings, rest=rest, scene=scene)
     return partial(_gathered, photons)
 
 

@@ -191,6 +191,11 @@ COSTS = (
         "neighbours 50, order of emission",
         "neighbours 50",
     ),
+    (
+        "`mapped` over `parameterised`, but for estimates",
+        "prepare, mapped",
+        "prepare, parameterised",
+    ),
 )
 
 SIMD = {"avx2": "held to AVX2", "portable": "held to portable code"}
@@ -205,6 +210,8 @@ STAGES = {
     "one constrained iteration": "constrained iteration",
     "one iteration in space": "collapsed iteration",
     "relaxation, 7 + 7 iterations": "relaxation",
+    "rest density": "rest density",
+    "relaxation to it, 5 + 5 iterations": "relaxation to rest",
     "gathering": "gather",
 }
 

@@ -91,6 +91,10 @@ class Workbench:
         return pr.detect_structure(self.photons)
 
     @cached_property
+    def rest(self) -> pr.RestDensity:
+        return pr.rest_density(self.photons)
+
+    @cached_property
     def hits(self) -> pr.HitPoints:
         return inputs.hit_points(self.pixels)
 
@@ -182,6 +186,29 @@ class Workbench:
             lambda structure: pr.relax(self.photons, structure, settings, n_threads=self.n_threads),
             prepare=lambda: self.structure,
             check=partial(_check_moved, self.photons),
+        )
+
+    def prescription(self) -> Case:
+        return Case(
+            lambda _: pr.rest_density(self.photons, n_threads=self.n_threads),
+            check=lambda rest: np.testing.assert_array_less(0.5, rest.has_map.mean()),
+        )
+
+    def relaxation_to_rest(self, constrained: int, collapsed: int) -> Case:
+        """Relax for so many iterations of each kind to the density that the map prescribes."""
+        settings = pr.RelaxSettings((constrained, collapsed), step=2.0)
+        return Case(
+            lambda inputs: pr.relax(
+                self.photons, inputs[0], settings, rest=inputs[1], n_threads=self.n_threads
+            ),
+            prepare=lambda: (self.structure, self.rest),
+            check=partial(_check_moved, self.photons),
+        )
+
+    def preparation(self, method: str) -> Case:
+        """All stages of a method before estimates."""
+        return Case(
+            lambda _: pr.irradiance_field(self.photons, method=method, n_threads=self.n_threads)
         )
 
     # --- gathering ---
@@ -289,6 +316,8 @@ STAGES = {
     "build": Task("build"),
     "structure": Task("detection", compared_with="neighbours 50"),
     "relaxation": Task("relaxation", (7, 7), compared_with="neighbours 16"),
+    "rest density": Task("prescription", compared_with="neighbours 16"),
+    "relaxation to rest": Task("relaxation_to_rest", (5, 5), compared_with="neighbours 16"),
     "1 constrained": Task("relaxation", (1, 0), compared_with="neighbours 16"),
     "1 collapsed": Task("relaxation", (0, 1), compared_with="neighbours 16"),
     f"{_MANY} constrained": Task("relaxation", (_MANY, 0), compared_with="neighbours 16"),
@@ -313,6 +342,8 @@ TASKS = {
     "build, 6 axes": Task("build_ordered", (6,)),
     **STAGES,
     "structure, trees built": Task("detection_with_trees_built", compared_with="neighbours 50"),
+    "prepare, parameterised": Task("preparation", ("parameterised",)),
+    "prepare, mapped": Task("preparation", ("mapped",)),
     "render, standard": Task("render", ("standard",)),
     "render, parameterised": Task("render", ("parameterised",)),
 }

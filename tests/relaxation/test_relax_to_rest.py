@@ -8,7 +8,7 @@ import photonrelax as pr
 from photonrelax import gallery
 from tests.helpers.neighbours import nearest
 from tests.helpers.photon_maps import MAPS, flat_map, mapped, plane, uniform_map, unit_square
-from tests.helpers.tracing_scenes import scene_of
+from tests.helpers.tracing_scenes import DOWN, ball, glass_ball, scene_of
 
 
 def relaxed(photons, rest, *, n_threads=1, scene=None, **settings):
@@ -117,6 +117,19 @@ def test_facets_are_never_worse_than_unrelaxed(kind, n_iterations):
     assert errors[0] < errors[1]
 
 
+@pytest.mark.parametrize("n_iterations", [(5, 5), (14, 14)])
+def test_many_small_facets_leave_photons_where_they_are(n_iterations):
+    """Facets of some forty photons, each of which throws a patch of light of its own."""
+    coords = unit_square(20_000, "halton", 3)
+    facet = np.floor(22 * coords)
+    photons = flat_map((facet + 0.6 * (22 * coords - facet)) / 22, 20_000, coords=coords)
+    rest = pr.rest_density(photons, n_threads=1)
+    assert rest.limit.max() < 0.1
+    after = relaxed(photons, rest, n_iterations=n_iterations)
+    gone = np.linalg.norm(after.position - photons.position, axis=1)
+    assert np.median(gone) < 0.1 * 20_000**-0.5
+
+
 def test_neither_flux_nor_input_changes():
     photons = mapped("exponential", 5000, "random")
     before = photons.position.tobytes()
@@ -147,26 +160,31 @@ def test_photons_stay_on_their_floor():
     assert after[:, :2].max() <= 1.0
 
 
-def without_density(photons):
-    """True if photons have no rest density, and relax as without one."""
-    rest = pr.rest_density(photons)
-    plain = relaxed(photons, None).position
-    return not rest.has_map.any() and (relaxed(photons, rest).position == plain).all()
+def hardly_moves(photons):
+    """True if none has a map, and all stay within 0.1 √(n/1000), at most 0.3, radii of 16."""
+    rest, found = pr.rest_density(photons), pr.detect_structure(photons)
+    limit = min(0.1 * np.sqrt(len(photons) / 1000), 0.3)
+    moved = pr.relax(photons, found, pr.RelaxSettings((5, 5), step=2.0), rest=rest).position
+    gone = np.linalg.norm(moved - photons.position, axis=1)
+    within = gone <= limit * found.radius * np.sqrt(16 / found.n_found) * (1 + 1e-9)
+    return not rest.has_map.any() and (rest.limit == limit).all() and within.all()
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 5, 15, 16, 23])
-def test_too_few_photons_have_no_rest_density(n):
-    assert without_density(uniform_map(24, "random").subset(slice(n)))
+def test_too_few_photons_for_a_map_hardly_move(n):
+    assert hardly_moves(uniform_map(24, "random").subset(slice(n)))
     assert pr.rest_density(uniform_map(24, "random")).has_map.all()
 
 
-def test_photons_without_emitter_coordinates_have_no_rest_density():
-    photons = uniform_map(2000, "random")
-    assert without_density(photons.replace(emitter_coords=None, emitter_density=None))
+def test_photons_without_emitter_coordinates_relax_as_without_a_density():
+    photons = uniform_map(2000, "random").replace(emitter_coords=None, emitter_density=None)
+    rest = pr.rest_density(photons)
+    assert not rest.has_map.any()
+    np.testing.assert_array_equal(relaxed(photons, rest).position, relaxed(photons, None).position)
 
 
 @pytest.mark.parametrize("shape", ["point", "line", "landed together", "no direction"])
-def test_maps_that_are_not_unique_give_no_rest_density(shape):
+def test_photons_whose_map_is_not_unique_hardly_move(shape):
     coords = unit_square(500, "random", 1)
     position = coords.copy()
     if shape == "point":
@@ -177,12 +195,47 @@ def test_maps_that_are_not_unique_give_no_rest_density(shape):
         position[:] = 0.5
     else:
         coords = np.zeros((500, 3))
-    assert without_density(flat_map(position, 500, coords=coords))
+    assert hardly_moves(flat_map(position, 500, coords=coords))
 
 
-def test_photons_of_a_pool_of_emitters_have_no_rest_density():
-    photons = uniform_map(2000, "random").replace(emitter_id=np.arange(2000) // 20)
-    assert without_density(photons)
+@pytest.mark.parametrize("n", [2000, 20_000])
+def test_photons_of_a_pool_of_emitters_hardly_move(n):
+    assert hardly_moves(uniform_map(n, "random").replace(emitter_id=np.arange(n) // 20))
+
+
+@pytest.mark.parametrize("name", ["exponential", "folded"])
+@pytest.mark.parametrize(("n_lamps", "each"), [(10, 20), (50, 20), (10, 100), (400, 20)])
+def test_small_lamps_are_never_worse_than_unrelaxed(n_lamps, each, name):
+    """Lamps whose photons are too few for a map of their own."""
+    n, texels = n_lamps * each, 20
+    edges = np.linspace(0.0, 1.0, texels + 1)
+    below = np.expm1(3.0 * edges) / np.expm1(3.0) if name == "exponential" else np.sqrt(edges)
+    exact = np.repeat(np.diff(below) * texels, texels)
+    x, y = np.meshgrid(edges[1:] - 0.5 / texels, edges[1:] - 0.5 / texels, indexing="ij")
+    points, normals = plane(np.column_stack([x.ravel(), y.ravel()]))
+    errors = np.zeros(2)
+    for seed in range(4):
+        photons = mapped(name, n, "halton", seed).replace(emitter_id=np.arange(n) // each)
+        rest = pr.rest_density(photons, n_threads=1)
+        assert not rest.has_map.any()
+        for i, each_map in enumerate((relaxed(photons, rest), photons)):
+            field = pr.irradiance_field(each_map, method="standard", gather=pr.GatherSettings(k=8))
+            means = field(points, normals, footprint=np.full(len(points), 1.0 / texels))[:, 0]
+            errors[i] += np.abs(means - exact).mean()
+    assert errors[0] < errors[1]
+
+
+def test_moved_photons_stay_on_curved_receivers():
+    """Light of a glass ball on the facets of a sphere."""
+    receiver = pr.SceneObject(ball(2.0, [0, 0, -2], 5), pr.Diffuse(), smooth=True)
+    scene = pr.Scene([receiver, glass_ball()], [DOWN])
+    photons = pr.trace_photons(scene, 40_000, seed=1, n_threads=1)
+    rest = pr.rest_density(photons, n_threads=1)
+    after = relaxed(photons, rest, scene=scene)
+    assert (rest.slope != 0.0).any(axis=1).mean() > 0.9
+    assert (after.position != photons.position).any(axis=1).mean() > 0.9
+    _, distance, _ = trimesh.proximity.closest_point(receiver.mesh, after.position[::50])
+    np.testing.assert_allclose(distance, 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("n_threads", [2, 7])

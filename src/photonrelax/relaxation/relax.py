@@ -13,7 +13,7 @@ from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, Rows
-from ..photons.axes import MAX_NORMAL_CHORD
+from ..photons.axes import MAX_NORMAL_CHORD, hstack_rows
 from ..photons.group_trees import group_tree
 from ..photons.neighbourhoods import Group, neighbour_groups
 from ..photons.photon_map import PhotonMap
@@ -249,18 +249,21 @@ class _Stage:
 
     def _rest_inputs(self, rest: RestDensity, start: Floats | None, radius: Floats) -> _relax.Rest:
         """Inputs of a kernel for a density to rest in; `start` is where moves in space start."""
-        rows = self._rows
-        with np.errstate(divide="ignore"):
-            length = 1.0 / np.linalg.norm(rest.slope[rows], axis=1)
-        limited = np.isfinite(rest.limit[rows])
-        farthest = np.full(len(rows), np.inf)
-        farthest[limited] = rest.limit[rows][limited] * radius[limited]
+        n_threads = self._relaxation.n_threads
+        origin, start = (
+            None if each is None else hstack_rows([each], [1.0], self._rows, n_threads)
+            for each in (self._relaxation.photons.position, start)
+        )
         return _relax.Rest(
+            rows=self._rows,
             slope=rest.slope,
-            origin=self._relaxation.photons.position[rows],
-            farthest=np.minimum(farthest, _LIMIT_OF_SLOPE * length),
-            start=None if start is None else start[rows],
-            limit=_SHARE_IN_SPACE * rest.limit,
+            limit=rest.limit,
+            radius=radius,
+            limit_of_slope=_LIMIT_OF_SLOPE,
+            origin=origin,
+            start=start,
+            share=_SHARE_IN_SPACE,
+            n_threads=n_threads,
         )
 
     def _normals_in_tree_order(self, normal: Floats) -> Floats:

@@ -13,6 +13,7 @@ docs/methods/mapped.md.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
-from ..photons.axes import MAX_NORMAL_CHORD, hstack_rows
+from ..photons.axes import MAX_NORMAL_CHORD, hstack_rows, leaf_rows
 from ..photons.neighbourhoods import Group, neighbour_groups
 from ..photons.photon_map import PhotonMap
 from ..spatial.kdtree import KDTree
@@ -36,6 +37,12 @@ LATTICE_FORCE = 0.0778
 # noise is gone when photons have gone so far, after which slopes drift; where no map fits, moves
 # are as likely wrong. At the most half the radius: there g is no longer the slope.
 _LIMIT_OF_NOISE, _LIMIT_WITHOUT_MAP, _LARGEST_LIMIT = 7.0, 2.0, 0.5
+# Of sheets less than two thirds of whose maps fit, facets say, the limits are less, as the square:
+# what is left of them is as likely wrong too.
+_SMOOTH = 1.5
+# The same where there are no maps, of a thousand such photons and at the most: among few, most of
+# what differs is light, not noise.
+_LIMIT_OF_THOUSAND, _LIMIT_OF_MANY = 0.1, 0.3
 # Noise of independent photons, where that of a sheet is not known.
 _NOISE_OF_INDEPENDENT = 0.075
 # Photons of a neighbourhood are sorted in one chunk.
@@ -128,8 +135,9 @@ def rest_density(
     ----------
     photons : PhotonMap
         Photons, n of them. No density is prescribed for those without emitter coordinates, of
-        extended emitters, in pools of several emitters, and in sheets of fewer than k photons of
-        one path signature.
+        extended emitters, in pools
+        of several emitters, and in sheets of fewer than k photons of one path signature; the last
+        two are limited all the same.
     settings : RestDensitySettings, optional
         Numbers of photons, and the residual allowed.
     n_threads : int, optional
@@ -147,17 +155,29 @@ def rest_density(
     report = Reporter(progress, "rest density", len(photons))
     slope, residual = np.zeros((len(photons), 3)), np.full(len(photons), np.inf)
     limit = residual.copy()
+    if photons.emitter_coords is None:
+        report.advance(len(photons))
+        return RestDensity(slope, residual, limit)
     extended = photons.is_of_extended
     for group in neighbour_groups(photons, threads):
         # Coordinates do not tell where photons of an extended emitter are.
-        no_map = group.mixed or group.at_rest or extended[group.rows].any()
-        if photons.emitter_coords is None or no_map:
+        of_extended = extended[group.rows].any()
+        if group.mixed or group.at_rest or of_extended:
             report.advance(len(residual[group.rows]))
         else:
             slope[group.rows], residual[group.rows], limit[group.rows] = _of_group(
                 photons, photons.emitter_coords, group, settings, n_threads=threads, report=report
             )
+        if of_extended:
+            continue
+        unmapped = ~np.isfinite(residual[group.rows])
+        limit[group.rows] = np.where(unmapped, _limit_without(unmapped.sum()), limit[group.rows])
     return RestDensity(slope, residual, limit)
+
+
+def _limit_without(n: int) -> float:
+    """Limit of n photons of a group that have no map."""
+    return min(_LIMIT_OF_THOUSAND * np.sqrt(n / 1000.0), _LIMIT_OF_MANY)
 
 
 def _of_group(
@@ -170,20 +190,20 @@ def _of_group(
     report: Reporter,
 ) -> tuple[Floats, Floats, Floats]:
     """Slopes, residuals and limits of a group whose emitter coordinates compare."""
-    position, normal, coords = (
-        np.ascontiguousarray(column[group.rows])
-        for column in (photons.position, photons.normal, coords)
-    )
-    slope = np.empty_like(position)
-    residual, noise = np.empty((2, len(position)))
     sheet = _sheets(photons, group)
-    tree = _emitter_tree(coords, normal, sheet, n_threads)
+    tree = _emitter_tree(coords[group.rows], photons.normal[group.rows], sheet, n_threads)
+    rows = leaf_rows(tree, group.rows)
+    # Side by side: the photons around one are read in no order.
+    columns = [photons.position, coords, photons.normal]
+    records = hstack_rows(columns, [1.0] * len(columns), rows, n_threads)
+    places = np.arange(len(tree))
+    slope = np.empty((len(tree), 3))
+    residual, noise = np.empty((2, len(tree)))
     for first, end in report.chunks(len(tree)):
         _rest_density.prescribe(
             *(tree.kernel, first, end),
-            position=position,
-            normal=normal,
-            coords=coords,
+            records=records,
+            places=places,
             k=settings.k,
             n_fitted=settings.n_fitted,
             max_residual=settings.max_residual,
@@ -193,35 +213,49 @@ def _of_group(
             noise=noise,
             n_threads=n_threads,
         )
-    of_noise = np.where(residual <= settings.max_residual, _LIMIT_OF_NOISE, _LIMIT_WITHOUT_MAP)
-    limit = np.minimum(of_noise * _of_sheets(noise, sheet[:, 0]), _LARGEST_LIMIT)
-    return slope, residual, np.where(np.isfinite(residual), limit, np.inf)
+    fits = residual <= settings.max_residual
+    of_noise = np.where(fits, _LIMIT_OF_NOISE, _LIMIT_WITHOUT_MAP) * _of_sheets(noise, sheet)
+    smoothness = np.minimum((_SMOOTH * _share_of_sheets(fits, sheet)) ** 2, 1.0)
+    return slope, residual, smoothness * np.minimum(of_noise, _LARGEST_LIMIT)
 
 
-def _of_sheets(noise: Floats, sheet: Floats) -> Floats:
+def _share_of_sheets(fits: NDArray[np.bool_], sheet: NDArray[np.intp]) -> Floats:
+    """Share of the photons of each photon's sheet whose map fits."""
+    count = np.bincount(sheet)
+    return (np.bincount(sheet, fits) / np.maximum(count, 1))[sheet]
+
+
+def _of_sheets(noise: Floats, sheet: NDArray[np.intp]) -> Floats:
     """Median noise of the sheet of each photon, of those where it is known."""
     known = np.isfinite(noise)
-    order = np.lexsort([noise[known], sheet[known]])
-    present, count = np.unique(sheet[known], return_counts=True)
-    number, of_photon = np.unique(sheet, return_inverse=True)
-    medians = np.full(len(number), _NOISE_OF_INDEPENDENT)
-    first = np.cumsum(count) - count
-    medians[np.searchsorted(number, present)] = noise[known][order][first + count // 2]
-    return medians[of_photon]
+    # Single numbers sort fastest: the sheet, and the bits of its noise, which sort as it does.
+    bits = noise[known].astype(np.float32).view(np.uint32)
+    ordered = np.sort(sheet[known] << 32 | bits)
+    count = np.bincount(sheet[known], minlength=sheet.max(initial=-1) + 1)
+    middle = (np.cumsum(count) - count + count // 2)[count > 0]
+    medians = np.full(len(count), _NOISE_OF_INDEPENDENT)
+    medians[count > 0] = ordered[middle].astype(np.uint32).view(np.float32)
+    return medians[sheet]
 
 
-def _sheets(photons: PhotonMap, group: Group) -> Floats:
-    """Numbers (m, 1) of the sheets of a group's photons: their path signatures and labels."""
-    sheet = np.zeros((len(photons.position[group.rows]), 1))
+def _sheets(photons: PhotonMap, group: Group) -> NDArray[np.intp]:
+    """Numbers (m,) of the sheets of a group's photons: their path signatures and labels."""
+    columns: list[NDArray[Any]] = []
     if photons.path_signature is not None:
-        _, number = np.unique(photons.path_signature[group.rows], return_inverse=True)
-        sheet[:, 0] = number
+        columns.append(photons.path_signature[group.rows])
     if group.labels is not None:
-        sheet += (sheet.max(initial=0.0) + 1.0) * group.labels[group.rows]
+        columns.append(group.labels[group.rows, 0])
+    sheet = np.zeros(len(photons.position[group.rows]), dtype=np.intp)
+    for column in columns:
+        # Faster than an inverse, which sorts rows.
+        present = np.unique(column)
+        sheet = sheet * len(present) + np.searchsorted(present, column)
     return sheet
 
 
-def _emitter_tree(coords: Floats, normal: Floats, sheet: Floats, n_threads: int) -> KDTree:
+def _emitter_tree(
+    coords: Floats, normal: Floats, sheet: NDArray[np.intp], n_threads: int
+) -> KDTree:
     """Tree over emitter coordinates.
 
     Photons within one on its range axes are of one sheet, on faces turned by no more than
@@ -229,7 +263,7 @@ def _emitter_tree(coords: Floats, normal: Floats, sheet: Floats, n_threads: int)
     """
     columns, scales = [coords], [1.0]
     if (sheet != sheet[:1]).any():
-        columns.append(sheet)
+        columns.append(sheet[:, np.newaxis].astype(np.float64))
         scales.append(2.0)
     if not all_nearly_equal(normal, None):
         columns.append(normal)

@@ -1,11 +1,13 @@
 """One simultaneous move of every photon by the repulsion of its neighbours (SJ13 §4.4)."""
 
 from cython cimport final, view
+from cython.parallel cimport prange
 from libc.math cimport INFINITY, sqrt
 
 import numpy as np
 
 from ..common.prefetch cimport prefetch_row
+from ..common.threads cimport ELEMENTS, team_size
 from ..common.vec3 cimport cross, dot
 from ..spatial.batch cimport Batch, Query, gather_points, limit_radius, limit_range
 from ..spatial.query_loop cimport BatchWork, search_points
@@ -22,16 +24,23 @@ cdef class Rest:
 
     Parameters
     ----------
+    rows : (n,) intp array
+        Rows of the photons, in tree order.
     slope : (m, 3) float64 array
         Relative slope of the density, 1/m, by row.
+    limit : (m,) float64 array
+        Largest distances from the origin, in units of `radius`, by row; may be infinite.
+    radius : (n,) float64 array
+        Of k photons before all moves, m, in tree order.
+    limit_of_slope : float
+        Largest distance from the origin in units of the length over which the density changes.
     origin : (n, 3) float64 array
         Positions before all moves, in tree order.
-    farthest : (n,) float64 array
-        Largest distances from the origin, m, in tree order.
     start : (n, 3) float64 array or None
         Positions before the first of these moves, in tree order, if they are limited too.
-    limit : (m,) float64 array
-        Largest distances from the start, in units of the present radius of k photons, by row.
+    share : float
+        Largest distance from the start in units of the limit and the present radius of k photons.
+    n_threads : int
 
     Raises
     ------
@@ -40,24 +49,44 @@ cdef class Rest:
     """
 
     cdef const double[:, ::1] slope
-    cdef const double[:, ::1] origin
-    cdef const double[::1] farthest
-    cdef const double[:, ::1] start
     cdef const double[::1] limit
+    cdef const double[:, ::1] origin
+    cdef const double[:, ::1] start
+    cdef double share
+    # Squared largest distances from the origin, m², in tree order.
+    cdef double[::1] farthest
 
-    def __init__(self, *, slope, origin, farthest, start, limit):
-        self.slope = slope
-        self.origin = origin
-        self.farthest = farthest
-        self.start = start
-        self.limit = limit
+    def __init__(
+        self, *, const Py_ssize_t[::1] rows, slope, limit, const double[::1] radius,
+        double limit_of_slope, origin, start, double share, int n_threads
+    ):
+        cdef Py_ssize_t place, n = rows.shape[0]
+        self.slope, self.limit = slope, limit
+        self.origin, self.start = origin, start
+        self.share = share
         if not (
             self.slope.shape[0] == self.limit.shape[0]
-            and self.origin.shape[0] == self.farthest.shape[0]
+            and n == radius.shape[0] == self.origin.shape[0]
             and self.slope.shape[1] == self.origin.shape[1] == 3
             and (start is None or np.shape(start) == np.shape(origin))
         ):
             raise ValueError("slopes, origins and limits do not fit one another")
+        self.farthest = np.empty(n)
+        for place in prange(
+            n, nogil=True, schedule="static", num_threads=team_size(n_threads, n, ELEMENTS)
+        ):
+            self.farthest[place] = self.squared_limit(rows[place], radius[place], limit_of_slope)
+
+    cdef double squared_limit(
+        self, Py_ssize_t row, double radius, double limit_of_slope
+    ) noexcept nogil:
+        cdef const double* g = &self.slope[row, 0]
+        cdef double squared_slope = dot(g, g), squared = INFINITY
+        if self.limit[row] < INFINITY:
+            squared = (self.limit[row] * radius) ** 2
+        if squared_slope > 0.0:
+            squared = min(squared, limit_of_slope * limit_of_slope / squared_slope)
+        return squared
 
     cdef void compensate(
         self, double* f, Py_ssize_t row, double count, double squared_radius
@@ -72,25 +101,35 @@ cdef class Rest:
             f[axis] += scale * self.slope[row, axis]
 
     cdef void hold(
-        self, double* moved, Py_ssize_t row, Py_ssize_t place, double radius
+        self, double* moved, Py_ssize_t row, Py_ssize_t place, double squared_radius
     ) noexcept nogil:
-        """Put a photon that went too far back to its limits; `radius` is that of k photons."""
+        """Put a photon that went too far back to its limits, that of k photons among them."""
+        cdef double limit = self.share * self.limit[row]
         if self.start is not None:
-            put_back(moved, &self.start[place, 0], self.limit[row] * radius)
+            put_back(moved, &self.start[place, 0], limit * limit * squared_radius)
         put_back(moved, &self.origin[place, 0], self.farthest[place])
 
+    cdef void prefetch(self, Py_ssize_t row) noexcept nogil:
+        """Prefetch the slope of a photon, and its limit if moves are limited by it."""
+        prefetch_row(&self.slope[row, 0], 3 * sizeof(double))
+        if self.start is not None:
+            prefetch_row(&self.limit[row], sizeof(double))
 
-cdef void put_back(double* moved, const double* origin, double limit) noexcept nogil:
-    """Move a point to no farther than `limit` from the origin."""
+
+cdef inline void put_back(
+    double* moved, const double* origin, double squared_limit
+) noexcept nogil:
+    """Move a point to no farther from the origin than a limit."""
     cdef double[3] gone
-    cdef double distance
+    cdef double squared, scale
     cdef Py_ssize_t axis
     for axis in range(3):
         gone[axis] = moved[axis] - origin[axis]
-    distance = sqrt(dot(gone, gone))
-    if distance > limit:
+    squared = dot(gone, gone)
+    if squared > squared_limit:
+        scale = sqrt(squared_limit / squared)
         for axis in range(3):
-            moved[axis] = origin[axis] + gone[axis] * limit / distance
+            moved[axis] = origin[axis] + gone[axis] * scale
 
 
 cdef class RelaxInputs:
@@ -172,6 +211,8 @@ cdef class Move(BatchWork):
         """Prefetch the constraint of a photon, and the limits at a position of the next block."""
         prefetch_row(&self.inputs.basis[row, 0, 0], 3 * sizeof(double))
         prefetch_row(&self.inputs.constraint[row], sizeof(double))
+        if self.inputs.rest is not None:
+            self.inputs.rest.prefetch(row)
         if next_place < self.tree.n_points:
             row = self.inputs.rows[next_place]
             if self.inputs.range_radius is not None:
@@ -211,10 +252,10 @@ cdef class Move(BatchWork):
         for axis in range(3):
             self.moved[place, axis] = query.bounds.low[axis] + f[axis]
         if self.inputs.rest is not None and query.candidates.count >= MIN_NEIGHBOURS:
-            # The radius of those that there are, scaled to hold k.
+            # The squared radius of those that there are, scaled to hold k.
             self.inputs.rest.hold(
                 &self.moved[place, 0], row, place,
-                sqrt(query.candidates.squared_radius * batch.k / query.candidates.count)
+                query.candidates.squared_radius * batch.k / query.candidates.count
             )
 
 

@@ -907,6 +907,8 @@ static void slanted_weights(const double *first, const double *second,
     }
 }
 
+#include "quadratic_map.h"
+
 const SimdKernels SIMD_KERNELS = {
     .name = SIMD_NAME,
     .overlapping_boxes = overlapping_boxes,
@@ -930,4 +932,6 @@ const SimdKernels SIMD_KERNELS = {
     .rectangle_band = rectangle_band,
     .rectangle_sum = rectangle_sum,
     .slanted_weights = slanted_weights,
+    .fit_maps = fit_maps,
+    .lattice_repulsion = lattice_repulsion,
 };

@@ -130,6 +130,40 @@ typedef struct {
     int64_t is_narrow;
 } SlantedWeights;
 
+enum {
+    /* Terms of a quadratic map of a plane: 1, a, b, a^2 / 2, ab, b^2 / 2. */
+    QUADRATIC_TERMS = 6,
+    /* Points of half a lattice, in whole vectors, and keys of all, in whole chunks. */
+    LATTICE_HALF = 88,
+    LATTICE_KEYS = 192
+};
+
+/* Vectors that cross cache lines are slow. */
+#define CACHE_ALIGNED __attribute__((aligned(64)))
+
+/* Offsets from the points of eight queries, up to KEY_CHUNK each, nearest first, those at zero among
+ * them: (a, b), and those that they are mapped to. */
+typedef struct {
+    double a[KEY_CHUNK][LANES], b[KEY_CHUNK][LANES], u[KEY_CHUNK][LANES], v[KEY_CHUNK][LANES];
+} CACHE_ALIGNED MapSamples;
+
+/* Quadratic maps of eight queries.
+ *
+ * Offsets (a, b) are in units of the radius of those fitted, (u, v) in units of `scale`. Where the
+ * fit is not unique coefficients are no numbers. `residual` is the root mean square of what maps
+ * leave, `unevenness` the length of the repulsion of SJ13 Eq. 8 by the offsets (a, b) that are
+ * fitted, and (sum_a, sum_b) the sum of all. */
+typedef struct {
+    double u[QUADRATIC_TERMS][LANES], v[QUADRATIC_TERMS][LANES];
+    double scale[LANES], residual[LANES], unevenness[LANES], sum_a[LANES], sum_b[LANES];
+} CACHE_ALIGNED QuadraticMaps;
+
+/* Quadratic map of a lattice, without constant term. Points are left in whose product with
+ * `inward` is at least `edge`. */
+typedef struct {
+    double u[QUADRATIC_TERMS - 1], v[QUADRATIC_TERMS - 1], inward[2], edge;
+} LatticeMap;
+
 /* Kernels of one instruction set. `blocks` with `bits` are those of 16 blocks whose bits are set. */
 typedef struct {
     const char *name;
@@ -211,6 +245,16 @@ typedef struct {
     /* Weights at 16 offsets along both sides. */
     void (*slanted_weights)(const double *first, const double *second,
                             const SlantedWeights *weights, double *out);
+    /* Fit quadratic maps to the first n_fitted of n samples, with weights exp(-squared offset), and
+     * scale the samples as they are. */
+    void (*fit_maps)(MapSamples *samples, int64_t n, int64_t n_fitted, QuadraticMaps *maps);
+    /* Repulsion of SJ13 Eq. 8 on a point by the `nearest` points of a lattice around it that is
+     * mapped. Returns the radius of an even disc of their mean squared distance, about the square
+     * root of `expected`; zero if they are not as many or it is not finite. Rows of the lattice
+     * are the terms, without the first, at one of each two points opposite, and first at its
+     * centre. */
+    double (*lattice_repulsion)(const double *lattice, const LatticeMap *map, double expected,
+                                int64_t nearest, double *force);
 } SimdKernels;
 
 static inline int lowest_bit(unsigned bits) { return __builtin_ctz(bits); }

@@ -17,6 +17,8 @@ cdef extern from "kernels.h" nogil:
         CONE_WEIGHTS
         EPANECHNIKOV_WEIGHTS
         GAUSSIAN_WEIGHTS
+        QUADRATIC_TERMS
+        LATTICE_HALF
 
     const double GAUSSIAN_DEVIATION
     const double GAUSSIAN_EXPONENT
@@ -88,6 +90,28 @@ cdef extern from "kernels.h" nogil:
         double[4] series
         int64_t is_narrow
 
+    # Of KEY_CHUNK rows of LANES, and of QUADRATIC_TERMS rows.
+    ctypedef struct MapSamples:
+        double[64][8] a
+        double[64][8] b
+        double[64][8] u
+        double[64][8] v
+
+    ctypedef struct QuadraticMaps:
+        double[6][8] u
+        double[6][8] v
+        double[8] scale
+        double[8] residual
+        double[8] unevenness
+        double[8] sum_a
+        double[8] sum_b
+
+    ctypedef struct LatticeMap:
+        double[5] u
+        double[5] v
+        double[2] inward
+        double edge
+
     ctypedef struct SimdKernels:
         const char* name
         unsigned int (*overlapping_boxes)(
@@ -152,6 +176,10 @@ cdef extern from "kernels.h" nogil:
         ) noexcept nogil
         void (*slanted_weights)(
             const double*, const double*, const SlantedWeights*, double*
+        ) noexcept nogil
+        void (*fit_maps)(MapSamples*, int64_t, int64_t, QuadraticMaps*) noexcept nogil
+        double (*lattice_repulsion)(
+            const double*, const LatticeMap*, double, int64_t, double*
         ) noexcept nogil
 
     int64_t farthest_candidate(const Candidates* found, const int64_t* ids)
