@@ -415,7 +415,7 @@ def test_counted_floors_and_pictures_are_the_same_way_up():
 
 def test_means_over_texels_have_a_row_for_every_method():
     study = pixel_means.Study(
-        ("ring",), (2_000,), texels=8, reference_passes=2, photons_per_pass=5_000
+        ("ring",), (2_000,), texels=8, pixels=48, reference_passes=2, photons_per_pass=5_000
     )
     lines = pixel_means.markdown(study).splitlines()
     names = [line.split("|")[2].strip() for line in lines[2:] if line.startswith("|")]

@@ -135,9 +135,8 @@ def rest_density(
     ----------
     photons : PhotonMap
         Photons, n of them. No density is prescribed for those without emitter coordinates, of
-        extended emitters, in pools
-        of several emitters, and in sheets of fewer than k photons of one path signature; the last
-        two are limited all the same.
+        extended emitters, in pools of several emitters, and in sheets of fewer than k photons of
+        one path signature; the last two are limited all the same.
     settings : RestDensitySettings, optional
         Numbers of photons, and the residual allowed.
     n_threads : int, optional
