@@ -75,7 +75,7 @@ def _add_components(parser: argparse.ArgumentParser) -> None:
         "--components",
         type=_names,
         metavar="NAME,...",
-        help="light to model, of direct,caustic,indirect (all that the scene has)",
+        help="light to model, of emission,direct,caustic,indirect (all that the scene has)",
     )
     parser.add_argument(
         "--global",
