@@ -52,7 +52,8 @@ def test_furnace(albedo):
     expected = albedo / (1.0 - albedo) / shell.area
     np.testing.assert_allclose(photons.flux.sum(axis=0) / shell.area, expected, rtol=0.01)
     field = IndirectField(photons, scene=scene)
-    found = field(shell.triangles_center, -shell.triangles_center)
+    at = shell.triangles_center[::8]
+    found = field(at, -at)
     np.testing.assert_allclose(found.mean(axis=0), expected, rtol=0.01)
     assert photons.ledger.cut.sum() == 0.0
 
