@@ -9,6 +9,7 @@ from photonrelax.scene.digest import scene_digest
 from photonrelax.transport.direct_light import LightSamples, direct_irradiance
 from photonrelax.transport.emission import plan_emission
 from photonrelax.transport.raycast import RayCaster
+from tests.helpers.aimed_light import assert_aimed_light_is_that_of_all_paths
 from tests.helpers.tracing_scenes import ball, floor, sheet
 
 RADIANCE = np.array([1.0, 2.0, 3.0])
@@ -114,12 +115,7 @@ def test_photons_aimed_at_casters_are_those_of_the_whole_surface(shape, gap):
     balls = [ball(0.15, (x, 0.1, 1)) for x in (-gap / 2, gap / 2)]
     mirrors = [pr.SceneObject(each, pr.Mirror()) for each in balls]
     scene = pr.Scene([floor(albedo=0.0), *mirrors], [pr.AreaEmitter(shape, power=1.0)])
-    aimed = pr.trace_photons(scene, 50_000)
-    whole = pr.trace_photons(scene, 1_000_000, paths="all", sampler="random", seed=1)
-    caustic = whole.subset(np.isin(whole.path_signature, aimed.path_signature))
-    noise = np.hypot(*(1 / np.sqrt(len(each)) for each in (aimed, caustic)))
-    ratio = aimed.flux[:, 0].sum() / caustic.flux[:, 0].sum()
-    assert ratio == pytest.approx(1.0, abs=5 * noise)
+    aimed, caustic = assert_aimed_light_is_that_of_all_paths(scene)
     assert len(aimed) / 50_000 > 3 * len(caustic) / 1_000_000
 
 

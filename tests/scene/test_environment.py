@@ -9,6 +9,7 @@ from photonrelax.rendering.view import View
 from photonrelax.transport.direct_light import LightSamples, direct_irradiance
 from photonrelax.transport.emission import emit, plan_emission
 from photonrelax.transport.raycast import RayCaster
+from tests.helpers.aimed_light import assert_aimed_light_is_that_of_all_paths
 from tests.helpers.tracing_scenes import ball, floor, sheet
 
 RADIANCE = np.array([1.0, 2.0, 3.0])
@@ -94,12 +95,7 @@ def test_caustics_of_the_sky_are_those_of_all_its_light():
     """Flux of the light that is aimed at a mirror, and of the same paths among all light."""
     mirror = pr.SceneObject(ball(0.5, (0, 0, 1)), pr.Mirror(0.5))
     scene = pr.Scene([floor(albedo=0.0), mirror], [pr.EnvironmentEmitter(1.0)])
-    aimed = pr.trace_photons(scene, 50_000)
-    whole = pr.trace_photons(scene, 1_000_000, paths="all", sampler="random", seed=1)
-    caustic = whole.subset(np.isin(whole.path_signature, aimed.path_signature))
-    noise = np.hypot(*(1 / np.sqrt(len(each)) for each in (aimed, caustic)))
-    ratio = aimed.flux[:, 0].sum() / caustic.flux[:, 0].sum()
-    assert ratio == pytest.approx(1.0, abs=5 * noise)
+    aimed, _ = assert_aimed_light_is_that_of_all_paths(scene)
     relaxed = pr.relax(aimed, pr.detect_structure(aimed))
     assert np.isfinite(relaxed.position).all()
 

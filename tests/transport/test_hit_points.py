@@ -41,7 +41,7 @@ def trace_view(objects, camera, **options):
 
 def trace_weights_from(least, monkeypatch):
     """Leave rays out only if they have less weight."""
-    monkeypatch.setattr(hit_points, "_MIN_WEIGHT", least)
+    monkeypatch.setattr(hit_points, "MIN_WEIGHT", least)
 
 
 def one_ray(origin, target):

@@ -97,12 +97,12 @@ class _Pilot:
         }
 
     def scale(self, stage: str) -> float:
-        """What a stage of the whole render counts, over what this one's did."""
+        """Photons or pixels that a stage of the whole render counts, over those of this one."""
         kind = "indirect" if "indirect" in stage else "render" if stage == "render" else "caustic"
         return self._scales[kind]
 
     def n_bytes(self, stage: str) -> int:
-        """Memory of what a stage of the whole render returns."""
+        """Memory of the photons or layers that a stage of the whole render returns."""
         photons = int(self.scale(stage) * self.stages[stage].get("stored", 0))
         return PHOTON_BYTES * photons + (PIXEL_BYTES * self._n_pixels if stage == "render" else 0)
 

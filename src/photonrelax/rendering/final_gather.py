@@ -64,15 +64,14 @@ class FinalGather:
             shifts = rng.random((len(position[some]), 2))
             hits = self._rays.trace(position[some], normal[some], n_rays, shifts)
             at = hits.position, hits.normal
-            irradiance = self._direct(*at, rng) + self._field(*at, footprint=hits.footprint)
+            irradiance = self._field(*at, footprint=hits.footprint)
             if nearby:
                 away = np.linalg.norm(hits.position - position[some][hits.pixel], axis=1)
                 near = np.flatnonzero(away < self._field.reach)
-                at = hits.position[near], hits.normal[near]
-                irradiance[near] = self._direct(*at, rng) + self._gathered(
-                    *at, rng, _NEARBY, nearby=False
+                irradiance[near] = self._gathered(
+                    hits.position[near], hits.normal[near], rng, _NEARBY, nearby=False
                 )
-            light = hits.weight * hits.albedo * irradiance
+            light = hits.weight * hits.albedo * (irradiance + self._direct(*at, rng))
             out[some] = pixel_sums(hits.pixel, light, (len(position[some]), 1))[:, 0]
         return out
 

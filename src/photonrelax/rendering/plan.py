@@ -1,4 +1,4 @@
-"""What a render models: the components of light that a scene has, and the photons of each."""
+"""Plan of a render: the components of light that a scene has, and the photons of each."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ class Emitter(ABC):
 
     @property
     def surface(self) -> SceneObject | None:
-        """What rays meet of an emitter that is a surface; None for others."""
+        """Object that rays meet, of an emitter that is a surface; None for others."""
         return None
 
     def surface_radiance(self, from_behind: NDArray[np.bool_]) -> Floats:

@@ -14,11 +14,12 @@ from .._ext.transport.hit_points import CameraPaths
 from .._ext.transport.materials import Materials
 from .._util.parallel import ordered_map, thread_executor
 from .._util.validation import Floats
+from ..scene.emission_region import cosine_directions
 from ..scene.scene import Scene
-from .hit_points import HitPoints, follow_paths, hit_points_of
+from .hit_points import MIN_WEIGHT, HitPoints, follow_paths, hit_points_of
 from .media import MediaFinder
 from .raycast import RayCaster, empty_intersections
-from .sampling import halton, square_to_disk
+from .sampling import halton
 
 # Rays followed together.
 _BATCH = 16384
@@ -76,18 +77,17 @@ class GatherRays:
     def _batch(
         self, position: Floats, direction: Floats, spread: Floats, *, first: int
     ) -> dict[str, np.ndarray]:
-        m, n_rays = direction.shape[:2]
+        n_rays = len(direction) // len(position)
         origin = np.repeat(position, n_rays, axis=0)
-        direction = np.ascontiguousarray(direction.reshape(-1, 3))
         paths = CameraPaths(
             self._materials,
             self._caster.frame,
             self._caster.triangles,
-            least_weight=1e-3,
+            least_weight=MIN_WEIGHT,
             longest_edge=self._extent,
         )
-        row = np.repeat(np.arange(first, first + m), n_rays)
-        paths.start_gather(origin, direction, row, spread.ravel())
+        row = np.repeat(np.arange(first, first + len(position)), n_rays)
+        paths.start_gather(origin, direction, row, spread)
         found = self._caster.find_paths(paths)
         if paths.leave_surfaces(found):
             found = self._caster.find_paths(paths)
@@ -103,14 +103,8 @@ class GatherRays:
         return seen
 
 
-def _cosine_rays(normal: Floats, square: Floats) -> tuple[Floats, Floats]:
-    """Directions (m, n, 3) around normals (m, 3), by points (m, n, 2) of the square; spreads."""
-    m, n = square.shape[:2]
-    disk = square_to_disk(square.reshape(-1, 2), n_threads=1).reshape(m, n, 2)
-    cosine = np.sqrt(np.maximum(1.0 - (disk**2).sum(axis=2), 1e-12))
-    tangent = np.cross(normal, np.where(np.abs(normal[:, :1]) < 0.7, [1.0, 0, 0], [0, 1.0, 0]))
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    frame = np.stack([tangent, np.cross(normal, tangent), normal], axis=1)
-    direction = np.einsum("mnk,mkc->mnc", np.dstack([disk, cosine]), frame)
-    direction /= np.linalg.norm(direction, axis=2, keepdims=True)
-    return direction, np.sqrt(np.pi / (n * cosine))
+def _cosine_rays(normal: Floats, samples: Floats) -> tuple[Floats, Floats]:
+    """Directions (m n, 3) around normals (m, 3), by samples (m, n, 2), and spreads (m n,)."""
+    n = samples.shape[1]
+    directions, cosine = cosine_directions(np.repeat(normal, n, axis=0), samples.reshape(-1, 2))
+    return directions, np.sqrt(np.pi / (n * cosine))

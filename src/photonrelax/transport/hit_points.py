@@ -25,7 +25,7 @@ from .raycast import RayCaster, empty_intersections
 # Between parallel mirrors without loss rays never end.
 MAX_DEPTH = 10_000
 # Rays of less weight than this in every channel are not traced.
-_MIN_WEIGHT = 1e-3
+MIN_WEIGHT = 1e-3
 # Camera rays followed together, at least a row of the image.
 _BATCH = 16384
 
@@ -195,7 +195,7 @@ class _CameraTracer:
             self.materials,
             self._caster.frame,
             self._caster.triangles,
-            least_weight=_MIN_WEIGHT,
+            least_weight=MIN_WEIGHT,
             longest_edge=self._extent,
             keep_escaped=bool(self._background),
         )
