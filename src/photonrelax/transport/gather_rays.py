@@ -95,8 +95,7 @@ class GatherRays:
             hits = empty_intersections(len(row))
             self._caster.triangles.refine_hits(origin, direction, found, hits)
             paths.set_media(self._media.along(origin, direction, hits))
-            if self._materials.has_hidden:
-                self._caster.find_beyond(paths, found)
+            self._caster.find_beyond(paths, found)
         follow_paths(paths, self._caster, found, self._max_depth)
         seen = paths.seen_points()
         seen["weight"] /= n_rays

@@ -186,7 +186,7 @@ class RayCaster:
 
     def find_beyond(self, paths: Paths | CameraPaths, found: EmbreeHits) -> None:
         """Replace hits of live rays on surfaces that are not there by those beyond."""
-        for _ in range(MAX_HIDDEN):
+        for _ in range(MAX_HIDDEN if paths.has_hidden else 0):
             rows, positions, directions = paths.pass_hidden(found)
             if len(rows) == 0:
                 return

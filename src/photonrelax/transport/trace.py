@@ -161,7 +161,7 @@ def _check_memory(
     scene: Scene, n_emitted: int, settings: TraceSettings, caster: RayCaster | None, n_threads: int
 ) -> None:
     """Raise MemoryError if photons surely do not fit in memory."""
-    deposits = 1 if settings.paths == "caustic" else settings.max_bounces
+    deposits = 1.0 if settings.paths == "caustic" else _most_scattered(scene, settings)
     if settings.sensors:
         deposits += _CROSSINGS * len(scene.sensors) * (settings.max_bounces + 1)
     if _bytes(n_emitted, deposits * n_emitted) > available_memory():
@@ -171,6 +171,14 @@ def _check_memory(
             f"the photons stored of {n_emitted:,} emitted",
             "emit fewer, or render in passes of fresh photons (--passes, render_progressive)",
         )
+
+
+def _most_scattered(scene: Scene, settings: TraceSettings) -> float:
+    """Photons that a path stores on surfaces on average, at most: roulette ends it by albedo."""
+    table = scene.material_table()
+    albedos = table.reflectance[[kind == "diffuse" for kind in table.kind]]
+    absorbed = 1.0 - float(albedos.max(initial=0.0))
+    return min(1.0 / absorbed, settings.max_bounces) if absorbed > 0.0 else settings.max_bounces
 
 
 def _bytes(n_emitted: int, n_stored: float) -> float:

@@ -2,12 +2,18 @@
 
 from libc.stdint cimport uint64_t
 
+cdef enum:
+    # Numbers of the shape of any kind of region, at most.
+    SHAPE_NUMBERS = 5
+
 
 cdef class EmissionRegion:
     cdef int kind
     cdef double start_distance, density
-    cdef const double[::1] origin, shape, coords_offset
-    cdef const double[:, ::1] frame
+    # Read for every photon: part of the object itself.
+    cdef double[3] origin, coords_offset
+    cdef double[3][3] frame
+    cdef double[SHAPE_NUMBERS] shape
     # Of extended emitters, else None.
     cdef const double[::1] target, cumulative
     cdef const double[:, :, ::1] triangles

@@ -118,12 +118,22 @@ cdef class EmissionRegion:
         double density, const double[::1] target=None, const double[:, :, ::1] triangles=None,
         const double[::1] cumulative=None,
     ):
+        cdef int i, c
+        if not (
+            origin.shape[0] == frame.shape[0] == frame.shape[1] == 3
+            and coords_offset.shape[0] in (2, 3)
+            and shape.shape[0] <= SHAPE_NUMBERS
+        ):
+            raise ValueError("origin, frame, shape and offset of an emission region do not fit")
         self.kind = kind
-        self.origin = origin
-        self.frame = frame
-        self.shape = shape
+        for c in range(3):
+            self.origin[c] = origin[c]
+            self.coords_offset[c] = coords_offset[c] if c < coords_offset.shape[0] else 0.0
+            for i in range(3):
+                self.frame[i][c] = frame[i, c]
+        for i in range(SHAPE_NUMBERS):
+            self.shape[i] = shape[i] if i < shape.shape[0] else 0.0
         self.start_distance = start_distance
-        self.coords_offset = coords_offset
         self.density = density
         self.target, self.triangles, self.cumulative = target, triangles, cumulative
 
@@ -131,9 +141,9 @@ cdef class EmissionRegion:
         cdef int c
         for c in range(3):
             out[c] = (
-                local[0] * self.frame[0, c]
-                + local[1] * self.frame[1, c]
-                + local[2] * self.frame[2, c]
+                local[0] * self.frame[0][c]
+                + local[1] * self.frame[1][c]
+                + local[2] * self.frame[2][c]
             )
 
     cdef double from_point(self, double* direction, double u, double v) noexcept nogil:
@@ -170,7 +180,7 @@ cdef class EmissionRegion:
         self.to_world(origin, local)
         for c in range(3):
             origin[c] += self.origin[c]
-            direction[c] = self.frame[2, c]
+            direction[c] = self.frame[2][c]
         return self.density
 
     cdef double from_sun(
@@ -195,7 +205,7 @@ cdef class EmissionRegion:
             start[c] = self.shape[0] * (disk[0] * across[c] + disk[1] * along[c])
         self.to_world(origin, start)
         for c in range(3):
-            origin[c] += self.origin[c] + upstream * (self.frame[2, c] - direction[c])
+            origin[c] += self.origin[c] + upstream * (self.frame[2][c] - direction[c])
         return self.density
 
     cdef double from_area(

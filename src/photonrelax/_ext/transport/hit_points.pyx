@@ -83,6 +83,8 @@ cdef class CameraPaths:
     cdef Py_ssize_t n_seen
     cdef bint finite
     cdef readonly Py_ssize_t n_live
+    # False if rays meet all surfaces that they hit.
+    cdef readonly bint has_hidden
     cdef readonly Faults faults
 
     def __init__(
@@ -90,6 +92,7 @@ cdef class CameraPaths:
         double longest_edge, bint keep_escaped=False,
     ):
         self.materials, self.frame, self.triangles = materials, frame, triangles
+        self.has_hidden = materials.has_hidden
         self.least_weight, self.longest_edge = least_weight, longest_edge
         self.keep_escaped = keep_escaped
         self.memory = self.next_memory = np.empty(0, np.uint8)
@@ -202,7 +205,7 @@ cdef class CameraPaths:
         (k,) intp, (k, 3), (k, 3)
             Rows of these rays among the live ones, where they hit the surfaces, and directions.
         """
-        cdef Py_ssize_t i, k = 0, n = self.n_live if self.materials.has_hidden else 0
+        cdef Py_ssize_t i, k = 0, n = self.n_live
         cdef Py_ssize_t[::1] rows = np.empty(n, np.intp)
         cdef double[:, ::1] position = np.empty((n, 3)), direction = np.empty((n, 3))
         with nogil:

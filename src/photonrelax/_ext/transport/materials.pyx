@@ -164,7 +164,9 @@ cdef class Faults:
         a stack holds.
         """
         cdef object counts = self.count.base
-        object_id = np.flatnonzero(counts.any(axis=1)) if self.total else np.empty(0, np.intp)
+        if not self.total:
+            return np.empty((0, 1 + N_FAULTS), np.int64)
+        object_id = np.flatnonzero(counts.any(axis=1))
         rows = np.column_stack([object_id, counts[object_id]])
         counts[object_id] = 0
         self.total = 0

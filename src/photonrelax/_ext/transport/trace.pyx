@@ -205,6 +205,8 @@ cdef class Paths:
     cdef int path_filter, max_bounces
     cdef bint finite
     cdef readonly Py_ssize_t size, n_live
+    # False if rays meet all surfaces that they hit.
+    cdef readonly bint has_hidden
     cdef readonly int64_t n_met_specular
     cdef readonly Faults faults
 
@@ -213,6 +215,7 @@ cdef class Paths:
         int path_filter, int max_bounces,
     ):
         self.materials, self.frame, self.triangles = materials, frame, triangles
+        self.has_hidden = materials.has_hidden
         self.size = size
         self.memory = np.empty(2 * size * sizeof(Ray), np.uint8)
         self.ray = <Ray*> &self.memory[0]
@@ -300,7 +303,7 @@ cdef class Paths:
         (k,) intp, (k, 3), (k, 3)
             Rows of these rays among the live ones, where they hit the surfaces, and directions.
         """
-        cdef Py_ssize_t i, k = 0, n = self.n_live if self.materials.has_hidden else 0
+        cdef Py_ssize_t i, k = 0, n = self.n_live
         cdef Py_ssize_t[::1] rows = np.empty(n, np.intp)
         cdef double[:, ::1] position = np.empty((n, 3)), direction = np.empty((n, 3))
         with nogil:
