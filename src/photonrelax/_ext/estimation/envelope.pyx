@@ -1,0 +1,235 @@
+"""Flux of triangles that falls on footprints, by exact overlap."""
+
+from cython.parallel cimport prange, threadid
+from libc.math cimport INFINITY, fabs, sqrt
+from libc.stdint cimport int32_t
+
+from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
+from ..common.vec3 cimport cross, dot
+from ..spatial.box_tree cimport BoxTree, BoxVisit, next_within, open_visit
+
+cdef enum:
+    # Corners of a triangle cut by the four sides of a square, at most.
+    MOST_CORNERS = 8
+    LOOK_EVERY = 256
+    GRAIN = 64
+
+# Cosine of the largest angle between the normals of a footprint and of light on it.
+cdef double LEAST_COSINE = 0.5
+# Triangles of a smaller area, over the square of their longest side, are lines.
+cdef double THIN = 1e-9
+
+
+cdef struct Footprint:
+    # Centre, and rows that give coordinates in it, in [-1/2, 1/2] within.
+    double[3] centre
+    double[3] to_a
+    double[3] to_b
+    double[3] normal
+    double area
+
+
+cdef struct Polygon:
+    int n
+    double[MOST_CORNERS][2] corner
+
+
+def means(
+    BoxTree tree, const double[:, :, ::1] triangles, const double[:, ::1] normals,
+    const double[:, ::1] values, const double[:, ::1] points, const double[:, ::1] towards,
+    const double[:, :, ::1] edges, const Py_ssize_t[::1] rows, *, double thickness,
+    double[:, ::1] out, int n_threads,
+):
+    """Write means over footprints of values that are spread evenly over triangles.
+
+    Parameters
+    ----------
+    tree : BoxTree
+        Of the triangles.
+    triangles : (t, 3, 3), normals (t, 3), values (t, c)
+        Corners, m; unit normals of the surfaces they lie on.
+    points, towards : (m, 3), edges (m, 2, 3)
+        Centres, normals of any length, and edges of the footprints.
+    rows : (r,) intp array
+        Rows of the footprints whose means are wanted.
+    thickness : float
+        Largest distance of a triangle from the plane of a footprint over the size of that.
+    out : (m, c) float64 array
+        Values per m².
+    """
+    cdef Py_ssize_t i, m = points.shape[0]
+    cdef Watch watch = open_watch()
+    if not (
+        tree.n_boxes == triangles.shape[0] == normals.shape[0] == values.shape[0]
+        and triangles.shape[1] == triangles.shape[2] == normals.shape[1] == 3
+        and m == towards.shape[0] == edges.shape[0] == out.shape[0]
+        and points.shape[1] == towards.shape[1] == edges.shape[2] == 3 and edges.shape[1] == 2
+        and out.shape[1] == values.shape[1]
+    ):
+        raise ValueError("triangles, footprints and values do not fit one another")
+    for i in range(rows.shape[0]):
+        if not 0 <= rows[i] < m:
+            raise ValueError(f"rows should be of {m} footprints, but one is {rows[i]}")
+    for i in prange(
+        rows.shape[0], nogil=True, schedule="dynamic", chunksize=GRAIN,
+        num_threads=team_size(n_threads, rows.shape[0], GRAIN)
+    ):
+        if goes_on(&watch, threadid() == 0 and i % LOOK_EVERY == 0):
+            mean_over(
+                tree, triangles, normals, values, &points[rows[i], 0], &towards[rows[i], 0],
+                &edges[rows[i], 0, 0], thickness, &out[rows[i], 0],
+            )
+    close_watch(&watch)
+
+
+cdef void mean_over(
+    BoxTree tree, const double[:, :, ::1] triangles, const double[:, ::1] normals,
+    const double[:, ::1] values, const double* point, const double* towards, const double* edges,
+    double thickness, double* out,
+) noexcept nogil:
+    """Write the mean of one footprint."""
+    cdef Footprint footprint
+    cdef BoxVisit visit
+    cdef double[3] low, high
+    cdef double share, slack
+    cdef int32_t t
+    cdef Py_ssize_t c
+    for c in range(values.shape[1]):
+        out[c] = 0.0
+    if not set_footprint(&footprint, point, towards, edges):
+        return
+    slack = thickness * sqrt(footprint.area)
+    for c in range(3):
+        share = 0.5 * (fabs(edges[c]) + fabs(edges[3 + c])) + slack * fabs(footprint.normal[c])
+        low[c], high[c] = point[c] - share, point[c] + share
+    visit = open_visit(tree, low, high, 0.0)
+    t = next_within(tree, &visit)
+    while t >= 0:
+        if dot(&normals[t, 0], footprint.normal) > LEAST_COSINE:
+            share = share_within(&footprint, &triangles[t, 0, 0], slack)
+            if share > 0.0:
+                for c in range(values.shape[1]):
+                    out[c] += share * values[t, c]
+        t = next_within(tree, &visit)
+    for c in range(values.shape[1]):
+        out[c] /= footprint.area
+
+
+cdef bint set_footprint(
+    Footprint* out, const double* point, const double* towards, const double* edges
+) noexcept nogil:
+    """Write a footprint; false if it has no area."""
+    cdef double[3] normal
+    cdef double length
+    cdef int c
+    cross(normal, edges, edges + 3)
+    length = sqrt(dot(normal, normal))
+    if not length > 0.0:
+        return False
+    for c in range(3):
+        out.centre[c] = point[c]
+        out.normal[c] = normal[c] / length
+    out.area = length
+    # Coordinates a, b of p = a edge_a + b edge_b, by the dual basis.
+    cross(out.to_a, edges + 3, out.normal)
+    cross(out.to_b, out.normal, edges)
+    for c in range(3):
+        out.to_a[c] /= length
+        out.to_b[c] /= length
+    if dot(out.normal, towards) < 0.0:
+        for c in range(3):
+            out.normal[c] = -out.normal[c]
+    return True
+
+
+cdef double share_within(
+    const Footprint* footprint, const double* triangle, double slack
+) noexcept nogil:
+    """Share of a triangle that lies in a footprint, seen along the normal."""
+    cdef Polygon polygon
+    cdef double[3] offset
+    cdef double whole, longest = 0.0, nearest = INFINITY
+    cdef int i, j, c
+    polygon.n = 3
+    for i in range(3):
+        for c in range(3):
+            offset[c] = triangle[3 * i + c] - footprint.centre[c]
+        polygon.corner[i][0] = dot(offset, footprint.to_a)
+        polygon.corner[i][1] = dot(offset, footprint.to_b)
+        nearest = min(nearest, fabs(dot(offset, footprint.normal)))
+    if nearest > slack:
+        return 0.0
+    for i in range(3):
+        j = (i + 1) % 3
+        longest = max(longest, squared_length(polygon.corner[i], polygon.corner[j]))
+    whole = fabs(area_of(&polygon))
+    if whole <= THIN * longest:
+        return share_of_line(&polygon, longest)
+    for i in range(4):
+        clip(&polygon, i // 2, 1.0 if i % 2 else -1.0)
+        if polygon.n < 3:
+            return 0.0
+    return fabs(area_of(&polygon)) / whole
+
+
+cdef double squared_length(const double* a, const double* b) noexcept nogil:
+    return (a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1])
+
+
+cdef double area_of(const Polygon* polygon) noexcept nogil:
+    """Signed area, by corners relative to the first: far ones keep their digits."""
+    cdef double total = 0.0
+    cdef const double* o = polygon.corner[0]
+    cdef int i
+    for i in range(1, polygon.n - 1):
+        total += (
+            (polygon.corner[i][0] - o[0]) * (polygon.corner[i + 1][1] - o[1])
+            - (polygon.corner[i][1] - o[1]) * (polygon.corner[i + 1][0] - o[0])
+        )
+    return 0.5 * total
+
+
+cdef void clip(Polygon* polygon, int axis, double side) noexcept nogil:
+    """Cut a convex polygon at side · coordinate <= 1/2 (Sutherland & Hodgman 1974)."""
+    cdef Polygon cut
+    cdef double here, there, t
+    cdef int i, j
+    cut.n = 0
+    for i in range(polygon.n):
+        j = i + 1 if i + 1 < polygon.n else 0
+        here = 0.5 - side * polygon.corner[i][axis]
+        there = 0.5 - side * polygon.corner[j][axis]
+        if here >= 0.0:
+            cut.corner[cut.n] = polygon.corner[i]
+            cut.n += 1
+        if (here >= 0.0) != (there >= 0.0):
+            t = here / (here - there)
+            cut.corner[cut.n][axis] = 0.5 * side
+            cut.corner[cut.n][1 - axis] = polygon.corner[i][1 - axis] + t * (
+                polygon.corner[j][1 - axis] - polygon.corner[i][1 - axis]
+            )
+            cut.n += 1
+    polygon[0] = cut
+
+
+cdef double share_of_line(const Polygon* polygon, double longest) noexcept nogil:
+    """Share of the longest side of a triangle that lies within; of a point, whether it does."""
+    cdef double enter = 0.0, leave = 1.0, start, change, t
+    cdef int i, j, k, axis
+    i = 0
+    for k in range(3):
+        if squared_length(polygon.corner[k], polygon.corner[(k + 1) % 3]) == longest:
+            i = k
+    j = (i + 1) % 3
+    for axis in range(2):
+        start = polygon.corner[i][axis]
+        change = polygon.corner[j][axis] - start
+        if change == 0.0:
+            # Of footprints that share an edge one has what lies on it.
+            if not -0.5 <= start < 0.5:
+                return 0.0
+            continue
+        t = (-0.5 - start) / change
+        enter = max(enter, min(t, (0.5 - start) / change))
+        leave = min(leave, max(t, (0.5 - start) / change))
+    return max(leave - enter, 0.0)

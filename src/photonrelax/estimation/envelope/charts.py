@@ -1,0 +1,192 @@
+"""Charts: rectangles of an emitter's coordinates around what can cast a caustic.
+
+A chart maps the unit square to rays of its emitter. That of parallel light is a rectangle across
+it; that of a point is one on a plane before it (gnomonic), six of them where casters are all
+around. Straight lines are straight in both, so the rectangle around the vertices of a caster is
+around all of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ..._util.validation import Floats
+from ...scene.emitters import CollimatedEmitter, Emitter
+from ...scene.materials import Dielectric, Mirror
+from ...scene.scene import Scene
+
+# Share of its sides by which a chart is larger than its casters.
+_MARGIN = 1e-3
+# Casters farther than this from the axis of a chart, as a tangent, get charts all around.
+_WIDEST = 2.0
+
+
+class ChartRays(NamedTuple):
+    """Rays of an emitter at points of a chart, and the power around them.
+
+    Attributes
+    ----------
+    origin, direction : (n, 3) float64
+        m, and unit vectors.
+    power : (n, 3) float64
+        W per area of the chart, which is 1 in all.
+    """
+
+    origin: Floats
+    direction: Floats
+    power: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """A rectangle of the coordinates of one emitter.
+
+    Attributes
+    ----------
+    emitter, emitter_id : Emitter, int
+        The emitter, and its index in the scene.
+    corner : (3,) float64
+        Where the chart's (0, 0) is: on a plane before all objects for parallel light, m; relative
+        to its point for others, on a plane at distance 1.
+    u, v : (3,) float64
+        Its sides, perpendicular to each other.
+    start : float
+        Distance from the point at which rays start, m.
+    """
+
+    emitter: Emitter
+    emitter_id: int
+    corner: Floats
+    u: Floats
+    v: Floats
+    start: float = 0.0
+
+    @property
+    def sides(self) -> Floats:
+        """Lengths (2,) of the sides."""
+        return np.linalg.norm([self.u, self.v], axis=1)
+
+    def rays(self, places: Floats) -> ChartRays:
+        """Rays at places (n, 2) in the unit square."""
+        at = self.corner + places[:, :1] * self.u + places[:, 1:] * self.v
+        area = float(np.prod(self.sides))
+        point = self.emitter.point
+        if point is None:
+            along = np.cross(self.u, self.v) / area
+            power = area * self.emitter.direct(at, 0.0).irradiance
+            return ChartRays(at, np.tile(along, (len(at), 1)), power)
+        distance = np.linalg.norm(at, axis=1)[:, np.newaxis]
+        direction = at / distance
+        # At distance 1 irradiance is intensity, and the plane is seen aslant.
+        intensity = self.emitter.direct(point + direction, 0.0).irradiance
+        origin = point + self.start * direction
+        return ChartRays(origin, direction, intensity * area / distance**3)
+
+
+def charts_of(scene: Scene) -> list[Chart]:
+    """Charts around all that casts caustics, for each emitter of a scene.
+
+    Raises
+    ------
+    ValueError
+        If an emitter is extended: its coordinates are more than two.
+    """
+    casters = [
+        np.asarray(item.mesh.vertices)[np.unique(item.mesh.faces)]
+        for item in scene.objects
+        if isinstance(item.material, Dielectric | Mirror)
+    ]
+    charts: list[Chart] = []
+    for emitter_id, emitter in enumerate(scene.emitters):
+        if emitter.is_extended or not (
+            isinstance(emitter, CollimatedEmitter) or emitter.point is not None
+        ):
+            raise ValueError(
+                "envelopes should be of parallel light or of points, but emitter "
+                f"{emitter_id} is {type(emitter).__name__} with a size: use another method, "
+                "'parameterised' say"
+            )
+        make = _parallel if emitter.point is None else _around_point
+        charts += make(scene, emitter, emitter_id, casters)
+    return charts
+
+
+def _parallel(
+    scene: Scene, emitter: Emitter, emitter_id: int, casters: list[Floats]
+) -> list[Chart]:
+    whole = scene.bounding_sphere()
+    region = emitter.emission_region(whole, whole, scene.emitter_offset(emitter))
+    boxes = [_box((each - region.origin) @ region.frame[:2].T) for each in casters]
+    return [
+        Chart(
+            emitter,
+            emitter_id,
+            region.origin + low @ region.frame[:2],
+            (high - low)[0] * region.frame[0],
+            (high - low)[1] * region.frame[1],
+        )
+        for low, high in _disjoint(boxes)
+    ]
+
+
+def _around_point(
+    scene: Scene, emitter: Emitter, emitter_id: int, casters: list[Floats]
+) -> list[Chart]:
+    whole = scene.bounding_sphere()
+    region = emitter.emission_region(whole, whole, scene.emitter_offset(emitter))
+    towards = [each - emitter.point for each in casters]
+    units = [each / np.linalg.norm(each, axis=1)[:, np.newaxis] for each in towards]
+    axis = sum(each.mean(axis=0) for each in units)
+    length = np.linalg.norm(axis)
+    frame = _frame(axis / length) if length > 0.0 else np.eye(3)
+    local = [each @ frame.T for each in towards]
+    if all((np.hypot(p[:, 0], p[:, 1]) <= _WIDEST * p[:, 2]).all() for p in local):
+        boxes = _disjoint([_box(p[:, :2] / p[:, 2:]) for p in local])
+        frames = [frame] * len(boxes)
+    else:
+        boxes = [np.array([[-1.0, -1.0], [1.0, 1.0]])] * 6
+        frames = [_frame(side * np.eye(3)[i]) for i in range(3) for side in (1.0, -1.0)]
+    return [
+        Chart(
+            emitter,
+            emitter_id,
+            low @ turned[:2] + turned[2],
+            (high - low)[0] * turned[0],
+            (high - low)[1] * turned[1],
+            region.start_distance,
+        )
+        for turned, (low, high) in zip(frames, boxes, strict=True)
+    ]
+
+
+def _frame(w: Floats) -> Floats:
+    """Right-handed unit rows u, v, w."""
+    u = np.cross(np.eye(3)[np.abs(w).argmin()], w)
+    u /= np.linalg.norm(u)
+    return np.array([u, np.cross(w, u), w])
+
+
+def _box(points: Floats) -> Floats:
+    """Corners (2, 2) of the rectangle around points (n, 2), and a little more."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = _MARGIN * (high - low).max()
+    return np.array([low - margin, high + margin])
+
+
+def _disjoint(boxes: list[Floats]) -> list[Floats]:
+    """Rectangles that hold all boxes and do not overlap."""
+    boxes = list(boxes)
+    i = 0
+    while i < len(boxes):
+        low, high = boxes[i]
+        met = [j for j in range(i) if (boxes[j][0] < high).all() and (low < boxes[j][1]).all()]
+        if met:
+            both = np.array([boxes[j] for j in (*met, i)])
+            boxes = [box for j, box in enumerate(boxes) if j not in (*met, i)]
+            boxes.insert(0, np.array([both[:, 0].min(axis=0), both[:, 1].max(axis=0)]))
+            i = 0
+        i += 1
+    return boxes

@@ -1,0 +1,184 @@
+"""Triangles of a chart with six nodes each, and their images sheet by sheet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._util.validation import Floats
+from ...transport.aim import LUMINANCE
+from .lattice import _UNIT, Ids, Lattice, Places
+
+# Corners, then the nodes in the middle of the sides opposite to them.
+_SIDES = ((1, 2), (0, 2), (0, 1))
+# Barycentric coordinates of the six nodes.
+_NODES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [1, 0, 1], [1, 1, 0]]) / [
+    [1], [1], [1], [2], [2], [2]
+]
+# Nodes of an element that are the corners of its four parts.
+PARTS = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2], [3, 4, 5]])
+
+
+def shape_functions(at: Floats) -> Floats:
+    """Weights (n, 6) of the six nodes at barycentric coordinates (n, 3)."""
+    of_corners = at * (2.0 * at - 1.0)
+    of_sides = np.column_stack([4.0 * at[:, i] * at[:, j] for i, j in _SIDES])
+    return np.hstack([of_corners, of_sides])
+
+
+# Weights (4, 3, 6) of the nodes of an element at the new nodes of its parts.
+_NEW_NODES = np.array(
+    [shape_functions(np.array([_NODES[part[list(side)]].mean(axis=0) for side in _SIDES]))
+     for part in PARTS]
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """Images of elements, one for each sheet seen from any of its nodes.
+
+    Attributes
+    ----------
+    element : (p,) intp
+        Rows of the elements, ascending.
+    sheet : (p,) uint64
+        Ascending within an element.
+    arrival : (p, 6) intp
+        Rows of the arrivals of the nodes, -1 where the node has none.
+    """
+
+    element: Ids
+    sheet: NDArray[np.uint64]
+    arrival: NDArray[np.intp]
+
+    def __len__(self) -> int:
+        return len(self.element)
+
+    def __getitem__(self, rows: NDArray) -> Patches:
+        return Patches(self.element[rows], self.sheet[rows], self.arrival[rows])
+
+    @property
+    def is_whole(self) -> NDArray[np.bool_]:
+        """(p,) true where all nodes are seen."""
+        whole: NDArray[np.bool_] = (self.arrival >= 0).all(axis=1)
+        return whole
+
+
+@dataclass(frozen=True, eq=False)
+class Elements:
+    """Leaves of the triangulation of a chart.
+
+    Attributes
+    ----------
+    corners : (n, 3, 2) int64
+        Places of the corners.
+    nodes : (n, 6) intp
+        Corners, then the nodes in the middle of the sides opposite to them.
+    level : (n,) int8
+        Number of divisions.
+    """
+
+    corners: Places
+    nodes: Ids
+    level: NDArray[np.int8]
+
+    def __len__(self) -> int:
+        return len(self.level)
+
+    def __getitem__(self, rows: NDArray) -> Elements:
+        return Elements(self.corners[rows], self.nodes[rows], self.level[rows])
+
+    def joined(self, others: Elements) -> Elements:
+        """These, then others."""
+        return Elements(
+            np.concatenate([self.corners, others.corners]),
+            np.concatenate([self.nodes, others.nodes]),
+            np.concatenate([self.level, others.level]),
+        )
+
+    def parts(self) -> tuple[Places, NDArray[np.int8]]:
+        """Corners (4n, 3, 2) and levels of the four parts of each."""
+        six = six_places(self.corners)
+        return six[:, PARTS].reshape(-1, 3, 2), np.repeat(self.level + 1, 4).astype(np.int8)
+
+
+def first_corners(lattice: Lattice) -> Places:
+    """Corners (n, 3, 2) of the two triangles of each cell of the first grid."""
+    nx, ny = lattice.cells
+    i, j = (grid.ravel() * _UNIT for grid in np.meshgrid(np.arange(nx), np.arange(ny)))
+    square = np.stack([np.column_stack([i + a, j + b]) for a, b in
+                       ((0, 0), (_UNIT, 0), (_UNIT, _UNIT), (0, _UNIT))], axis=1)
+    return square[:, [[0, 1, 3], [2, 3, 1]]].reshape(-1, 3, 2)
+
+
+def six_places(corners: Places) -> Places:
+    """Places (n, 6, 2) of the nodes of elements."""
+    middle = [(corners[:, i] + corners[:, j]) // 2 for i, j in _SIDES]
+    return np.concatenate([corners, np.stack(middle, axis=1)], axis=1)
+
+
+def areas(lattice: Lattice, corners: Places | Floats) -> Floats:
+    """Areas (n,) of triangles (n, 3, 2) of places, of the chart's 1."""
+    a, b = (lattice.in_unit(corners[:, i] - corners[:, 0]) for i in (1, 2))
+    area: Floats = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    return area
+
+
+def patches_of(lattice: Lattice, nodes: Ids) -> Patches:
+    """Images of elements of nodes (n, 6)."""
+    flat = nodes.ravel()
+    count = lattice.count[flat]
+    slot = np.repeat(np.arange(len(flat)), count)
+    arrival = np.repeat(lattice.first[flat] - (np.cumsum(count) - count), count)
+    arrival += np.arange(len(slot))
+    element, node = slot // 6, slot % 6
+    sheet = lattice.sheet[arrival]
+    order = np.lexsort((sheet, element))
+    element, sheet = element[order], sheet[order]
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = (element[1:] != element[:-1]) | (sheet[1:] != sheet[:-1])
+    table = np.full((np.count_nonzero(new), 6), -1, dtype=np.intp)
+    table[np.cumsum(new) - 1, node[order]] = arrival[order]
+    return Patches(element[new], sheet[new], table)
+
+
+def fluxes(lattice: Lattice, patches: Patches, area: Floats) -> Floats:
+    """Flux (p, 3) of images of elements of areas (p,), W; of those nodes that are seen.
+
+    The nodes in the middle of the sides are a quadrature that is exact for quadratic functions.
+    """
+    seen = patches.arrival >= 0
+    light = lattice.light[patches.arrival]
+    light[~seen] = 0.0
+    flux: Floats = area[:, np.newaxis] * light[:, 3:].mean(axis=1)
+    torn = ~seen.all(axis=1)
+    flux[torn] = area[torn, np.newaxis] * light[torn].mean(axis=1)
+    return flux
+
+
+def bends(position: Floats) -> tuple[Floats, Floats]:
+    """Largest distances of the middle nodes from straight sides, and longest sides, (p,) both."""
+    corners = position[:, :3]
+    middle = np.stack([corners[:, i] + corners[:, j] for i, j in _SIDES], axis=1) / 2.0
+    side = np.stack([corners[:, i] - corners[:, j] for i, j in _SIDES], axis=1)
+    bend = np.linalg.norm(position[:, 3:] - middle, axis=2).max(axis=1)
+    return bend, np.linalg.norm(side, axis=2).max(axis=1)
+
+
+def misfits(position: Floats, parent: Floats, part: Ids) -> Floats:
+    """Largest distances (p,) of new nodes from where the images of parents have them.
+
+    `position` (p, 6, 3) is of the images, `parent` (p, 6, 3) of the images they are part of, and
+    `part` (p,) which of the four.
+    """
+    predicted = np.einsum("pks,psc->pkc", _NEW_NODES[part], parent)
+    misfit: Floats = np.linalg.norm(position[:, 3:] - predicted, axis=2).max(axis=1)
+    return misfit
+
+
+def luminances(flux: Floats) -> Floats:
+    """Luminance (n,) of fluxes (n, 3)."""
+    luminance: Floats = flux @ LUMINANCE
+    return luminance

@@ -1,0 +1,79 @@
+"""Irradiance of an envelope: means over footprints, by exact overlap."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..._ext.estimation import envelope as _kernel
+from ..._util.parallel import thread_count
+from ..._util.validation import Floats
+from ..field import Densities, Field, Points
+from .envelope import Envelope
+
+# Distance from the plane of a footprint, over its size, of light that still counts in it.
+_THICKNESS = 1.0
+
+
+class EnvelopeField(Field):
+    """A field whose elements are the triangles of an envelope.
+
+    Parameters
+    ----------
+    envelope : Envelope
+        Of `trace_envelope`.
+    n_threads : int, optional
+        Threads; all by default.
+
+    Notes
+    -----
+    At points the estimate is the mean over a square as large as the envelope's footprint.
+    """
+
+    def __init__(self, envelope: Envelope, *, n_threads: int | None = None) -> None:
+        self.envelope = envelope
+        self.seconds = dict(envelope.seconds)
+        self.used: dict[str, dict[str, Any]] = {}
+        self._n_threads = thread_count(n_threads)
+
+    @property
+    def flux(self) -> Floats:
+        """Flux (n, 3) of the triangles, W."""
+        return self.envelope.flux
+
+    @property
+    def has_footprints(self) -> bool:
+        return True
+
+    def _lay_out(self, values: Floats, part: int) -> Floats:
+        return np.ascontiguousarray(values)
+
+    def _fill(self, out: Floats, values: Densities, points: Points) -> None:
+        envelope = self.envelope
+        edges = points.footprint
+        if edges is None:
+            edges = np.full(len(points.queries), envelope.footprint)
+        if edges.ndim == 1:
+            edges = _squares(points.normals, edges)
+        _kernel.means(
+            envelope.tree.kernel,
+            envelope.position,
+            envelope.normal,
+            values.laid_out(0),
+            np.ascontiguousarray(points.queries),
+            np.ascontiguousarray(points.normals),
+            np.ascontiguousarray(edges),
+            points.rows,
+            thickness=_THICKNESS,
+            out=out,
+            n_threads=self._n_threads,
+        )
+
+
+def _squares(normals: Floats, side: Floats) -> Floats:
+    """Edges (m, 2, 3) of squares in the tangent planes."""
+    u = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+    u *= (side / np.linalg.norm(u, axis=1))[:, np.newaxis]
+    v = np.cross(normals, u) / np.linalg.norm(normals, axis=1)[:, np.newaxis]
+    return np.stack([u, v], axis=1)

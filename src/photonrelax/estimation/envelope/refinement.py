@@ -1,0 +1,190 @@
+"""Division of elements where their images misplace light."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._util.validation import Floats
+from .elements import (
+    Elements,
+    Patches,
+    areas,
+    bends,
+    first_corners,
+    fluxes,
+    luminances,
+    misfits,
+    patches_of,
+    six_places,
+)
+from .lattice import MAX_LEVEL, Ids, Lattice
+
+# Misplaced distance over the misfit of a parent, and over the bend where there is no parent.
+_OF_MISFIT, _OF_BEND = 0.125, 0.25
+# Share of the flux of a torn image that is taken to be misplaced: borders are cut.
+_OF_TORN = 0.1
+# Images that bend by more than this share of their longest side, and a footprint, jump.
+_JUMP = 0.35
+# Rays that a torn image costs when its border is cut.
+_RAYS_OF_BORDER = 6
+# Leaves divided in one pass have at least this share of the largest score.
+_GREED = 0.05
+# New nodes of a divided leaf, most of which it shares with neighbours.
+_RAYS_OF_LEAF = 5
+# Sheets are given up if more than this share of their flux is torn or jumps after some divisions.
+_GIVEN_UP, _DIVISIONS = 0.9, 4
+
+
+class Refinement:
+    """The elements of a chart, divided until little light is misplaced or rays are used up.
+
+    Attributes
+    ----------
+    lattice : Lattice
+    footprint : float
+        Length that images are resolved to, m.
+    leaves : Elements
+    patches : Patches
+        Images of the leaves.
+    scores : (p,) float64
+        Luminance that each of them misplaces, W.
+    jumps : (p,) bool
+        Images whose nodes do not follow one smooth map.
+    """
+
+    def __init__(self, lattice: Lattice, footprint: float) -> None:
+        self.lattice, self.footprint = lattice, footprint
+        self._given_up = np.empty(0, np.uint64)
+        self._n_divisions = 0
+        corners = first_corners(lattice)
+        self.leaves = self._elements(corners, np.zeros(len(corners), np.int8))
+        self.patches = patches_of(lattice, self.leaves.nodes)
+        self.scores, self.jumps = self._scores(self.leaves, self.patches, None)
+
+    @property
+    def score(self) -> float:
+        """Luminance that is misplaced, W."""
+        return float(self.scores.sum())
+
+    @property
+    def luminance(self) -> float:
+        """Luminance of the light of all images, W."""
+        return float(luminances(self._fluxes(self.leaves, self.patches)).sum())
+
+    @property
+    def n_rays(self) -> int:
+        """Nodes so far, and rays that cutting borders would take."""
+        torn = ~self.patches.is_whole & ~self.is_given_up
+        return len(self.lattice) + _RAYS_OF_BORDER * int(np.count_nonzero(torn))
+
+    @property
+    def is_given_up(self) -> NDArray[np.bool_]:
+        """(p,) true for images of sheets that are not divided."""
+        given_up: NDArray[np.bool_] = np.isin(self.patches.sheet, self._given_up)
+        return given_up
+
+    def divide(self, misplaced: float, n_rays: float) -> bool:
+        """Divide leaves of the largest scores once; false if there are none.
+
+        Enough of them that the scores of the others sum to `misplaced`, no more than take `n_rays`
+        new rays.
+        """
+        score = np.bincount(self.patches.element, self.scores, minlength=len(self.leaves))
+        score[self.leaves.level >= MAX_LEVEL] = 0.0
+        order = np.argsort(-score, kind="stable")
+        left = score.sum() - np.cumsum(score[order])
+        n = min(np.count_nonzero(left > misplaced) + 1, n_rays / _RAYS_OF_LEAF)
+        n = int(min(n, np.count_nonzero(score > _GREED * score.max(initial=0.0))))
+        if n <= 0:
+            return False
+        self._divide(np.sort(order[:n]))
+        return True
+
+    def _divide(self, rows: Ids) -> None:
+        kept = np.ones(len(self.leaves), dtype=bool)
+        kept[rows] = False
+        of_parents = ~kept[self.patches.element]
+        above = self.patches[of_parents]
+        above = Patches(np.searchsorted(rows, above.element), above.sheet, above.arrival)
+        leaves = self._elements(*self.leaves[rows].parts())
+        patches = patches_of(self.lattice, leaves.nodes)
+        scores, jumps = self._scores(leaves, patches, above)
+        others = self.patches[~of_parents]
+        number = np.cumsum(kept) - 1
+        first = int(np.count_nonzero(kept))
+        self.leaves = self.leaves[kept].joined(leaves)
+        self.patches = Patches(
+            np.concatenate([number[others.element], first + patches.element]),
+            np.concatenate([others.sheet, patches.sheet]),
+            np.concatenate([others.arrival, patches.arrival]),
+        )
+        self.scores = np.concatenate([self.scores[~of_parents], scores])
+        self.jumps = np.concatenate([self.jumps[~of_parents], jumps])
+        self._n_divisions += 1
+        if self._n_divisions == _DIVISIONS:
+            self._give_up()
+        self.scores[self.is_given_up] = 0.0
+
+    def _give_up(self) -> None:
+        """Note the sheets of which hardly anything is smooth."""
+        flux = luminances(self._fluxes(self.leaves, self.patches))
+        sheets, number = np.unique(self.patches.sheet, return_inverse=True)
+        rough = flux * (~self.patches.is_whole | self.jumps)
+        share = np.bincount(number, rough) / np.maximum(np.bincount(number, flux), 1e-300)
+        self._given_up = sheets[share > _GIVEN_UP]
+
+    def _elements(self, corners: NDArray[np.int64], level: NDArray[np.int8]) -> Elements:
+        places = six_places(corners).reshape(-1, 2)
+        return Elements(corners, self.lattice.nodes(places).reshape(-1, 6), level)
+
+    def _fluxes(self, leaves: Elements, patches: Patches) -> Floats:
+        return fluxes(self.lattice, patches, areas(self.lattice, leaves.corners)[patches.element])
+
+    def _scores(
+        self, leaves: Elements, patches: Patches, above: Patches | None
+    ) -> tuple[Floats, NDArray[np.bool_]]:
+        """Luminance (p,) that each image misplaces, W, and whether it jumps.
+
+        `above` are the images of the elements that the leaves divide, four in sequence each.
+        """
+        position = self.lattice.arrivals.position[patches.arrival]
+        flux = luminances(self._fluxes(leaves, patches))
+        bend, longest = bends(position)
+        misplaced = _OF_BEND * bend
+        if above is not None and len(above):
+            known, parent = _parents(patches, above)
+            at = self.lattice.arrivals.position[above.arrival[parent]]
+            misfit = misfits(position[known], at, patches.element[known] % 4)
+            misplaced[known] = _OF_MISFIT * misfit
+        jumps = patches.is_whole & (bend > _JUMP * longest) & (bend > self.footprint)
+        misplaced[jumps] = np.inf
+        score = flux * np.minimum(misplaced / self.footprint, 1.0)
+        torn = np.flatnonzero(~patches.is_whole)
+        seen = patches.arrival[torn] >= 0
+        size = np.where(seen.sum(axis=1) < 3, np.inf, _sizes(position[torn], seen))
+        score[torn] = _OF_TORN * flux[torn] * np.minimum(size / self.footprint, 1.0)
+        return score, jumps
+
+
+def _sizes(position: Floats, seen: NDArray[np.bool_]) -> Floats:
+    """Diagonals (p,) of the boxes around those of positions (p, 6, 3) that are seen."""
+    away = ~seen[:, :, np.newaxis]
+    high = np.where(away, -np.inf, position).max(axis=1)
+    low = np.where(away, np.inf, position).min(axis=1)
+    size: Floats = np.linalg.norm(high - low, axis=1)
+    return size
+
+
+def _parents(patches: Patches, above: Patches) -> tuple[Ids, Ids]:
+    """Rows of the whole images whose parents are whole, and of these among `above`."""
+    sheets, rank = np.unique(np.concatenate([above.sheet, patches.sheet]), return_inverse=True)
+    key = above.element * len(sheets) + rank[: len(above)]
+    wanted = (patches.element // 4) * len(sheets) + rank[len(above) :]
+    order = np.argsort(key)
+    at = np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)
+    parent = order[at]
+    known = np.flatnonzero(
+        patches.is_whole & (key[parent] == wanted) & above.is_whole[parent]
+    )
+    return known, parent[known]
