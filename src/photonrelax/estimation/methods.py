@@ -28,7 +28,7 @@ from .progressive import ProgressiveSettings
 from .split_passes import ProgressiveField
 from .surface import Surface, lit_objects
 
-DEFAULT_METHOD = "parameterised"
+DEFAULT_METHOD = "mapped"
 PLAIN_METHOD = "standard"
 """The method that gathers from photons as they are: relaxed ones, say, from a file."""
 PASSES_METHOD = "progressive"
@@ -78,9 +78,9 @@ def irradiance_field(
     method : str
         One of:
 
-        - ``parameterised``: SJ13, the default;
+        - ``parameterised``: SJ13;
         - ``mapped``: the same, towards the density that the map from emitter coordinates to
-          positions prescribes, see `photonrelax.relaxation.rest_density`;
+          positions prescribes, see `photonrelax.relaxation.rest_density`; the default;
         - ``relaxation``: the original relaxation (Spencer & Jones 2009, see
           `photonrelax.relaxation.gradient`), all of whose iterations are in space;
         - ``standard``: the photons as they are (Jensen);
