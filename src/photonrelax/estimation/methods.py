@@ -36,6 +36,9 @@ PASSES_METHOD = "progressive"
 METHODS_OF_SJ13 = ("standard", "relaxation", "diffusion", "parameterised", "progressive")
 """The methods that SJ13's Table I compares, in its order."""
 
+COMPARED_METHODS = (*METHODS_OF_SJ13, DEFAULT_METHOD)
+"""The methods that are compared unless others are named."""
+
 
 class StageSettings(TypedDict, total=False):
     """Settings objects by stage, in the order of the pipeline; None stands for the defaults.
