@@ -132,12 +132,15 @@ def test_where_the_scene_is_does_not_matter(known):
 
 def test_turning_the_scene_changes_no_more_than_another_seed(known):
     scene, points, normals, before = known
-    rotation = trimesh.transformations.rotation_matrix(1.1, [1, 2, 3])[:3, :3]
-    turned = transformed(scene, rotation=rotation)
-    after = irradiance(turned, points @ rotation.T, normals @ rotation.T)
-    reseeded = irradiance(scene, points, normals, seed=1)
-    # Among seeds, and among rotations, this varies by some 5 % about the same mean.
-    assert relative_l1(after, before) < 1.1 * relative_l1(reseeded, before)
+    turned, reseeded = [], []
+    # Among seeds, and among rotations, errors vary by some 5 % about the same mean.
+    for seed, (angle, axis) in enumerate([(1.1, [1, 2, 3]), (1.5, [1, 1, 0]), (0.7, [3, 1, 2])], 1):
+        rotation = trimesh.transformations.rotation_matrix(angle, axis)[:3, :3]
+        scene_turned = transformed(scene, rotation=rotation)
+        after = irradiance(scene_turned, points @ rotation.T, normals @ rotation.T)
+        turned.append(relative_l1(after, before))
+        reseeded.append(relative_l1(irradiance(scene, points, normals, seed=seed), before))
+    assert np.mean(turned) < 1.1 * np.mean(reseeded)
 
 
 def test_photons_stay_on_their_surfaces_and_keep_their_flux():

@@ -187,7 +187,7 @@ def test_errors_are_printed_in_one_line(error, message, tmp_path, capsys, monkey
 def test_relax_reads_a_map_and_writes_another(small_map, tmp_path, capsys):
     output = tmp_path / "relaxed.npz"
     arguments = ["relax", tmp_path / "photons.npz", "-o", output, "--iterations", 2, 1]
-    assert run(*arguments, "--threads", 1) == 0
+    assert run(*arguments, "--method", "parameterised", "--threads", 1) == 0
     assert f"wrote {output}" in capsys.readouterr().out
     relaxed = pr.PhotonMap.load(output)
     settings = pr.RelaxSettings(n_iterations=(2, 1))
@@ -204,8 +204,7 @@ def test_relax_reads_a_map_and_writes_another(small_map, tmp_path, capsys):
 )
 def test_relax_towards_the_rest_density(options, settings, small_map, tmp_path, capsys):
     output = tmp_path / "relaxed.npz"
-    arguments = ("relax", tmp_path / "photons.npz", "-o", output, "--method", "mapped")
-    assert run(*arguments, *options) == 0
+    assert run("relax", tmp_path / "photons.npz", "-o", output, *options) == 0
     assert "rest_density" in capsys.readouterr().out
     rest = pr.rest_density(small_map)
     expected = pr.relax(small_map, pr.detect_structure(small_map), settings, rest=rest)
@@ -237,7 +236,7 @@ def test_render_writes_the_image_its_preview_and_its_statistics(tmp_path, capsys
         seed=5,
         supersampling=1,
         gather=pr.GatherSettings(k=20),
-        relax=pr.RelaxSettings(n_iterations=(2, 1)),
+        relax=pr.RelaxSettings(n_iterations=(2, 1), step=2.0),
     )
     image = read_exr(output)
     np.testing.assert_array_equal(
@@ -249,7 +248,7 @@ def test_render_writes_the_image_its_preview_and_its_statistics(tmp_path, capsys
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ring.exr", "ring.png", stats.name]
 
 
-STAGES = ("trace", "structure", "relax", "render")
+STAGES = ("trace", "structure", "rest_density", "relax", "render")
 
 
 def test_render_goes_on_with_passes_where_it_stopped(tmp_path, capsys):

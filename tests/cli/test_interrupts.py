@@ -19,7 +19,7 @@ from photonrelax.cli.interrupts import Interrupts
 
 SIZE = ("--width", 12, "--height", 8, "--supersampling", 1)
 SMALL = ("--photons", 3000, "--seed", 5, *SIZE)
-STAGES = ("trace", "structure", "relax", "render")
+STAGES = ("trace", "structure", "rest density", "relax", "render")
 
 
 def run(*arguments):

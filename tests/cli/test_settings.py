@@ -79,7 +79,7 @@ def test_every_method_says_what_it_reads(method):
         (("--method", "diffusion", "--k", 5), "--k sets gather.k, which diffusion does not read"),
         (("--method", "standard", "--iterations", 3, 3), "--iterations sets relax.n_iterations"),
         (("--method", "progressive", "--refinement", "none"), "--refinement sets gather"),
-        (("--set", "diffusion.k=5"), "--set diffusion.k sets diffusion.k, which parameterised"),
+        (("--set", "diffusion.k=5"), "--set diffusion.k sets diffusion.k, which mapped"),
         (("--set", "gather.k=5", "--k", 5), "gather.k is given twice"),
         (("--photon-map", "p.npz", "--sampler", "halton"), "leave out --photons, --seed and"),
         (
@@ -106,7 +106,7 @@ def test_settings_reach_the_stages_of_render(tmp_path):
     assert run("render", "ring", "-o", path, *arguments, *SMALL) == 0
     used = settings_of(path)
     assert (used["structure"]["k"], used["relax"]["step"], used["gather"]["k"]) == (40, 0.5, 20)
-    assert used["relax"]["n_iterations"] == [7, 7]
+    assert used["relax"]["n_iterations"] == [5, 5]
 
 
 def test_k_gives_the_initial_radius_of_progressive_renders(tmp_path):

@@ -149,6 +149,7 @@ def test_stages_report_seconds_and_counts(image):
     assert list(stages) == [
         "trace",
         "structure",
+        "rest_density",
         "relax",
         "trace indirect",
         "indirect",
@@ -163,11 +164,11 @@ def test_stages_report_seconds_and_counts(image):
 def test_metadata_say_how_the_image_was_made(image):
     about = image.metadata
     settings = json.loads(about["photonrelax.settings"])
-    assert settings["relax"]["n_iterations"] == [7, 7]
+    assert settings["relax"]["n_iterations"] == [5, 5]
     assert settings["gather"]["gather_radius"] > 0.0
     ledger = json.loads(about["photonrelax.ledger"])
     assert ledger["emitted"][0][0] > 0.0
-    assert about["photonrelax.method"] == "parameterised"
+    assert about["photonrelax.method"] == "mapped"
     assert about["photonrelax.photons_emitted"] == "20000"
     assert (about["photonrelax.seed"], about["photonrelax.sampler"]) == ("0", "halton")
     assert about["photonrelax.version"] == pr.__version__
@@ -250,7 +251,7 @@ def test_maps_from_elsewhere_lack_layers_but_render(prism):
 def test_progress_names_every_stage(prism):
     seen = {}
     pr.render(prism, n_emitted=5000, progress=lambda *step: seen.update({step[0]: step[1:]}))
-    assert list(seen) == ["trace", "structure", "relax", "render"]
+    assert list(seen) == ["trace", "structure", "rest density", "relax", "render"]
     assert all(done == total for done, total in seen.values())
 
 

@@ -303,10 +303,10 @@ def _computes_reference(options: argparse.Namespace) -> bool:
 
 
 def _comparison_request(options: argparse.Namespace) -> ComparisonRequest:
-    from ..evaluation import METHODS_OF_SJ13, ComparisonRequest, gallery_subject
+    from ..evaluation import COMPARED_METHODS, ComparisonRequest, gallery_subject
     from .settings import settings_from_options
 
-    methods = tuple(options.methods or METHODS_OF_SJ13)
+    methods = tuple(options.methods or COMPARED_METHODS)
     return ComparisonRequest(
         subject=gallery_subject(options.scene, options.width, options.height),
         methods=methods,

@@ -28,13 +28,16 @@ from .progressive import ProgressiveSettings
 from .split_passes import ProgressiveField
 from .surface import Surface, lit_objects
 
-DEFAULT_METHOD = "parameterised"
+DEFAULT_METHOD = "mapped"
 PLAIN_METHOD = "standard"
 """The method that gathers from photons as they are: relaxed ones, say, from a file."""
 PASSES_METHOD = "progressive"
 """The method that `photonrelax.render_progressive` renders with fresh photons in every pass."""
 METHODS_OF_SJ13 = ("standard", "relaxation", "diffusion", "parameterised", "progressive")
 """The methods that SJ13's Table I compares, in its order."""
+
+COMPARED_METHODS = (*METHODS_OF_SJ13, DEFAULT_METHOD)
+"""The methods that are compared unless others are named."""
 
 
 class StageSettings(TypedDict, total=False):
@@ -78,9 +81,9 @@ def irradiance_field(
     method : str
         One of:
 
-        - ``parameterised``: SJ13, the default;
+        - ``parameterised``: SJ13;
         - ``mapped``: the same, towards the density that the map from emitter coordinates to
-          positions prescribes, see `photonrelax.relaxation.rest_density`;
+          positions prescribes, see `photonrelax.relaxation.rest_density`; the default;
         - ``relaxation``: the original relaxation (Spencer & Jones 2009, see
           `photonrelax.relaxation.gradient`), all of whose iterations are in space;
         - ``standard``: the photons as they are (Jensen);

@@ -5,7 +5,7 @@
 (`reference.py`, `analytic_pixels.py`); `report/` writes it to a folder.
 """
 
-from ..estimation.methods import METHODS_OF_SJ13 as METHODS_OF_SJ13
+from ..estimation.methods import COMPARED_METHODS as COMPARED_METHODS
 from .comparison import Comparison as Comparison
 from .comparison import Entry as Entry
 from .comparison import compare as compare

@@ -362,7 +362,7 @@ class _Workbench:
         }
 
     def _keep_photon_layers(self, field: Field, method: str) -> None:
-        """Keep the layers of SJ13's method if it is run, else the most that a method has."""
+        """Keep the layers of the default method if it is run, else the most that one has."""
         # Those kept include the radiance beside the attributes of photons.
         more = len(field.layers) >= len(self._photon_layers)
         if more or method == DEFAULT_METHOD:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from .._util import validation
 from .._util.frozen import set_field
 from .._util.validation import check_choice, check_seed
-from ..estimation.methods import METHODS, METHODS_OF_SJ13, Method, Settings, method_named
+from ..estimation.methods import COMPARED_METHODS, METHODS, Method, Settings, method_named
 from ..imaging.metrics import SSIM_WINDOW
 from ..transport.emission import MAX_PHOTONS, SAMPLERS
 from ..transport.hit_points import MAX_DEPTH
@@ -24,7 +24,7 @@ class ComparisonRequest:
     subject : Subject
         `SceneSubject` or `PhotonPatternSubject`.
     methods : tuple of str
-        Methods to compare; by default `METHODS_OF_SJ13`.
+        Methods to compare; by default `COMPARED_METHODS`.
     variants : dict
         Further columns: method and settings by name.
     n_emitted, seed, sampler : int, int, str
@@ -63,7 +63,7 @@ class ComparisonRequest:
     n_threads: int | None = None
 
     def __post_init__(self) -> None:
-        methods = tuple(dict.fromkeys(self.methods)) or METHODS_OF_SJ13
+        methods = tuple(dict.fromkeys(self.methods)) or COMPARED_METHODS
         set_field(self, "methods", methods)
         for method, _ in self.columns().values():
             self._check_spectra(method_named(method))

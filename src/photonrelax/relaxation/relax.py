@@ -30,6 +30,9 @@ _LIMIT_OF_SLOPE = 0.4
 # Share of the limit, in units of the radius of photons of all sheets, that iterations in space are
 # left: only the noise between sheets is new to them, and their slopes do not know of one another.
 _SHARE_IN_SPACE = 0.6
+# Moves of photons with a limit over those of others: longer ones take more noise away, and no more
+# light.
+_LONGER = 1.2
 
 
 @dataclass(frozen=True)
@@ -263,6 +266,7 @@ class _Stage:
             origin=origin,
             start=start,
             share=_SHARE_IN_SPACE,
+            longer=_LONGER,
             n_threads=n_threads,
         )
 

@@ -31,7 +31,7 @@ def comparison():
     reference = pr.render(scene, method="standard", n_emitted=50_000, seed=1, supersampling=1)
     comparison_request = ComparisonRequest(
         subject=SceneSubject(scene),
-        methods=("standard", "parameterised"),
+        methods=("standard", "mapped"),
         n_emitted=5000,
         supersampling=1,
     )
@@ -130,12 +130,12 @@ def test_all_controls_are_reached_by_the_keyboard(page):
 
 def test_any_two_methods_stand_side_by_side(page):
     assert source(page, "left") != source(page, "right")
-    choose(page, "left", "parameterised")
+    choose(page, "left", "mapped")
     assert source(page, "left") == source(page, "right")
     choose(page, "right", "reference")
     assert find(page, "#right-tag").text == "reference"
-    assert find(page, "#left-tag").text.startswith("parameterised: SSIM 0.")
-    assert find(page, "#left").get_attribute("alt") == "parameterised, image"
+    assert find(page, "#left-tag").text.startswith("mapped: SSIM 0.")
+    assert find(page, "#left").get_attribute("alt") == "mapped, image"
 
 
 @pytest.mark.parametrize("kind", ["flip", "difference"])
@@ -159,7 +159,7 @@ def test_the_reference_has_no_error_map_and_shows_itself(page):
 
 
 def test_two_images_are_seen_at_first_whatever_was_compared(browser, comparison, tmp_path):
-    (entry,) = (e for e in comparison.entries if e.method == "parameterised")
+    (entry,) = (e for e in comparison.entries if e.method == "mapped")
     folder.write(replace(comparison, entries=(entry,)), tmp_path)
     browser.get((tmp_path / "index.html").as_uri())
     assert find(browser, "#left-method").get_attribute("value") == "reference"

@@ -40,6 +40,8 @@ cdef class Rest:
         Positions before the first of these moves, in tree order, if they are limited too.
     share : float
         Largest distance from the start in units of the limit and the present radius of k photons.
+    longer : float
+        Factor on the steps of photons that are limited.
     n_threads : int
 
     Raises
@@ -52,18 +54,19 @@ cdef class Rest:
     cdef const double[::1] limit
     cdef const double[:, ::1] origin
     cdef const double[:, ::1] start
-    cdef double share
+    cdef double share, longer
     # Squared largest distances from the origin, m², in tree order.
     cdef double[::1] farthest
 
     def __init__(
         self, *, const Py_ssize_t[::1] rows, slope, limit, const double[::1] radius,
-        double limit_of_slope, origin, start, double share, int n_threads
+        double limit_of_slope, origin, start, double share, double longer,
+        int n_threads
     ):
         cdef Py_ssize_t place, n = rows.shape[0]
         self.slope, self.limit = slope, limit
         self.origin, self.start = origin, start
-        self.share = share
+        self.share, self.longer = share, longer
         if not (
             self.slope.shape[0] == self.limit.shape[0]
             and n == radius.shape[0] == self.origin.shape[0]
@@ -108,6 +111,10 @@ cdef class Rest:
         if self.start is not None:
             put_back(moved, &self.start[place, 0], limit * limit * squared_radius)
         put_back(moved, &self.origin[place, 0], self.farthest[place])
+
+    cdef double lengthened(self, Py_ssize_t place) noexcept nogil:
+        """Factor on the steps of a photon."""
+        return self.longer if self.farthest[place] < INFINITY else 1.0
 
     cdef void prefetch(self, Py_ssize_t row) noexcept nogil:
         """Prefetch the slope of a photon, and its limit if moves are limited by it."""
@@ -231,6 +238,7 @@ cdef class Move(BatchWork):
         """Move one photon by the repulsion of its neighbours; write its row of `moved` only."""
         cdef const Query* query = &batch.queries[lane]
         cdef Py_ssize_t axis, row = self.inputs.rows[place]
+        cdef double step = self.step
         cdef double[3] f
         f[0] = f[1] = f[2] = 0.0
         if query.candidates.count >= MIN_NEIGHBOURS and query.candidates.squared_radius > 0.0:
@@ -242,11 +250,12 @@ cdef class Move(BatchWork):
                 self.inputs.rest.compensate(
                     f, row, query.candidates.count, query.candidates.squared_radius
                 )
+                step *= self.inputs.rest.lengthened(place)
             project(
                 f, &self.inputs.normal[place, 0], &self.inputs.basis[row, 0, 0],
                 self.inputs.constraint[row]
             )
-            shorten(f, self.step, self.inputs.largest_step[place])
+            shorten(f, step, self.inputs.largest_step[place])
         self.inputs.squared_radius[place] = query.candidates.squared_radius
         self.inputs.too_few[place] = query.candidates.count < batch.k
         for axis in range(3):
