@@ -14,6 +14,9 @@ from ._version import __version__ as __version__
 if TYPE_CHECKING:
     from . import gallery as gallery
     from .estimation.diffusion import DiffusionSettings as DiffusionSettings
+    from .estimation.envelope.envelope import Envelope as Envelope
+    from .estimation.envelope.envelope import EnvelopeSettings as EnvelopeSettings
+    from .estimation.envelope.envelope import trace_envelope as trace_envelope
     from .estimation.field import Field as Field
     from .estimation.frequency import FrequencySettings as FrequencySettings
     from .estimation.irradiance_map import irradiance_map as irradiance_map
@@ -75,6 +78,8 @@ _MODULE_OF = {
     "Disk": "scene.shapes",
     "EnergyLedger": "photons.energy_ledger",
     "EnvironmentEmitter": "scene.environment",
+    "Envelope": "estimation.envelope.envelope",
+    "EnvelopeSettings": "estimation.envelope.envelope",
     "Field": "estimation.field",
     "FrequencySettings": "estimation.frequency",
     "GatherSettings": "estimation.nearest",
@@ -113,6 +118,7 @@ _MODULE_OF = {
     "render": "rendering.render",
     "render_progressive": "rendering.progressive_render",
     "rest_density": "relaxation.rest_density",
+    "trace_envelope": "estimation.envelope.envelope",
     "trace_photons": "transport.trace",
 }
 _SUBPACKAGES = ("gallery",)

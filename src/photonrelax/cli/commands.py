@@ -36,7 +36,7 @@ from .streams import complain, escaping_streams, write_lines
 
 # Import lazily, so that Ctrl-C during an import reaches `main`.
 if TYPE_CHECKING:
-    from ..estimation.field import PhotonField
+    from ..estimation.field import Field
     from ..estimation.methods import Settings
     from ..evaluation import ComparisonRequest
     from ..evaluation.reference import ReferenceSettings
@@ -360,7 +360,7 @@ def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
 def _field_of_scene(
     options: argparse.Namespace, interrupts: Interrupts
-) -> tuple[PhotonField, pr.Scene]:
+) -> tuple[Field, pr.Scene]:
     from ..estimation.methods import MethodInput, method_named, prepare
     from ..rendering.object_map import object_named, photons_of_surface
     from .settings import settings_from_options

@@ -21,7 +21,9 @@ from ..relaxation.rest_density import RestDensity, RestDensitySettings, rest_den
 from ..relaxation.structure import Structure, StructureSettings, detect_structure
 from ..scene.scene import Scene
 from .diffusion import DiffusionField, DiffusionSettings
-from .field import PhotonField
+from .envelope.envelope import Envelope, EnvelopeSettings, laid_envelope
+from .envelope.field import EnvelopeField
+from .field import Field, PhotonField
 from .frequency import FrequencyField, FrequencySettings
 from .nearest import GatherSettings, IrradianceField
 from .progressive import ProgressiveSettings
@@ -55,6 +57,7 @@ class StageSettings(TypedDict, total=False):
     diffusion: DiffusionSettings | None
     progressive: ProgressiveSettings | None
     frequency: FrequencySettings | None
+    envelope: EnvelopeSettings | None
 
 
 SETTINGS_CLASSES: dict[str, type] = {
@@ -64,20 +67,20 @@ SETTINGS_CLASSES: dict[str, type] = {
 
 
 def irradiance_field(
-    photons: PhotonMap,
+    photons: PhotonMap | Envelope,
     *,
     method: str = DEFAULT_METHOD,
     scene: Scene | None = None,
     n_threads: int | None = None,
     progress: Progress | None = None,
     **settings: Unpack[StageSettings],
-) -> PhotonField:
+) -> Field:
     """Field of irradiance at any points, prepared once by a method.
 
     Parameters
     ----------
-    photons : PhotonMap
-        Photons from `trace_photons` or from any other renderer.
+    photons : PhotonMap or Envelope
+        Photons from `trace_photons` or from any other renderer, or what `trace_envelope` returns.
     method : str
         One of:
 
@@ -91,7 +94,9 @@ def irradiance_field(
           alone, to the structure around a point (SSO08);
         - ``progressive``: photons as they are, split into passes (Hachisuka et al. 2008);
         - ``frequency``: the same, with radii no smaller than local frequency spectra ask for
-          (FPPM); some of the photons carry such (see `photonrelax.trace_photons`).
+          (FPPM); some of the photons carry such (see `photonrelax.trace_photons`);
+        - ``envelope``: light laid over the images of the emitters, without photons; `photons` is
+          an `Envelope`, or else the scene's is traced.
     scene : Scene, optional
         Keeps moved photons on their objects; see `photonrelax.relaxation.relax`. Estimates beside
         edges of its surfaces are right, and NaN, with a warning, where no surface that stores
@@ -106,7 +111,7 @@ def irradiance_field(
 
     Returns
     -------
-    PhotonField
+    Field
         Called as ``field(points, normals)``, with (m, 3) arrays each, the points in m; returns
         irradiance (m, 3), W/m². With ``footprint=…``, edge vectors or sides of pixels, its means
         over them. What photons carry beside their flux, (n, c), has its densities (m, c) per m² by
@@ -174,11 +179,21 @@ def _check_stages(function: str, arguments: dict[str, Any]) -> None:
 class MethodInput:
     """The arguments of a method's preparation; see `irradiance_field`."""
 
-    photons: PhotonMap
+    elements: PhotonMap | Envelope | None
     settings: Settings
     scene: Scene | None
     n_threads: int | None
     progress: Progress | None
+
+    @property
+    def photons(self) -> PhotonMap:
+        """The elements of methods that estimate from photons; raises TypeError for others."""
+        if not isinstance(self.elements, PhotonMap):
+            raise TypeError(
+                "photons should be a PhotonMap, but is "
+                f"{type(self.elements).__name__}, of which only method='envelope' makes a field"
+            )
+        return self.elements
 
 
 class RelaxedPhotons(NamedTuple):
@@ -210,7 +225,7 @@ class Method:
     stages : tuple of str
         The stages whose settings it reads, in order; the last evaluates the estimates.
     prepare : callable
-        ``prepare(inputs)``, a `MethodInput`, returns the `PhotonField`.
+        ``prepare(inputs)``, a `MethodInput`, returns the `Field`.
     needs_spectra : bool
         Photons carry local frequency spectra; see `photonrelax.trace_photons`.
     splits_passes : bool
@@ -219,15 +234,18 @@ class Method:
         ``relax(inputs)``, a `MethodInput`, returns the `RelaxedPhotons`, if it relaxes them.
     defaults : dict
         Settings by stage, where they are not those of the stage's class.
+    needs_photons : bool
+        False if light is not of a photon map, but traced by the method itself.
     """
 
     name: str
     stages: tuple[str, ...]
-    prepare: Callable[[MethodInput], PhotonField]
+    prepare: Callable[[MethodInput], Field]
     needs_spectra: bool = False
     splits_passes: bool = False
     relax: Callable[[MethodInput], RelaxedPhotons] | None = None
     defaults: Mapping[str, Any] = field(default_factory=dict)
+    needs_photons: bool = True
 
     def default(self, stage: str) -> Any:
         """Settings of a stage where none are given."""
@@ -351,6 +369,19 @@ def _frequency(inputs: MethodInput) -> PhotonField:
     )
 
 
+def _envelope(inputs: MethodInput) -> EnvelopeField:
+    envelope = inputs.elements
+    if not isinstance(envelope, Envelope):
+        if inputs.scene is None:
+            raise TypeError(
+                "photons should be an Envelope, from trace_envelope, or scene should be given for "
+                f"method='envelope', but photons is {type(envelope).__name__}"
+            )
+        settings = inputs.settings.of("envelope")
+        envelope = laid_envelope(inputs.scene, settings, inputs.n_threads)
+    return EnvelopeField(envelope, n_threads=inputs.n_threads)
+
+
 _RECORDS = (
     Method("standard", ("gather",), _standard),
     _relaxing_method("relaxation", ("gradient",), _relax_by_gradient),
@@ -371,6 +402,7 @@ _RECORDS = (
         needs_spectra=True,
         splits_passes=True,
     ),
+    Method("envelope", ("envelope",), _envelope, needs_photons=False),
 )
 METHODS = {method.name: method for method in _RECORDS}
 """All methods by name."""
@@ -415,11 +447,11 @@ def relaxed_photons(name: str, inputs: MethodInput) -> RelaxedPhotons:
     return relax(_completed(METHODS[name], inputs))
 
 
-def prepare(name: str, inputs: MethodInput) -> PhotonField:
+def prepare(name: str, inputs: MethodInput) -> Field:
     """Do the preparation of the method of a name; raises ValueError if there is none."""
     method = method_named(name)
     field = method.prepare(_completed(method, inputs))
-    if inputs.scene is not None:
+    if inputs.scene is not None and method.needs_photons:
         lit = lit_objects(inputs.scene, inputs.photons)
         field.surface = Surface(inputs.scene, thread_count(inputs.n_threads), lit)
     return field

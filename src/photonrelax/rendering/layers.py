@@ -126,6 +126,12 @@ RECORDS = (
         _estimate("photons.bounces"),
         channels=1,
     ),
+    Layer(
+        "envelope.error",
+        "estimated share of the light of an envelope that lies elsewhere by a pixel or more",
+        _estimate("envelope.error"),
+        channels=1,
+    ),
 )
 LAYERS = {
     "radiance": f"{' + '.join(layer.name for layer in RECORDS if layer.is_light)}, W/(m² sr)",

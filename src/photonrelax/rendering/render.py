@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from time import perf_counter
 from typing import Any, Unpack
@@ -198,19 +198,36 @@ class _Stages:
 
     def prepare_caustic(self, method: str, settings: Settings) -> None:
         """Trace the photons of caustics, unless they are given, and prepare their field."""
-        share = method_named(method).frequency_share(settings)
+        record = method_named(method)
+        share = record.frequency_share(settings)
         if not self._plan.models("caustic"):
+            return
+        if not record.needs_photons:
+            self._prepare(method, None, self._to_pixels(settings))
             return
         if self._photons is None:
             n = self._plan.n_emitted
             self._photons = self._trace("trace", n, frequency_share=share)
-        photons, view = self._photons, self._view
+        self._prepare(method, self._photons, settings)
+
+    def _to_pixels(self, settings: Settings) -> Settings:
+        """Settings of envelopes that are resolved to pixels, unless something else is given."""
+        given = settings.of("envelope")
+        if given.footprint is not None:
+            return settings
+        footprint = self._view.pixel_side()
+        return Settings(**{**settings.given, "envelope": replace(given, footprint=footprint)})
+
+    def _prepare(self, method: str, photons: PhotonMap | None, settings: Settings) -> None:
+        view = self._view
         # Photons of unknown objects cannot be held on these.
-        scene = None if photons.object_id is None else view.scene
+        known = photons is None or photons.object_id is not None
+        scene = view.scene if known else None
         inputs = MethodInput(photons, settings, scene, view.n_threads, self._progress)
         self._caustic = prepare(method, inputs)
+        n_photons = {} if photons is None else {"photons": len(photons)}
         for stage, seconds in self._caustic.seconds.items():
-            self._record(stage, seconds, photons=len(photons))
+            self._record(stage, seconds, **n_photons)
 
     def prepare_indirect(self, settings: GatherSettings | None, n_rays: int) -> None:
         """Trace the photons of indirect light, if there is any, and prepare their estimates."""
@@ -228,6 +245,11 @@ class _Stages:
         )
         self._record("indirect", perf_counter() - started, photons=len(photons))
         if n_rays:
+            if self._photons is None and self._caustic is not None:
+                raise ValueError(
+                    "final_gather should be 0 with a method without photons, whose caustics it "
+                    f"cannot read, but is {n_rays}: take another method"
+                )
             maps = [photons] if self._photons is None else [photons, self._photons]
             self._gather = FinalGather(view, _joined(maps), n_rays, self._sequence["seed"])
 

@@ -216,13 +216,26 @@ class View:
 
     def _hits_per_ray(self) -> float:
         """Hit points for each camera ray, of a small image."""
+        hits, scale = self._pilot()
+        return len(hits) / max(scale**2 * self.shape[0] * self.shape[1], 1.0)
+
+    def pixel_side(self) -> float | None:
+        """Median side of pixels on the surfaces seen, m; None if none is seen."""
+        hits, scale = self._pilot()
+        if hits.footprint is None or not len(hits):
+            return None
+        u, v = hits.footprint[:, 0], hits.footprint[:, 1]
+        return scale * float(np.sqrt(np.median(np.linalg.norm(np.cross(u, v), axis=1)))) or None
+
+    def _pilot(self) -> tuple[HitPoints, float]:
+        """Hit points of a small image, and its size over that of images."""
         scale = min(_PILOT_SIDE / max(self.shape), 1.0)
         height, width = (max(round(scale * side), 1) for side in self.shape)
         camera = replace(self.camera, width=width, height=height)
         hits, _ = trace_hit_points(
             self.scene, self.caster, camera, range(height), max_depth=self.max_depth
         )
-        return len(hits) / (width * height)
+        return hits, scale
 
     @property
     def shape(self) -> tuple[int, int]:

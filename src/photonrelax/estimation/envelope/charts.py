@@ -137,7 +137,7 @@ def _around_point(
 ) -> list[Chart]:
     whole = scene.bounding_sphere()
     region = emitter.emission_region(whole, whole, scene.emitter_offset(emitter))
-    towards = [each - emitter.point for each in casters]
+    towards = [each - region.origin for each in casters]
     units = [each / np.linalg.norm(each, axis=1)[:, np.newaxis] for each in towards]
     axis = sum(each.mean(axis=0) for each in units)
     length = np.linalg.norm(axis)

@@ -62,7 +62,7 @@ class Patches:
     @property
     def is_whole(self) -> NDArray[np.bool_]:
         """(p,) true where all nodes are seen."""
-        whole: NDArray[np.bool_] = (self.arrival >= 0).all(axis=1)
+        whole: NDArray[np.bool_] = np.all(self.arrival >= 0, axis=1)
         return whole
 
 

@@ -8,13 +8,14 @@ docs/methods/envelope.md has the derivation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
 
 import numpy as np
 
 from ..._util import validation
+from ..._util.frozen import set_field
 from ..._util.parallel import thread_count
 from ..._util.validation import Floats
 from ...scene.scene import Scene
@@ -38,6 +39,45 @@ _ERROR = 0.01
 _LEFT = 0.5
 
 
+@dataclass(frozen=True)
+class EnvelopeSettings:
+    """What ends the division of elements, and what images are resolved to.
+
+    Attributes
+    ----------
+    n_rays : int, optional
+        Rays from emitters, at most.
+    error : float, optional
+        Share of the light that may be misplaced; 0.01 unless rays or time are limited.
+    seconds : float, optional
+        Time for tracing, at most; which elements are divided then depends on the machine.
+    footprint : float, optional
+        Length that images are resolved to, m: the side of a texel, say. By default that of the
+        pixels of a render, or 1/400 of the extent of the light.
+    """
+
+    n_rays: int | None = None
+    error: float | None = None
+    seconds: float | None = None
+    footprint: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.n_rays is not None:
+            n_rays = validation.count(self.n_rays, "EnvelopeSettings.n_rays")
+            set_field(self, "n_rays", n_rays)
+        for name in ("error", "seconds", "footprint"):
+            if getattr(self, name) is not None:
+                value = validation.positive(getattr(self, name), f"EnvelopeSettings.{name}")
+                set_field(self, name, value)
+
+    @property
+    def misplaced(self) -> float:
+        """Share of the light that may be misplaced."""
+        if self.error is not None:
+            return self.error
+        return _ERROR if self.n_rays is None and self.seconds is None else 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Envelope:
     """Images of all emitters of a scene as straight triangles.
@@ -56,8 +96,8 @@ class Envelope:
         Flux that left through the charts, W.
     torn : (3,) float64
         Flux laid down around points, as it has no image that is smooth, W.
-    footprint : float
-        Length that images are resolved to, m.
+    settings : EnvelopeSettings
+        Those used.
     n_rays, n_segments : int
         Rays from emitters, and of all.
     seconds : dict
@@ -70,7 +110,7 @@ class Envelope:
     misplaced: Floats
     emitted: Floats
     torn: Floats
-    footprint: float
+    settings: EnvelopeSettings
     n_rays: int
     n_segments: int
     seconds: dict[str, float]
@@ -105,26 +145,29 @@ def trace_envelope(
     ----------
     scene : Scene
         Its emitters are parallel or points.
-    n_rays : int, optional
-        Rays from emitters, at most.
-    error : float, optional
-        Share of the light that may be misplaced; 0.01 unless one of the others is given.
-    seconds : float, optional
-        Time, at most; which elements are divided then depends on the machine.
-    footprint : float, optional
-        Length that images are resolved to, m: of a texel, say. By default that of the camera's
-        pixels, or 1/400 of the extent of the light.
+    n_rays, error, seconds, footprint : int, float, float, float, optional
+        As of `EnvelopeSettings`.
     n_threads : int, optional
         Threads; all by default. The result does not depend on them.
+
+    Returns
+    -------
+    Envelope
+        For ``irradiance_field(envelope, method="envelope")``.
 
     Raises
     ------
     TypeError, ValueError
         If an emitter is extended, no light arrives, or a number is out of its range.
     """
-    limits = _Limits.of(n_rays, error, seconds)
-    if footprint is not None:
-        footprint = validation.positive(footprint, "footprint")
+    return laid_envelope(scene, EnvelopeSettings(n_rays, error, seconds, footprint), n_threads)
+
+
+def laid_envelope(
+    scene: Scene, settings: EnvelopeSettings, n_threads: int | None = None
+) -> Envelope:
+    """Envelope of a scene; see `trace_envelope`."""
+    started = perf_counter()
     tracer = SplittingTracer(scene, _LEAST_THROUGHPUT, thread_count(n_threads))
     lattices = [Lattice(chart, tracer, _FIRST_CELLS) for chart in charts_of(scene)]
     for lattice in lattices:
@@ -134,56 +177,33 @@ def trace_envelope(
             "light should arrive on a Diffuse surface by way of a specular one, but none of that "
             f"of {sum(map(len, lattices)):,} rays does"
         )
-    footprint = footprint or _extent(lattices) / _FOOTPRINTS
+    footprint = settings.footprint or _extent(lattices) / _FOOTPRINTS
+    settings = replace(settings, footprint=footprint)
     refinements = [Refinement(lattice, footprint) for lattice in lattices]
-    _refine(refinements, limits)
+    _refine(refinements, settings, started)
     traced = perf_counter()
     found = [laid(each) for each in refinements]
     scattered = Points.joined([points for _, points in found])
-    triangles = Laid.joined([*(images for images, _ in found), squares(scattered, footprint)])
+    around = squares(scattered, footprint)
     return Envelope(
-        *triangles,
+        *Laid.joined([*(images for images, _ in found), around]),
         emitted=np.sum([_emitted(each) for each in refinements], axis=0),
         torn=scattered.flux.sum(axis=0),
-        footprint=footprint,
+        settings=settings,
         n_rays=sum(len(lattice) for lattice in lattices),
         n_segments=tracer.n_segments,
-        seconds={"trace": traced - limits.started, "lay": perf_counter() - traced},
+        seconds={"trace envelope": traced - started, "lay": perf_counter() - traced},
     )
 
 
-@dataclass(frozen=True)
-class _Limits:
-    """What ends the division of elements."""
-
-    n_rays: float
-    error: float
-    seconds: float
-    started: float
-
-    @classmethod
-    def of(cls, n_rays: int | None, error: float | None, seconds: float | None) -> _Limits:
-        """Limits by what is given."""
-        default = _ERROR if n_rays is None and seconds is None else 0.0
-        return cls(
-            np.inf if n_rays is None else validation.count(n_rays, "n_rays"),
-            default if error is None else validation.positive(error, "error"),
-            np.inf if seconds is None else validation.positive(seconds, "seconds"),
-            perf_counter(),
-        )
-
-    @property
-    def are_out(self) -> bool:
-        """True if time is up."""
-        return perf_counter() - self.started > self.seconds
-
-
-def _refine(refinements: list[Refinement], limits: _Limits) -> None:
+def _refine(refinements: list[Refinement], settings: EnvelopeSettings, started: float) -> None:
     """Divide elements, where most light is misplaced first, up to one of the limits."""
-    while not limits.are_out:
+    end = np.inf if settings.seconds is None else started + settings.seconds
+    most = np.inf if settings.n_rays is None else settings.n_rays
+    while perf_counter() < end:
         score = np.array([each.score for each in refinements])
-        allowed = limits.error * sum(each.luminance for each in refinements)
-        left = limits.n_rays - sum(each.n_rays for each in refinements)
+        allowed = settings.misplaced * sum(each.luminance for each in refinements)
+        left = most - sum(each.n_rays for each in refinements)
         if score.sum() <= allowed or left < 0:
             return
         share = score / score.sum()

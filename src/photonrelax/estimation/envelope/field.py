@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import asdict
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from ..._ext.estimation import envelope as _kernel
 from ..._util.parallel import thread_count
 from ..._util.validation import Floats
 from ..field import Densities, Field, Points
+from .elements import luminances
 from .envelope import Envelope
 
 # Distance from the plane of a footprint, over its size, of light that still counts in it.
@@ -34,13 +35,22 @@ class EnvelopeField(Field):
     def __init__(self, envelope: Envelope, *, n_threads: int | None = None) -> None:
         self.envelope = envelope
         self.seconds = dict(envelope.seconds)
-        self.used: dict[str, dict[str, Any]] = {}
+        self.used = {"envelope": asdict(envelope.settings)}
         self._n_threads = thread_count(n_threads)
 
     @property
     def flux(self) -> Floats:
         """Flux (n, 3) of the triangles, W."""
         return self.envelope.flux
+
+    @property
+    def layers(self) -> dict[str, Floats]:
+        """Estimated share (n, 1) of the light of each that is misplaced, by the layer's name."""
+        luminance = luminances(self.flux)
+        share = np.divide(
+            self.envelope.misplaced, luminance, out=np.zeros(len(luminance)), where=luminance > 0.0
+        )
+        return {"envelope.error": share[:, np.newaxis]}
 
     @property
     def has_footprints(self) -> bool:
@@ -53,7 +63,7 @@ class EnvelopeField(Field):
         envelope = self.envelope
         edges = points.footprint
         if edges is None:
-            edges = np.full(len(points.queries), envelope.footprint)
+            edges = np.full(len(points.queries), envelope.settings.footprint)
         if edges.ndim == 1:
             edges = _squares(points.normals, edges)
         _kernel.means(

@@ -42,7 +42,8 @@ class Lattice:
     def __init__(self, chart: Chart, tracer: SplittingTracer, n_cells: int) -> None:
         self._chart, self._tracer = chart, tracer
         aspect = chart.sides / np.sqrt(np.prod(chart.sides))
-        self.cells = np.maximum(np.rint(np.sqrt(n_cells) * aspect), 1.0).astype(np.int64)
+        cells = np.maximum(np.rint(np.sqrt(n_cells) * aspect), 1.0)
+        self.cells: NDArray[np.int64] = cells.astype(np.int64)
         self._keys = np.empty(0, np.int64)
         self._rows = np.empty(0, np.intp)
         self.first = self.count = np.empty(0, np.intp)
@@ -61,7 +62,8 @@ class Lattice:
 
     def nodes(self, places: Places) -> Ids:
         """Nodes at places (n, 2); those not yet there are traced."""
-        keys = (places[:, 0] << 32) | places[:, 1]
+        keys: NDArray[np.int64] = (places[:, 0] << 32) | places[:, 1]
+        wanted: NDArray[np.int64]
         wanted, inverse = np.unique(keys, return_inverse=True)
         at = np.searchsorted(self._keys, wanted)
         known = np.zeros(len(wanted), dtype=bool)

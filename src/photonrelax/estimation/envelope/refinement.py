@@ -94,8 +94,9 @@ class Refinement:
         score[self.leaves.level >= MAX_LEVEL] = 0.0
         order = np.argsort(-score, kind="stable")
         left = score.sum() - np.cumsum(score[order])
-        n = min(np.count_nonzero(left > misplaced) + 1, n_rays / _RAYS_OF_LEAF)
-        n = int(min(n, np.count_nonzero(score > _GREED * score.max(initial=0.0))))
+        wanted = float(np.count_nonzero(left > misplaced) + 1)
+        large = float(np.count_nonzero(score > _GREED * score.max(initial=0.0)))
+        n = int(min(wanted, large, n_rays / _RAYS_OF_LEAF))
         if n <= 0:
             return False
         self._divide(np.sort(order[:n]))
