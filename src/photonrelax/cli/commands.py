@@ -340,8 +340,8 @@ def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
     check_distinct({"the map": output, "the preview": preview, "--plot": plot})
     if plot is not None:
         irradiance_plot.check_installed()
-    field, scene = _field_of_scene(options, interrupts)
-    found = ObjectMap(field, scene, options.on, options.texels, size=options.size)
+    field, scene, photons = _field_of_scene(options, interrupts)
+    found = ObjectMap(field, scene, options.on, options.texels, size=options.size, photons=photons)
     with ExitStack() as files:
         _place(files, found.image, options)
         if plot is not None:
@@ -360,7 +360,7 @@ def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
 def _field_of_scene(
     options: argparse.Namespace, interrupts: Interrupts
-) -> tuple[Field, pr.Scene]:
+) -> tuple[Field, pr.Scene, pr.PhotonMap]:
     from ..estimation.methods import MethodInput, method_named, prepare
     from ..rendering.object_map import object_named, photons_of_surface
     from .settings import settings_from_options
@@ -380,7 +380,7 @@ def _field_of_scene(
         )
         there = photons_of_surface(photons, scene, object_id)
         inputs = MethodInput(there, settings, scene, options.threads, bars)
-        return prepare(options.method, inputs), scene
+        return prepare(options.method, inputs), scene, there
 
 
 def _list(options: argparse.Namespace, interrupts: Interrupts) -> None:

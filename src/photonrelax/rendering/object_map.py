@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from .._util.validation import Floats
-from ..estimation.field import PhotonField
+from ..estimation.field import Field, PhotonField
 from ..estimation.irradiance_map import irradiance_map, texel_grid
 from ..imaging.image import Image
 from ..photons.photon_map import PhotonMap
@@ -30,8 +30,8 @@ class ObjectMap:
 
     Parameters
     ----------
-    field : PhotonField
-        Of photons of the scene.
+    field : Field
+        Of light in the scene.
     scene : Scene
     name : str
         Name or number of the object.
@@ -39,6 +39,8 @@ class ObjectMap:
         Texels along the longer side.
     size : float, optional
         Side of a square around the middle of the light on the object, m, in place of all of it.
+    photons : PhotonMap, optional
+        Photons of the scene, which tell the lit side and encircled flux; by default the field's.
 
     Attributes
     ----------
@@ -55,18 +57,22 @@ class ObjectMap:
 
     def __init__(
         self,
-        field: PhotonField,
+        field: Field,
         scene: Scene,
         name: str,
         n_texels: int,
         *,
         size: float | None = None,
+        photons: PhotonMap | None = None,
     ) -> None:
-        self._field, self._scene = field, scene
+        if photons is None:
+            if not isinstance(field, PhotonField):
+                raise TypeError("photons should be given with a field that has none")
+            photons = field.photons
+        self._field, self._photons, self._scene = field, photons, scene
         self.object_id = object_named(scene, name)
         item = scene.objects[self.object_id]
         normal = _plane_normal(item, object_label(self.object_id, item))
-        photons = field.photons
         if photons.object_id is None:
             raise ValueError("photons should have object_id, to tell which are on the object")
         self._there = np.flatnonzero(photons.object_id == self.object_id)
@@ -102,7 +108,7 @@ class ObjectMap:
         layers = {"radiance": self.irradiance / np.pi, "irradiance": self.irradiance}
         frame = {name: getattr(self.grid, name).tolist() for name in ("origin", "u", "v", "normal")}
         others = {"scene": self._scene.name, "object": self.object_id, "settings": self._field.used}
-        return Image(layers, photon_metadata(self._field.photons, frame=frame, **others))
+        return Image(layers, photon_metadata(self._photons, frame=frame, **others))
 
     @property
     def centre(self) -> Floats:
@@ -119,7 +125,7 @@ class ObjectMap:
 
     def encircled_flux(self, point: Floats, radii: Sequence[float]) -> Floats:
         """Flux (n, 3) of the photons on the object within radii (n,) of a point, counted, W."""
-        photons = self._field.photons
+        photons = self._photons
         position, flux = photons.position[self._there], photons.flux[self._there]
         distance = np.linalg.norm(position - point, axis=1)
         return np.array([flux[distance <= radius].sum(axis=0) for radius in radii])

@@ -144,9 +144,7 @@ class SplittingTracer:
             least_throughput=self._least_throughput,
             max_bounces=MAX_BOUNCES,
         )
-        paths.start(
-            origin[rows], direction[rows], key[rows], media=int(self._media[emitter_id])
-        )
+        paths.start(origin[rows], direction[rows], key[rows], media=int(self._media[emitter_id]))
         n_segments = 0
         while paths.n_live:
             n_segments += paths.n_live

@@ -15,7 +15,12 @@ from .lattice import _UNIT, Ids, Lattice, Places
 _SIDES = ((1, 2), (0, 2), (0, 1))
 # Barycentric coordinates of the six nodes.
 _NODES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [1, 0, 1], [1, 1, 0]]) / [
-    [1], [1], [1], [2], [2], [2]
+    [1],
+    [1],
+    [1],
+    [2],
+    [2],
+    [2],
 ]
 # Nodes of an element that are the corners of its four parts.
 PARTS = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2], [3, 4, 5]])
@@ -30,8 +35,10 @@ def shape_functions(at: Floats) -> Floats:
 
 # Weights (4, 3, 6) of the nodes of an element at the new nodes of its parts.
 _NEW_NODES = np.array(
-    [shape_functions(np.array([_NODES[part[list(side)]].mean(axis=0) for side in _SIDES]))
-     for part in PARTS]
+    [
+        shape_functions(np.array([_NODES[part[list(side)]].mean(axis=0) for side in _SIDES]))
+        for part in PARTS
+    ]
 )
 
 
@@ -108,8 +115,13 @@ def first_corners(lattice: Lattice) -> Places:
     """Corners (n, 3, 2) of the two triangles of each cell of the first grid."""
     nx, ny = lattice.cells
     i, j = (grid.ravel() * _UNIT for grid in np.meshgrid(np.arange(nx), np.arange(ny)))
-    square = np.stack([np.column_stack([i + a, j + b]) for a, b in
-                       ((0, 0), (_UNIT, 0), (_UNIT, _UNIT), (0, _UNIT))], axis=1)
+    square = np.stack(
+        [
+            np.column_stack([i + a, j + b])
+            for a, b in ((0, 0), (_UNIT, 0), (_UNIT, _UNIT), (0, _UNIT))
+        ],
+        axis=1,
+    )
     return square[:, [[0, 1, 3], [2, 3, 1]]].reshape(-1, 3, 2)
 
 

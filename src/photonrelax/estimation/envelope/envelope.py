@@ -23,8 +23,8 @@ from ...spatial.box_tree import BoxTree
 from ...transport.splitting import SplittingTracer
 from .charts import charts_of
 from .elements import areas, first_corners, luminances, six_places
-from .laying import Laid, Points, laid, squares
 from .lattice import Lattice
+from .laying import Laid, Points, laid, squares
 from .refinement import Refinement
 
 # Cells of the first grid of a chart.

@@ -13,8 +13,8 @@ from .borders import cut
 from .elements import areas, bends, luminances, shape_functions
 from .refinement import Refinement
 
-# Share of all light that straight pieces of one image may misplace by a footprint, and the limits of
-# their distance from it, in footprints.
+# Share of all light that straight pieces of one image may misplace by a footprint, and the limits
+# of their distance from it, in footprints.
 _STRAIGHT, _TOLERANCES = 1e-6, (0.002, 0.5)
 # Sides of an image are divided into at most so many.
 _MOST_PIECES = 16
@@ -112,9 +112,7 @@ def _singles(refinement: Refinement) -> Points:
     node = lattice.singles.node
     flux = lattice.singles.throughput * lattice.power[node] * weight[node, np.newaxis]
     used = weight[node] > 0.0
-    return Points(
-        lattice.singles.position[used], lattice.singles.normal[used], flux[used]
-    )
+    return Points(lattice.singles.position[used], lattice.singles.normal[used], flux[used])
 
 
 def _curved(refinement: Refinement, rows: NDArray[np.intp]) -> Laid:

@@ -185,7 +185,5 @@ def _parents(patches: Patches, above: Patches) -> tuple[Ids, Ids]:
     order = np.argsort(key)
     at = np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)
     parent = order[at]
-    known = np.flatnonzero(
-        patches.is_whole & (key[parent] == wanted) & above.is_whole[parent]
-    )
+    known = np.flatnonzero(patches.is_whole & (key[parent] == wanted) & above.is_whole[parent])
     return known, parent[known]

@@ -1,0 +1,189 @@
+"""Irradiance of images of the emitter, against closed forms, photons and brute force."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import photonrelax as pr
+from photonrelax import gallery
+from photonrelax._ext.estimation import envelope as kernel
+from tests.helpers.tracing_scenes import DOWN, box, floor, slab
+
+NORMAL, LIGHT = np.array([0.0, -0.96, -0.28]), np.array([0.0, 0.6, -0.8])
+
+
+def mirrored(reflectance=0.7):
+    """A small flat mirror, with light from above that it throws onto the floor."""
+    plate = box([0.5, 0.5, 0.02])
+    plate.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], NORMAL))
+    plate.apply_translation([0, 0, 1.5])
+    light = pr.CollimatedEmitter(LIGHT, (1.0, 2.0, 3.0))
+    return pr.Scene([floor(20.0), pr.SceneObject(plate, pr.Mirror(reflectance))], [light])
+
+
+def floor_map(field, half=1.0, n=50, centre=(0.0, 0.0)):
+    corner = (centre[0] - half, centre[1] - half, 0.0)
+    return pr.irradiance_map(field, corner, (2 * half, 0, 0), (0, 2 * half, 0), (n, n))
+
+
+def field_of(scene, **limits):
+    envelope = pr.trace_envelope(scene, n_threads=1, **limits)
+    return pr.irradiance_field(envelope, method="envelope", n_threads=1)
+
+
+def test_light_behind_a_flat_mirror_is_even():
+    """E = reflectance · E₀ cos θ to rounding, wherever a texel is wholly lit."""
+    field = field_of(mirrored(), error=0.05)
+    image = LIGHT - 2 * (LIGHT @ NORMAL) * NORMAL
+    centre = 1.5 * image[:2] / -image[2]
+    found = floor_map(field, 0.05, 10, centre)
+    expected = 0.7 * -image[2] * np.array([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), rtol=1e-9)
+
+
+def test_light_through_a_plate_is_even_but_for_faint_orders():
+    """(1 - R)² of the light directly, R⁴ of that by two reflections by roulette."""
+    field = field_of(pr.Scene([floor(), slab()], [DOWN]), error=0.05)
+    found = floor_map(field, 1.5)
+    assert found.min() >= 0.96**2 * (1 - 1e-9)
+    assert found.mean() == pytest.approx(0.96 / 1.04, abs=3e-4)
+
+
+@pytest.mark.parametrize("name", ["ring", "sphere"])
+def test_flux_is_that_of_photons(name):
+    scene = gallery.scene(name)
+    envelope = pr.trace_envelope(scene, n_rays=15_000, footprint=0.02)
+    photons = pr.trace_photons(scene, 200_000)
+    np.testing.assert_allclose(envelope.flux.sum(axis=0), photons.flux.sum(axis=0), rtol=3e-3)
+
+
+def test_a_map_holds_all_light_that_falls_on_it():
+    field = field_of(gallery.scene("ring"), error=0.05)
+    half, n = 12.0, 40
+    held = floor_map(field, half, n).sum(axis=(0, 1)) * (2 * half / n) ** 2
+    np.testing.assert_allclose(held, field.envelope.flux.sum(axis=0), rtol=1e-9)
+
+
+def test_texels_part_the_light_between_them():
+    field = field_of(gallery.scene("ring"), error=0.05)
+    fine, coarse = (floor_map(field, 1.5, n) for n in (60, 20))
+    means = fine.reshape(20, 3, 20, 3, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(means, coarse, rtol=1e-9, atol=1e-12 * coarse.max())
+
+
+def test_error_falls_with_rays_and_is_told():
+    scene = gallery.scene("ring")
+    exact = floor_map(field_of(scene, n_rays=150_000, footprint=0.03), 1.5, 100)
+    errors, told = [], []
+    for n_rays in (8000, 24_000):
+        field = field_of(scene, n_rays=n_rays, footprint=0.03)
+        found = floor_map(field, 1.5, 100)
+        errors.append(np.abs(found - exact).sum() / exact.sum())
+        told.append(field.envelope.error)
+        assert field.envelope.n_rays <= n_rays
+    assert errors[1] < 0.6 * errors[0]
+    assert errors[1] < 0.01
+    assert all(error < 2.0 * estimate for error, estimate in zip(errors, told, strict=True))
+
+
+@pytest.mark.parametrize("n_threads", [2, 7])
+def test_threads_do_not_matter(n_threads):
+    scene = gallery.scene("sphere", subdivisions=3)
+    one, many = (pr.trace_envelope(scene, error=0.1, n_threads=n) for n in (1, n_threads))
+    for name in ("position", "normal", "flux", "misplaced"):
+        assert getattr(one, name).tobytes() == getattr(many, name).tobytes()
+
+
+def test_points_are_means_over_squares_of_the_footprint():
+    field = field_of(mirrored(), error=0.05, footprint=0.02)
+    points = field.envelope.position.mean(axis=1)[::40]
+    normals = np.tile([0.0, 0.0, 2.0], (len(points), 1))
+    sides = np.full(len(points), 0.02)
+    np.testing.assert_array_equal(field(points, normals), field(points, normals, footprint=sides))
+    assert (field(points, -normals) == 0.0).all()
+
+
+def test_overlap_is_that_of_polygons():
+    """Against sums over a fine grid of points, on a plane that is aslant."""
+    rng = np.random.default_rng(3)
+    turned = trimesh.transformations.rotation_matrix(0.7, [1, 2, 3])[:3, :3]
+    flat = np.concatenate([rng.uniform(-1, 1, (12, 3, 2)), np.zeros((12, 3, 1))], axis=2)
+    edges = np.array([[0.9, 0.1, 0.0], [-0.2, 0.7, 0.0]])
+    normal = np.tile(turned @ [0, 0, 1], (12, 1))
+    out = np.empty((1, 12))
+    tree = pr_tree(flat @ turned.T)
+    kernel.means(
+        *(tree, flat @ turned.T, normal, np.eye(12), np.zeros((1, 3)), normal[:1].copy()),
+        *((edges @ turned.T)[np.newaxis], np.arange(1)),
+        thickness=1.0,
+        out=out,
+        n_threads=1,
+    )
+    n = 400
+    side = (np.arange(n) + 0.5) / n - 0.5
+    grid = np.array(list(itertools.product(side, side))) @ edges[:, :2]
+    for triangle, share in zip(flat[..., :2], out[0], strict=True):
+        inside = np.ones(len(grid), dtype=bool)
+        a, b, c = triangle
+        area = cross(b - a, c - a)
+        for p, q in ((a, b), (b, c), (c, a)):
+            inside &= np.sign(area) * cross(q - p, grid - p) >= 0.0
+        assert share == pytest.approx(inside.mean() / (abs(area) / 2), abs=0.02)
+
+
+def cross(a, b):
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def pr_tree(triangles):
+    from photonrelax.spatial.box_tree import BoxTree
+
+    return BoxTree(triangles.min(axis=1), triangles.max(axis=1)).kernel
+
+
+def test_pictures_have_the_error_as_a_layer():
+    scene = gallery.scene("ring")
+    scene = replace(scene, camera=replace(scene.camera, width=24, height=24))
+    image = pr.render(scene, method="envelope", envelope=pr.EnvelopeSettings(error=0.05))
+    assert (image.layers["caustic"] > 0.0).any()
+    error = image.layers["envelope.error"]
+    assert ((error >= 0.0) & (error <= 1.0)).all()
+    assert error.max() > 0.0
+    again = pr.render(scene, method="parameterised", n_emitted=200_000)
+    means = [each.layers["caustic"].mean() for each in (image, again)]
+    assert means[0] == pytest.approx(means[1], rel=0.02)
+
+
+def test_emitters_with_a_size_are_refused():
+    scene = mirrored()
+    sun = pr.CollimatedEmitter([0, 1, 0.1], angular_radius=1.0)
+    with pytest.raises(ValueError, match="should be of parallel light or of points"):
+        pr.trace_envelope(pr.Scene(scene.objects, [sun]))
+
+
+def test_a_scene_without_caustics_is_refused():
+    scene = mirrored()
+    away = pr.CollimatedEmitter([0, 0, 1])
+    with pytest.raises(ValueError, match="should arrive on a Diffuse surface"):
+        pr.trace_envelope(pr.Scene(scene.objects, [away]))
+
+
+@pytest.mark.parametrize(
+    "limits", [{"n_rays": 0}, {"error": -1.0}, {"seconds": 0.0}, {"footprint": np.nan}]
+)
+def test_limits_out_of_range_are_refused(limits):
+    with pytest.raises(ValueError, match=f"EnvelopeSettings.{next(iter(limits))}"):
+        pr.trace_envelope(mirrored(), **limits)
+
+
+def test_photons_and_envelopes_are_told_apart():
+    scene = mirrored()
+    envelope = pr.trace_envelope(scene, error=0.1)
+    with pytest.raises(TypeError, match="should be a PhotonMap, but is Envelope"):
+        pr.irradiance_field(envelope)
+    photons = pr.trace_photons(scene, 1000)
+    with pytest.raises(TypeError, match="should be an Envelope"):
+        pr.irradiance_field(photons, method="envelope")
