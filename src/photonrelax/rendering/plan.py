@@ -132,9 +132,7 @@ def checked_components(components: Iterable[str] | None) -> tuple[str, ...]:
 def _emission(scene: Scene, wanted: tuple[str, ...]) -> Part:
     if "emission" not in wanted:
         return Part("emission", False, "not asked for")
-    seen = sum(
-        emitter.surface is not None or emitter.background is not None for emitter in scene.emitters
-    )
+    seen = sum(emitter.surface is not None or emitter.is_background for emitter in scene.emitters)
     if seen == 0:
         return Part("emission", False, "no emitter has a surface that a camera could see")
     return Part("emission", True, f"emitters that a camera may see: {seen}")

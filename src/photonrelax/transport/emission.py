@@ -3,7 +3,8 @@
 Each emitter is sampled over a region of its emitter coordinates, metres on the plane of a
 collimated emitter or unit vectors around a point, which the emitter itself provides: one region, or
 one for each group of casters where these lie apart. All photons of a region carry the same flux,
-and those of the other regions of an emitter differ from it by the rounding of their numbers.
+of a map of the sky the same luminance, and those of the other regions of an emitter differ from it
+by the rounding of their numbers.
 """
 
 from __future__ import annotations
@@ -80,6 +81,8 @@ class EmissionPlan:
         Candidates that are photons 0, 1024, … of regions not all of whose candidates are photons.
     counts, candidates : (n_regions,) int64
         Photons of each region, none where no flux leaves through it, and its candidates.
+    colours : (n_regions, 3) float64
+        Mean flux of the photons of each region over `flux_per_photon`: ones unless they differ.
     seed, sampler : int, str
         The sequence of the candidates.
     """
@@ -88,6 +91,7 @@ class EmissionPlan:
     starts: tuple[Sequence[int], ...]
     counts: NDArray[np.int64]
     candidates: NDArray[np.int64]
+    colours: Floats
     seed: int
     sampler: str
 
@@ -114,7 +118,7 @@ class EmissionPlan:
 
     @property
     def flux_per_photon(self) -> Floats:
-        """W carried by each photon of each region, (n_regions, 3)."""
+        """W carried by a photon of each region, (n_regions, 3); by the mean one of a map."""
         flux = np.array([each.region.flux for each in self.aimed])
         return flux / np.maximum(self.candidates, 1)[:, np.newaxis]
 
@@ -123,7 +127,8 @@ class EmissionPlan:
         """W that each emitter sends out, (n_emitters, 3)."""
         ids = self.emitter_ids
         flux = np.zeros((int(ids[-1]) + 1, 3))
-        np.add.at(flux, ids, self.counts[:, np.newaxis] * self.flux_per_photon)
+        photons = self.counts[:, np.newaxis] * self.colours
+        np.add.at(flux, ids, photons * self.flux_per_photon)
         return flux
 
     def emission(self, region_id: int) -> _kernel.Emission:
@@ -218,7 +223,12 @@ def plan_emission(
         for each, n, share in zip(aimed, _apportion(n_emitted, weights), shares, strict=True)
     ]
     starts, counts, candidates = zip(*found, strict=True)
-    return EmissionPlan(aimed, starts, np.array(counts), np.array(candidates), seed, sampler)
+    colours = [
+        draw(each).mean_colour(n) if each.region.sky else [1.0] * 3
+        for each, n in zip(aimed, candidates, strict=True)
+    ]
+    numbers = np.array(counts), np.array(candidates), np.array(colours)
+    return EmissionPlan(aimed, starts, *numbers, seed, sampler)
 
 
 def emit(
@@ -279,6 +289,8 @@ def _emission(aimed: AimedRegion, n_candidates: int, seed: int, sampler: str) ->
             target=region.target,
             triangles=region.triangles,
             cumulative=region.cumulative,
+            sky=region.sky.kernel() if region.sky else None,
+            colours=region.sky.colours if region.sky else None,
         ),
         seed,
         stream,

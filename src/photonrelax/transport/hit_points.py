@@ -186,8 +186,7 @@ class _CameraTracer:
         self._changes = sample_changes(camera, supersampling)
         self._axis = camera.axes()[2]
         self._extent = scene.scale
-        backgrounds = [emitter.background for emitter in scene.emitters]
-        self._background = [radiance for radiance in backgrounds if radiance is not None]
+        self._backgrounds = [emitter for emitter in scene.emitters if emitter.is_background]
 
     def trace(self, rows: range) -> _Batch:
         """Trace the rays of some rows of the image."""
@@ -197,13 +196,13 @@ class _CameraTracer:
             self._caster.triangles,
             least_weight=MIN_WEIGHT,
             longest_edge=self._extent,
-            keep_escaped=bool(self._background),
+            keep_escaped=bool(self._backgrounds),
         )
         first, found = self._start(paths, rows)
         follow_paths(paths, self._caster, found, self._max_depth)
         seen = paths.seen_points()
         seen["weight"] /= self._supersampling**2
-        if self._background:
+        if self._backgrounds:
             first = self._with_background(first, seen, rows)
             on_surface = seen["object_id"] >= 0
             seen = {name: column[on_surface] for name, column in seen.items()}
@@ -215,9 +214,10 @@ class _CameraTracer:
         """First surfaces with the background that rays of their pixels escape to."""
         escaped = seen["object_id"] < 0
         pixel = seen["pixel"][escaped] - rows.start * self._camera.width
-        weight = np.zeros(first.normal.shape).reshape(-1, 3)
-        np.add.at(weight, pixel, seen["weight"][escaped])
-        radiance = weight.reshape(first.normal.shape) * np.sum(self._background, axis=0)
+        direction, weight = seen["normal"][escaped], seen["weight"][escaped]
+        light = weight * sum(emitter.background(direction) for emitter in self._backgrounds)
+        radiance = np.zeros(first.normal.shape)
+        np.add.at(radiance.reshape(-1, 3), pixel, light)
         return replace(first, background=radiance)
 
     def _start(self, paths: CameraPaths, rows: range) -> tuple[FirstSurfaces, EmbreeHits]:

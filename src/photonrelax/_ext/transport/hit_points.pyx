@@ -408,11 +408,12 @@ cdef class CameraPaths:
         return self.split(&at, target)
 
     cdef void record_escape(self, const CameraRay* ray) noexcept nogil:
-        """Record a ray that hits nothing: its pixel and weight."""
+        """Record a ray that hits nothing: pixel, weight, and its direction for a normal."""
         cdef SeenPoint* point = &self.seen[self.n_seen]
         self.n_seen += 1
         point[0] = SeenPoint(pixel=ray.pixel, object_id=-1)
         copy(point.weight, ray.weight)
+        copy(point.normal, ray.direction)
 
     cdef void record(self, const Meeting* at) noexcept nogil:
         cdef SeenPoint* point = &self.seen[self.n_seen]

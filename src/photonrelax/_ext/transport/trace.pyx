@@ -428,6 +428,8 @@ cdef class Paths:
         for c in range(3):
             # Channels in which the emitter is black stay out of every product.
             ray.throughput[c] = 1.0 if self.luminance[c] > 0.0 else 0.0
+        if emission.is_coloured:
+            emission.colour(ray.throughput, index)
         self.deposits.coords[path, 2] = 0.0
         self.deposits.density[path] = emission.ray(
             index, ray.origin, ray.direction, &self.deposits.coords[path, 0]
