@@ -59,7 +59,8 @@ def allotted_plan(
     brought = None
     if isinstance(n_emitted, int) and len(scene.emitters) > 1:
         # Photons elsewhere do not depend on sensors, unless there is nothing else.
-        sensors = len(scene.sensors) == len(scene.objects) - len(scene.specular_objects)
+        materials = [item.material for item in scene.objects]
+        sensors = all(each.is_sensor or each.is_specular for each in materials)
         settings = replace(settings, frequency_share=0.0, sensors=sensors)
         n_paths = min(_MOST, n_emitted // (_SHARE * len(scene.emitters)))
         if n_paths >= _LEAST:

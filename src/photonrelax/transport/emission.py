@@ -9,7 +9,7 @@ by the rounding of their numbers.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -228,20 +228,27 @@ def plan_emission(
             f"emitters should shine on {what}, "
             f"but all {len(scene.emitters)} have no power or face away"
         )
-    numbers = _numbers(n_emitted, np.array(weights), aimed, brought)
-    found = [
-        draw(each).photons(n, _STARTS_EVERY, min(int(_MAX_TRIES * n / share), 2**62))
-        if each.is_thinned
-        else ((), n, n)
-        for each, n, share in zip(aimed, numbers.tolist(), shares, strict=True)
-    ]
-    starts, counts, candidates = zip(*found, strict=True)
-    colours = [
-        draw(each).mean_colour(n) if each.region.sky else [1.0] * 3
-        for each, n in zip(aimed, candidates, strict=True)
-    ]
+    numbers = _numbers(n_emitted, np.array(weights), aimed, brought).tolist()
+    found = [_drawn(*given, draw) for given in zip(aimed, numbers, shares, strict=True)]
+    starts, counts, candidates, colours = zip(*found, strict=True)
     columns = np.array(counts), np.array(candidates), np.array(colours)
     return EmissionPlan(aimed, starts, *columns, seed, sampler)
+
+
+def _drawn(
+    each: AimedRegion, n: int, share: float, draw: Callable[[AimedRegion], _kernel.Emission]
+) -> tuple[Sequence[int], int, int, Sequence[float]]:
+    """Candidates that are photons 0, 1024, …, photons, candidates, and the mean colour of photons.
+
+    `share` is about that of photons among candidates.
+    """
+    if not (each.is_thinned or each.region.sky):
+        return (), n, n, (1.0, 1.0, 1.0)
+    emission, starts, n_candidates = draw(each), (), n
+    if each.is_thinned:
+        limit = min(int(_MAX_TRIES * n / share), 2**62)
+        starts, n, n_candidates = emission.photons(n, _STARTS_EVERY, limit)
+    return starts, n, n_candidates, emission.mean_colour(n_candidates)
 
 
 def emit(

@@ -98,8 +98,7 @@ def trace_photons(
     scene : Scene
         Objects and emitters.
     n_emitted : int or sequence of int
-        Paths to start, apportioned to the emitters by the flux that they bring to what is stored;
-        or those of each emitter.
+        Paths to start, apportioned by what emitters bring to what is stored; or those of each.
     seed : int
         Photon i of an emission region depends on it and on i alone.
     paths : {"caustic", "global", "all"}
@@ -123,8 +122,7 @@ def trace_photons(
     Returns
     -------
     PhotonMap
-        By emitter, index and event, between two events by sensor; caustics of Halton photons are
-        well spaced.
+        By emitter, index and event, between two events by sensor; Halton caustics are well spaced.
 
     Raises
     ------
@@ -133,8 +131,7 @@ def trace_photons(
     """
     settings = _checked_settings(paths, max_bounces, frequency_share, sensors=sensors)
     threads = thread_count(n_threads)
-    numbers = checked_numbers(n_emitted, scene)
-    caster = caster or RayCaster(scene.surfaces)
+    numbers, caster = checked_numbers(n_emitted, scene), caster or RayCaster(scene.surfaces)
     _check_memory(scene, int(np.sum(numbers)), settings, caster, threads)
     plan = allotted_plan(scene, numbers, settings, seed=seed, sampler=sampler, caster=caster)
     context = TraceContext(scene, plan, settings, _batch_capacity(batch_size, plan), caster=caster)

@@ -346,7 +346,10 @@ cdef class Emission:
         cdef double[3] total, block, own
         cdef int64_t index, found = 0
         cdef int c
-        cdef Watch watch = open_watch()
+        cdef Watch watch
+        if not self.is_coloured:
+            return [1.0, 1.0, 1.0]
+        watch = open_watch()
         with nogil:
             for c in range(3):
                 total[c] = block[c] = 0.0

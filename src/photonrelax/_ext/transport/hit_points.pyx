@@ -62,15 +62,17 @@ cdef class CameraPaths:
         Rays of less weight in every channel are not followed.
     longest_edge : float
         Limit of the edges of footprints, m: at grazing angles they have none.
-    keep_escaped : bool
-        Record rays that hit nothing as points of object -1.
+    first_emitter : int
+        First surface that emits. Rays that meet one which is specular, too, are recorded as points
+        there, beside their continuations; and those that hit nothing as points of object -1. -1 for
+        neither.
     """
 
     cdef Materials materials
     cdef EmbreeFrame frame
     cdef Triangles triangles
     cdef double least_weight, longest_edge
-    cdef bint keep_escaped
+    cdef int first_emitter
     # Rays of this level and of the next, (n, sizeof(CameraRay)).
     cdef unsigned char[::1] memory, next_memory
     cdef CameraRay* ray
@@ -89,12 +91,12 @@ cdef class CameraPaths:
 
     def __init__(
         self, Materials materials, EmbreeFrame frame, Triangles triangles, *, double least_weight,
-        double longest_edge, bint keep_escaped=False,
+        double longest_edge, int first_emitter=-1,
     ):
         self.materials, self.frame, self.triangles = materials, frame, triangles
         self.has_hidden = materials.has_hidden
         self.least_weight, self.longest_edge = least_weight, longest_edge
-        self.keep_escaped = keep_escaped
+        self.first_emitter = first_emitter
         self.memory = self.next_memory = np.empty(0, np.uint8)
         self.origins = np.empty((0, 3), np.float32)
         self.seen_memory = np.empty(0, np.uint8)
@@ -388,7 +390,7 @@ cdef class CameraPaths:
         cdef double[3] transmitted
         cdef int c
         if not self.refine(&at.hit, found, row):
-            if self.keep_escaped:
+            if self.first_emitter >= 0:
                 self.record_escape(&self.ray[row])
             return target
         at.ray = self.ray[row]
@@ -405,6 +407,8 @@ cdef class CameraPaths:
         if is_diffuse(self.materials, at.hit.object_id):
             self.record(&at)
             return target
+        if 0 <= self.first_emitter <= at.hit.object_id:
+            self.record(&at)
         return self.split(&at, target)
 
     cdef void record_escape(self, const CameraRay* ray) noexcept nogil:
