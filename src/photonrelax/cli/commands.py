@@ -207,7 +207,8 @@ def _indirect_settings(options: argparse.Namespace) -> pr.GatherSettings | None:
 
 def _plan(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ..rendering.cost import estimate_costs
-    from .reports import cost_table, plan_table
+    from ..rendering.simplifications import simplifications
+    from .reports import cost_table, plan_table, simplification_table
 
     scene = gallery.scene(options.scene)
     found = pr.plan(
@@ -218,7 +219,8 @@ def _plan(options: argparse.Namespace, interrupts: Interrupts) -> None:
         n_threads=options.threads,
     )
     costs = estimate_costs(scene, found, options.threads)
-    write_lines(plan_table(found), "", cost_table(costs))
+    left_out = simplification_table(simplifications(scene))
+    write_lines(plan_table(found), "", left_out, "", cost_table(costs))
 
 
 def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:

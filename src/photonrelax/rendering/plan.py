@@ -171,7 +171,7 @@ def _indirect(scene: Scene, wanted: tuple[str, ...], n_global: int | None) -> Pa
     diffuse = [i for i, row in enumerate(rows) if row.kind == "diffuse"]
     if not any(np.any(rows[i].reflectance) for i in diffuse):
         return Part("indirect", False, "no diffuse surface reflects light")
-    if not scene.specular_objects and _is_planar([scene.objects[i].mesh.vertices for i in diffuse]):
+    if not scene.specular_objects and is_planar([scene.objects[i].mesh.vertices for i in diffuse]):
         return Part("indirect", False, "all surfaces are in one plane, and light none another")
     return Part("indirect", True, "diffuse surfaces may light one another")
 
@@ -182,7 +182,7 @@ def _is_own_light(scene: Scene) -> bool:
     return len(scene.emitters) == 1 and scene.specular_objects == (n_objects,)
 
 
-def _is_planar(points: list[Floats]) -> bool:
+def is_planar(points: list[Floats]) -> bool:
     """Whether all points are in one plane."""
     together = np.concatenate(points)
     centred = together - together.mean(axis=0)
