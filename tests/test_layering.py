@@ -16,7 +16,8 @@ PACKAGE = Path(photonrelax.__file__).parent
 TIERS = [
     {"_ext", "_version"},
     {"_util"},
-    {"scene", "spatial", "imaging"},
+    {"imaging"},
+    {"scene", "spatial"},
     {"photons"},
     {"transport", "surfaces"},
     {"relaxation", "gallery"},

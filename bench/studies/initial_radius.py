@@ -78,6 +78,7 @@ def _images(scene: pr.Scene, passes: int, photons: int) -> Iterator[tuple[str, p
                 photons_per_pass=photons,
                 seed=_OWN_SEED,
                 settings=pr.ProgressiveSettings(k=k),
+                n_global=0,
             ),
         )
     gather = pr.GatherSettings(k=K_STANDARD)

@@ -194,6 +194,7 @@ def passes_to_error(
             photons_per_pass=request.n_emitted,
             seed=_OWN_SEED,
             settings=_FRESH,
+            n_global=0,
         )
         text, seconds = f"{passes} passes", perf_counter() - started
         found = caustic_error(image, reference)

@@ -93,6 +93,7 @@ def progressive(
         n_passes=n_passes,
         photons_per_pass=n_emitted,
         settings=pr.ProgressiveSettings(k=4),
+        n_global=0,
         n_threads=n_threads,
         progress=_report,
     )

@@ -1,4 +1,4 @@
-"""Light in a cube with a ball of glass, by particles that are counted where they land.
+"""Light in a cube with a ball of glass or of shells, by particles that are counted where they land.
 
 Nothing of the library is used: walls and ball are equations, paths are followed in NumPy, and the
 light that arrives on a wall is the sum of what its particles carry.
@@ -12,8 +12,24 @@ COMPONENTS = ("direct", "caustic", "indirect")
 _STEP = 1e-9
 
 
+class Shell(NamedTuple):
+    """What a sphere holds up to the next smaller one.
+
+    Attributes
+    ----------
+    radius, ior : float
+        Of the sphere, and the refractive index in it.
+    absorption : (3,)
+        1/m.
+    """
+
+    radius: float
+    ior: float
+    absorption: tuple = (0.0, 0.0, 0.0)
+
+
 class Room(NamedTuple):
-    """A cube from -1 to 1 around a ball of glass.
+    """A cube from -1 to 1 around a ball.
 
     Attributes
     ----------
@@ -21,24 +37,25 @@ class Room(NamedTuple):
         Of the walls: 2a is that of the lowest coordinate on axis a, 2a + 1 that of the greatest.
     lamps : list of ((3,), (3,))
         Positions and powers of point emitters.
-    centre, radius, ior : (3,), float, float
+    centre : (3,)
         Of the ball.
+    shells : list of Shell
+        That the ball is made of, the largest first.
     """
 
     albedos: np.ndarray
     lamps: list
     centre: np.ndarray
-    radius: float
-    ior: float
+    shells: list
 
 
 class Particles(NamedTuple):
-    """Particles on their way, a row each."""
+    """Particles on their way, a row each; `depth` counts the spheres that they are within."""
 
     at: np.ndarray
     way: np.ndarray
     flux: np.ndarray
-    within: np.ndarray
+    depth: np.ndarray
     n_specular: np.ndarray
     n_diffuse: np.ndarray
 
@@ -65,41 +82,49 @@ def _emitted(position, flux, n, rng):
     way = rng.normal(size=(n, 3))
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     none = np.zeros(n, dtype=int)
-    return Particles(np.tile(position, (n, 1)), way, np.tile(flux, (n, 1)), none > 0, none, none)
+    return Particles(np.tile(position, (n, 1)), way, np.tile(flux, (n, 1)), none, none, none)
 
 
 def _advanced(room, live, tally, rng):
     """Particles after their next event, those that go on."""
-    to_ball = _distance_to_ball(room, live)
+    to_spheres = np.array([_distance_to_sphere(room, i, live) for i in range(len(room.shells))])
+    sphere, to_ball = to_spheres.argmin(axis=0), to_spheres.min(axis=0)
     with np.errstate(divide="ignore"):
         to_walls = (np.sign(live.way) - live.at) / live.way
     axis = to_walls.argmin(axis=1)
     to_wall = to_walls.min(axis=1)
     hits_ball = to_ball < to_wall
-    at = live.at + np.minimum(to_ball, to_wall)[:, None] * live.way
-    live = live._replace(at=at)
-    through = _refracted(room, live.some(hits_ball), rng)
+    distance = np.minimum(to_ball, to_wall)[:, None]
+    absorption = np.array([(0.0, 0.0, 0.0), *(shell.absorption for shell in room.shells)])
+    flux = live.flux * np.exp(-absorption[live.depth] * distance)
+    live = live._replace(at=live.at + distance * live.way, flux=flux)
+    through = _refracted(room, live.some(hits_ball), sphere[hits_ball], rng)
     walls = live.some(~hits_ball)
     side = 2 * axis[~hits_ball] + (walls.way[np.arange(len(walls.at)), axis[~hits_ball]] > 0)
     scattered = _scattered(room, walls, side, tally, rng)
     return Particles(*map(np.concatenate, zip(through, scattered, strict=True)))
 
 
-def _distance_to_ball(room, live):
+def _distance_to_sphere(room, sphere, live):
     away = live.at - room.centre
     b = (away * live.way).sum(axis=1)
-    under = b**2 - (away**2).sum(axis=1) + room.radius**2
+    under = b**2 - (away**2).sum(axis=1) + room.shells[sphere].radius ** 2
     root = np.sqrt(np.maximum(under, 0.0))
     near, far = -b - root, -b + root
-    distance = np.where(live.within, far, near)
+    distance = np.where(live.depth > sphere, far, near)
     return np.where((under > 0.0) & (distance > _STEP), distance, np.inf)
 
 
-def _refracted(room, live, rng):
-    """Particles reflected or refracted at the ball, by chance."""
-    normal = (live.at - room.centre) / room.radius
-    normal = np.where(live.within[:, None], -normal, normal)
-    eta = np.where(live.within, room.ior, 1.0 / room.ior)[:, None]
+def _refracted(room, live, sphere, rng):
+    """Particles reflected or refracted at spheres, by chance."""
+    iors = np.array([1.0, *(shell.ior for shell in room.shells)])
+    radii = np.array([shell.radius for shell in room.shells])
+    within = live.depth > sphere
+    normal = (live.at - room.centre) / radii[sphere][:, None]
+    normal = np.where(within[:, None], -normal, normal)
+    # Beyond a sphere lies what is around it, or what it holds.
+    beyond = np.where(within, sphere, sphere + 1)
+    eta = (iors[live.depth] / iors[beyond])[:, None]
     cos_i = -(live.way * normal).sum(axis=1, keepdims=True)
     squared = 1.0 - eta**2 * (1.0 - cos_i**2)
     cos_t = np.sqrt(np.maximum(squared, 0.0))
@@ -111,8 +136,8 @@ def _refracted(room, live, rng):
     refraction = eta * live.way + (eta * cos_i - cos_t) * normal
     way = np.where(reflects[:, None], reflection, refraction)
     way /= np.linalg.norm(way, axis=1, keepdims=True)
-    within = live.within ^ ~reflects
-    return live._replace(way=way, within=within, n_specular=live.n_specular + 1)
+    depth = np.where(reflects, live.depth, beyond)
+    return live._replace(way=way, depth=depth, n_specular=live.n_specular + 1)
 
 
 def _scattered(room, live, side, tally, rng):

@@ -25,7 +25,8 @@ def coloured():
     points = cube.middles[FLOOR]
     exact = cube.indirect(FLOOR, points)
     found = field(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)))
-    return SimpleNamespace(found=found, exact=exact, points=points, k=field.settings.k)
+    k = field.settings.k
+    return SimpleNamespace(scene=scene, field=field, found=found, exact=exact, points=points, k=k)
 
 
 def test_noise_is_that_of_k_photons(coloured):
@@ -40,6 +41,28 @@ def test_bias_is_small_beside_walls_and_in_corners(coloured):
     for part, most in ((far[:, 1] > 0.85, 0.03), (far[:, 0] > 0.85, 0.06)):
         found, exact = coloured.found[part], coloured.exact[part]
         assert abs(found.sum() / exact.sum() - 1.0) <= most
+
+
+def outermost(along):
+    """Points of the floor in the outer fortieth of its width, at coordinates along the walls."""
+    across = 1.0 - 0.05 * (np.arange(3) + 0.5) / 3
+    pairs = [(sign * x, y) for sign in (-1.0, 1.0) for x in across for y in along]
+    points = np.array([(*pair, -1.0) for pair in pairs])
+    return np.concatenate([points, points[:, [1, 0, 2]]])
+
+
+def test_bias_is_small_in_the_outer_fortieth(coloured):
+    """Means over three maps, beside walls and in corners; radiosity extrapolated."""
+    maps = [pr.trace_photons(coloured.scene, 600_000, paths="global", seed=s) for s in (1, 2)]
+    fields = [coloured.field, *(IndirectField(each, scene=coloured.scene) for each in maps)]
+    coarse, fine = (Cube(2.0, ALBEDOS, POWER, LAMP, n) for n in (6, 12))
+    near = 1.0 - 0.05 * (np.arange(3) + 0.5) / 3
+    for along, most in ((np.arange(-0.95, 1.0, 0.1), 0.03), ([*-near, *near], 0.06)):
+        points = outermost(along)
+        exact, rough = (each.indirect(FLOOR, points).sum() for each in (fine, coarse))
+        up = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+        found = np.mean([field(points, up).sum() for field in fields])
+        assert abs(found / (exact + (exact - rough) / 3.0) - 1.0) <= most
 
 
 @pytest.mark.parametrize("albedo", [0.5, 0.9, 0.95])

@@ -2,37 +2,66 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 import photonrelax as pr
 from photonrelax.estimation.indirect import IndirectField
 from photonrelax.transport.direct_light import direct_irradiance
 from photonrelax.transport.raycast import RayCaster
-from tests.analytic.particle_tracer import COMPONENTS, Room, irradiance
+from tests.analytic.particle_tracer import COMPONENTS, Room, Shell, irradiance
 from tests.helpers.tracing_scenes import ball, coloured_walls
 
 FLOOR = 4
-ROOM = Room(
+GLASS = Room(
     albedos=np.array([[0.8, 0.2, 0.2], [0.2, 0.8, 0.2], *4 * [[0.7, 0.7, 0.7]]]),
     lamps=[((-0.4, -0.3, 0.7), (10.0, 6.0, 3.0)), ((0.5, 0.4, 0.6), (2.0, 4.0, 8.0))],
     centre=np.array([0.35, 0.3, -0.55]),
-    radius=0.4,
-    ior=1.5,
+    shells=[Shell(0.4, 1.5)],
 )
+# A ball of glass whose hollow is full of a tinted liquid.
+LIQUID = GLASS._replace(shells=[Shell(0.4, 1.5), Shell(0.3, 1.33, (0.1, 0.5, 1.5))])
 # Points of a wall along a side.
 N_POINTS = 80
 
 
-@pytest.fixture(scope="module")
-def scene():
-    walls = coloured_walls(ROOM.albedos)
-    glass = pr.SceneObject(ball(ROOM.radius, ROOM.centre, 5), pr.Dielectric(ROOM.ior), smooth=True)
-    return pr.Scene([*walls, glass], [pr.PointEmitter(*lamp) for lamp in ROOM.lamps])
+def glass_ball(room):
+    shell = room.shells[0]
+    return [(ball(shell.radius, room.centre, 5), pr.Dielectric(shell.ior))]
+
+
+def liquid_in_glass(room):
+    """The liquid is larger than the hollow, and the glass of larger priority."""
+    outer, inner = room.shells
+    hollow = ball(inner.radius, room.centre, 5)
+    hollow.invert()
+    glass = trimesh.util.concatenate([ball(outer.radius, room.centre, 5), hollow])
+    liquid = ball(1.02 * inner.radius, room.centre, 5)
+    return [
+        (glass, pr.Dielectric(outer.ior, priority=1)),
+        (liquid, pr.Dielectric(inner.ior, absorption=inner.absorption)),
+    ]
+
+
+ROOMS = {"glass": (GLASS, glass_ball), "liquid in glass": (LIQUID, liquid_in_glass)}
+
+
+@pytest.fixture(scope="module", params=ROOMS)
+def room(request):
+    return ROOMS[request.param]
 
 
 @pytest.fixture(scope="module")
-def counted():
+def scene(room):
+    room, parts = room
+    objects = [pr.SceneObject(*part, smooth=True) for part in parts(room)]
+    lamps = [pr.PointEmitter(*lamp) for lamp in room.lamps]
+    return pr.Scene([*coloured_walls(room.albedos), *objects], lamps)
+
+
+@pytest.fixture(scope="module")
+def counted(room):
     """Irradiance (6, 3) of the walls by component, and its standard error over it."""
-    batches = irradiance(ROOM, 1_000_000, 20, seed=1)
+    batches = irradiance(room[0], 1_400_000, 20, seed=1)
     mean, deviation = batches.mean(axis=0), batches.std(axis=0, ddof=1)
     doubt = deviation / np.sqrt(len(batches)) / mean
     return dict(zip(COMPONENTS, zip(mean, doubt, strict=True), strict=True))

@@ -28,6 +28,7 @@ from photonrelax.rendering.progressive_render import pass_seed
 from photonrelax.rendering.view import View
 from photonrelax.scene.digest import scene_digest
 from tests.helpers.short_runs import FEW, layers_bytes
+from tests.helpers.tracing_scenes import box, floor, glass_ball
 
 
 def test_layers_are_those_of_render(ring):
@@ -417,3 +418,72 @@ def test_a_scene_without_a_camera_and_a_bad_interval_are_refused(ring):
     nowhere = pr.Checkpoints(state="/nowhere/run.npz")
     with pytest.raises(FileNotFoundError, match="there is no folder"):
         pr.render_progressive(ring, n_passes=1, checkpoints=nowhere)
+
+
+def corner():
+    """A floor and a wall that light one another, and a ball of glass."""
+    camera = pr.Camera((2.0, -3.0, 2.0), (0, 0, 0.3), width=16, height=16)
+    wall = pr.SceneObject(box([4.0, 0.1, 2.0], [0, 1.0, 1.0]), pr.Diffuse((0.8, 0.2, 0.2)))
+    lamp = pr.PointEmitter((0.5, -0.5, 2.0), 10.0)
+    return pr.Scene([floor(2.0), wall, glass_ball()], [lamp], camera)
+
+
+FEW_PHOTONS = {"photons_per_pass": 2000, "seed": 3, "n_threads": 2}
+
+
+@pytest.mark.parametrize("stochastic", [False, True])
+def test_passes_hold_all_light(stochastic):
+    """Indirect light is that of `render` from as many photons, whatever the number of passes."""
+    scene = corner()
+    n_global = pr.plan(scene, n_emitted=20_000).n_global
+    assert n_global > 0
+    image, more = (
+        pr.render_progressive(scene, n_passes=n, stochastic=stochastic, **FEW_PHOTONS)
+        for n in (1, 3)
+    )
+    once = pr.render(scene, n_emitted=20_000, n_global=n_global, seed=3)
+    layers = image.layers
+    np.testing.assert_array_equal(
+        layers["radiance"], layers["caustic"] + layers["direct"] + layers["indirect"]
+    )
+    assert layers["indirect"].max() > 0.01 * layers["direct"].max()
+    if stochastic:
+        means = [each.layers["indirect"].mean(axis=(0, 1)) for each in (more, once)]
+        np.testing.assert_allclose(*means, rtol=0.03)
+    else:
+        np.testing.assert_array_equal(layers["indirect"], once.layers["indirect"])
+        np.testing.assert_array_equal(more.layers["indirect"], once.layers["indirect"])
+    assert image.stats["stages"]["indirect"]["emitted"] == n_global
+
+
+@pytest.mark.parametrize("stochastic", [False, True])
+def test_a_run_with_indirect_light_is_resumed(stochastic, tmp_path):
+    state = pr.Checkpoints(tmp_path / "run.npz")
+    how = {"stochastic": stochastic, **FEW_PHOTONS}
+    whole = pr.render_progressive(corner(), n_passes=3, **how)
+    for n_passes in (1, 3):
+        resumed = pr.render_progressive(corner(), n_passes=n_passes, checkpoints=state, **how)
+    for name, layer in whole.layers.items():
+        np.testing.assert_array_equal(resumed.layers[name], layer, err_msg=name)
+    for other in ({"n_global": 0}, {"indirect": pr.GatherSettings(k=60)}):
+        with pytest.raises(ValueError, match="holds another run: its"):
+            pr.render_progressive(corner(), n_passes=4, checkpoints=state, **how, **other)
+
+
+def test_indirect_light_is_left_out_of_passes_if_none_is_asked_for():
+    none = pr.render_progressive(corner(), n_passes=1, n_global=0, **FEW_PHOTONS)
+    assert "indirect" not in none.layers
+    assert "indirect" not in none.stats["stages"]
+
+
+def test_passes_have_as_many_samples_of_lights_as_asked_for():
+    scene = corner()
+    lamp = pr.AreaEmitter(pr.Disk((0.5, -0.5, 2.0), (0, 0, -1), 0.5), power=10.0)
+    scene = pr.Scene(scene.objects, [lamp], scene.camera)
+    noisy, fine = (
+        pr.render_progressive(scene, n_passes=1, n_global=0, light_samples=n, **FEW_PHOTONS)
+        for n in (1, 64)
+    )
+    settings = json.loads(noisy.metadata["photonrelax.settings"])
+    assert settings["light_samples"] == 1
+    assert not np.array_equal(noisy.layers["direct"], fine.layers["direct"])

@@ -214,8 +214,8 @@ def test_scenes_without_surfaces_that_emit_have_no_layer_of_emission():
         ({}, "one of radiance and power should be given"),
         ({"radiance": 1.0, "power": 1.0}, "one of radiance and power should be given"),
         ({"power": -1.0}, "power should"),
-        ({"power": 1.0, "material": pr.Mirror()}, "neither specular nor a sensor"),
-        ({"power": 1.0, "material": pr.Sensor()}, "neither specular nor a sensor"),
+        ({"power": 1.0, "material": pr.Sensor()}, "material should not be a Sensor"),
+        ({"power": 1.0, "material": pr.Dielectric()}, "closed and shine on its outside.*4 open"),
     ],
 )
 def test_errors_say_what_would_do(given, message):

@@ -102,6 +102,6 @@ def test_caustics_of_the_sky_are_those_of_all_its_light():
 
 def test_a_radiance_that_is_no_colour_is_refused():
     with pytest.raises(ValueError, match="radiance"):
-        pr.EnvironmentEmitter(np.ones((4, 8, 3)))
+        pr.EnvironmentEmitter(np.ones((8, 3)))
     with pytest.raises(ValueError, match="radiance"):
         pr.EnvironmentEmitter(-1.0)

@@ -58,6 +58,7 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
     _add_sampler(parser)
     _add_settings(parser)
     _add_image(parser)
+    _add_camera_paths(parser)
     _add_passes(parser)
     parser.add_argument(
         "--stats",
@@ -348,6 +349,29 @@ def _add_image(parser: argparse.ArgumentParser) -> None:
         help="N x N samples per pixel (%(default)s)",
     )
     _add_exposure(parser)
+
+
+def _add_camera_paths(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--light-samples",
+        type=positive,
+        metavar="N",
+        help="shadow rays from each of these samples to each extended emitter (enough for noise "
+        "below 2%% of a pixel)",
+    )
+    parser.add_argument(
+        "--max-depth",
+        type=whole,
+        default=8,
+        metavar="N",
+        help="specular surfaces that a camera ray passes at most (%(default)s)",
+    )
+    parser.add_argument(
+        "--indirect-k",
+        type=positive,
+        metavar="N",
+        help="photons per estimate of indirect light (800, or 1600 of three million and more)",
+    )
 
 
 def _add_exposure(parser: argparse.ArgumentParser) -> None:

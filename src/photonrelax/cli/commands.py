@@ -127,10 +127,10 @@ def _check_render_options(options: argparse.Namespace) -> None:
         options.wrong_usage(f"--passes and --minutes need --method {PASSES_METHOD}")
     elif options.photon_map is not None:
         options.wrong_usage("every pass emits its photons: leave out --photon-map")
-    elif (options.components, options.n_global, options.final_gather) != (None, None, 0):
+    elif (options.components, options.final_gather) != (None, 0):
         options.wrong_usage(
-            "passes are of direct light and caustics: leave out --components, --global and "
-            "--final-gather"
+            "passes are of all light, and indirect light is estimated: leave out --components "
+            "and --final-gather"
         )
     elif options.sampler == "random":
         options.wrong_usage("passes are of Halton photons: leave out --sampler")
@@ -157,6 +157,10 @@ def _render_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Im
             seed=options.seed or 0,
             settings=settings.of("progressive"),
             supersampling=options.supersampling,
+            max_depth=options.max_depth,
+            light_samples=options.light_samples,
+            n_global=options.n_global,
+            indirect=_indirect_settings(options),
             stochastic=options.stochastic,
             checkpoints=pr.Checkpoints(options.state, options.interval or 60.0, write),
             n_threads=options.threads,
@@ -181,6 +185,9 @@ def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Imag
             seed=options.seed or 0,
             sampler=options.sampler or SAMPLER,
             supersampling=options.supersampling,
+            max_depth=options.max_depth,
+            light_samples=options.light_samples,
+            indirect=_indirect_settings(options),
             photons=photons,
             n_threads=options.threads,
             progress=bars,
@@ -194,9 +201,14 @@ def _render_settings(options: argparse.Namespace) -> Settings:
     return settings_from_options(options, (options.method,), ("gather", "progressive"))
 
 
+def _indirect_settings(options: argparse.Namespace) -> pr.GatherSettings | None:
+    return None if options.indirect_k is None else pr.GatherSettings(k=options.indirect_k)
+
+
 def _plan(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ..rendering.cost import estimate_costs
-    from .reports import cost_table, plan_table
+    from ..rendering.simplifications import simplifications
+    from .reports import cost_table, plan_table, simplification_table
 
     scene = gallery.scene(options.scene)
     found = pr.plan(
@@ -207,7 +219,8 @@ def _plan(options: argparse.Namespace, interrupts: Interrupts) -> None:
         n_threads=options.threads,
     )
     costs = estimate_costs(scene, found, options.threads)
-    write_lines(plan_table(found), "", cost_table(costs))
+    left_out = simplification_table(simplifications(scene))
+    write_lines(plan_table(found), "", left_out, "", cost_table(costs))
 
 
 def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:

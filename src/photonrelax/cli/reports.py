@@ -13,6 +13,7 @@ from ..photons.photon_map import PhotonMap
 from ..rendering.cost import Cost
 from ..rendering.object_map import ObjectMap
 from ..rendering.plan import COMPONENTS, Plan
+from ..rendering.simplifications import Simplification
 
 
 def stage_table(stages: Mapping[str, Mapping[str, Any]]) -> str:
@@ -53,6 +54,14 @@ def plan_table(plan: Plan) -> str:
         n = f"{photons[component]:,} photons" if photons.get(component) else ""
         lines.append(f"{component:9} {'yes' if is_modelled else 'no':4} {n:18} {reason}")
     return "\n".join(lines)
+
+
+def simplification_table(found: Iterable[Simplification]) -> str:
+    """Table of what kernels leave out, a line each, and why or why not."""
+    return "\n".join(
+        f"{what:35} {'left out' if is_made else 'done':8}  {reason}"
+        for what, is_made, reason in found
+    )
 
 
 def cost_table(costs: Mapping[str, Cost]) -> str:

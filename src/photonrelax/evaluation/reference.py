@@ -421,6 +421,8 @@ def _runs(
             # Samples are anywhere in their pixel, which so is the mean over it.
             stochastic=True,
             max_depth=request.max_depth,
+            # Only caustics are compared.
+            n_global=0,
             checkpoints=Checkpoints(state),
             n_threads=request.n_threads,
             progress=prefixed(progress, f"reference, run {number + 1} of {len(cases)}"),

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from .._util import validation
 from .._util.npz import check_names, scalar
 from .._util.validation import Floats
+from ..estimation.indirect import IndirectField
+from ..estimation.nearest import GatherSettings
 from ..estimation.progressive import (
     HitPointStatistics,
     InitialRadius,
@@ -42,12 +44,15 @@ class PassSettings:
     stochastic: bool
     max_depth: int
     light_samples: int | None = None
+    n_global: int = 0
+    indirect: GatherSettings | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """All values by their names, for JSON; samples of lights only where there are any."""
+        """All values by their names, for JSON; those of some lights only where there are any."""
         values = asdict(self)
-        if self.light_samples is None:
-            del values["light_samples"]
+        for name in ("light_samples", "n_global", "indirect"):
+            if not values[name]:
+                del values[name]
         settings = values.pop("settings")
         del settings["n_passes"]  # of photon maps that are split into passes
         return {**settings, **values}
@@ -137,14 +142,16 @@ class FixedHitPoints:
     Estimates are means over pieces, as in `Band.estimates`.
     """
 
-    def __init__(self, view: View, settings: PassSettings) -> None:
+    def __init__(
+        self, view: View, settings: PassSettings, indirect: IndirectField | None = None
+    ) -> None:
         self._view = view
         self._settings = settings
         view.check_hits_fit()
         fixed, pieces, hits = [], [], []
         n_pieces = 0
         for band in view.bands():
-            fixed.append(band_layers(band))
+            fixed.append(_layers_of(band, indirect))
             *piece, of_hit = band.pieces()
             pieces.append(piece)
             hits.append((n_pieces + of_hit, band.hits.pixel, band.reflectance))
@@ -188,9 +195,12 @@ class StochasticHitPoints:
     of the hit point.
     """
 
-    def __init__(self, view: View, settings: PassSettings) -> None:
+    def __init__(
+        self, view: View, settings: PassSettings, indirect: IndirectField | None = None
+    ) -> None:
         self._view = view
         self._settings = settings
+        self._indirect = indirect
         self._shift = seed_shift(settings.seed)
 
     def after(self, state: PassState, photons: PhotonMap, number: int) -> PassState:
@@ -201,7 +211,7 @@ class StochasticHitPoints:
             statistics = self._settings.statistics(radius, number, self._view.n_threads)
         layers, found = [], []
         for band in self._view.bands(offset, number):
-            layers.append(band_layers(band))
+            layers.append(_layers_of(band, self._indirect))
             if statistics is not None:
                 found.append(gathered.within_pixels(band, statistics.radius))
         if statistics is not None:
@@ -214,7 +224,7 @@ class StochasticHitPoints:
         height, width = self._view.shape
         threads = self._view.n_threads
         statistics = self._settings.restored(arrays, height * width, n_passes, threads)
-        seen = band_layers(next(self._view.bands(self.offset(0))))
+        seen = _layers_of(next(self._view.bands(self.offset(0))), self._indirect)
         check_names(arrays, [f"{_SEEN}{name}" for name in seen])
         combined = {
             name: _restored_layer(arrays[f"{_SEEN}{name}"], name, (height, *layer.shape[1:]))
@@ -239,6 +249,14 @@ class StochasticHitPoints:
         if state.statistics is not None:
             caustic = state.statistics.densities().reshape(caustic.shape)
         return {"caustic": caustic, **merged_layers(state.combined, n_passes)}
+
+
+def _layers_of(band: Band, indirect: IndirectField | None) -> dict[str, Floats]:
+    """Layers of a band that do not depend on the photons of passes."""
+    estimates = {}
+    if indirect is not None:
+        estimates["indirect"] = band.radiance(band.estimates(indirect))
+    return band_layers(band, estimates)
 
 
 def _restored_layer(values: NDArray, name: str, shape: tuple[int, ...]) -> Floats:

@@ -85,10 +85,6 @@ def plan(
     n_threads : int, optional
         Threads; all available by default. The result does not depend on it.
 
-    Returns
-    -------
-    Plan
-
     Raises
     ------
     TypeError, ValueError
@@ -100,10 +96,11 @@ def plan(
     elif photons is not None and photons.paths != "caustic":
         n_global = 0
     wanted = checked_components(components)
-    caustic = _caustic(scene, wanted, photons)
+    threads = thread_count(n_threads)
+    caustic = _caustic(scene, wanted, photons, caster, threads)
     indirect = _indirect(scene, wanted, n_global)
     if indirect.is_modelled and n_global is None:
-        stored = stored_per_path(scene, "global", caster, thread_count(n_threads))
+        stored = stored_per_path(scene, "global", caster, threads)
         most = n_emitted if photons is None else photons.n_emitted or n_emitted
         n_global = min(int(np.ceil(_STORED / stored)), most) if stored else 0
         if not stored:
@@ -132,9 +129,7 @@ def checked_components(components: Iterable[str] | None) -> tuple[str, ...]:
 def _emission(scene: Scene, wanted: tuple[str, ...]) -> Part:
     if "emission" not in wanted:
         return Part("emission", False, "not asked for")
-    seen = sum(
-        emitter.surface is not None or emitter.background is not None for emitter in scene.emitters
-    )
+    seen = sum(emitter.surface is not None or emitter.is_background for emitter in scene.emitters)
     if seen == 0:
         return Part("emission", False, "no emitter has a surface that a camera could see")
     return Part("emission", True, f"emitters that a camera may see: {seen}")
@@ -146,7 +141,13 @@ def _direct(wanted: tuple[str, ...]) -> Part:
     return Part("direct", True, "shadow rays from the points seen to each emitter")
 
 
-def _caustic(scene: Scene, wanted: tuple[str, ...], photons: PhotonMap | None) -> Part:
+def _caustic(
+    scene: Scene,
+    wanted: tuple[str, ...],
+    photons: PhotonMap | None,
+    caster: RayCaster | None,
+    n_threads: int,
+) -> Part:
     if "caustic" not in wanted:
         return Part("caustic", False, "not asked for")
     if photons is not None:
@@ -154,6 +155,9 @@ def _caustic(scene: Scene, wanted: tuple[str, ...], photons: PhotonMap | None) -
     n = len(scene.specular_objects)
     if n == 0:
         return Part("caustic", False, "no object is a Mirror or Dielectric")
+    if _is_own_light(scene) and not stored_per_path(scene, "caustic", caster, n_threads):
+        reason = "of a few thousand paths none returns to the Mirror or Dielectric that emits it"
+        return Part("caustic", False, reason)
     return Part("caustic", True, f"objects that are Mirror or Dielectric: {n}")
 
 
@@ -167,12 +171,18 @@ def _indirect(scene: Scene, wanted: tuple[str, ...], n_global: int | None) -> Pa
     diffuse = [i for i, row in enumerate(rows) if row.kind == "diffuse"]
     if not any(np.any(rows[i].reflectance) for i in diffuse):
         return Part("indirect", False, "no diffuse surface reflects light")
-    if not scene.specular_objects and _is_planar([scene.objects[i].mesh.vertices for i in diffuse]):
+    if not scene.specular_objects and is_planar([scene.objects[i].mesh.vertices for i in diffuse]):
         return Part("indirect", False, "all surfaces are in one plane, and light none another")
     return Part("indirect", True, "diffuse surfaces may light one another")
 
 
-def _is_planar(points: list[Floats]) -> bool:
+def _is_own_light(scene: Scene) -> bool:
+    """Whether the only specular surface is that of the only emitter."""
+    n_objects = len(scene.objects)
+    return len(scene.emitters) == 1 and scene.specular_objects == (n_objects,)
+
+
+def is_planar(points: list[Floats]) -> bool:
     """Whether all points are in one plane."""
     together = np.concatenate(points)
     centred = together - together.mean(axis=0)

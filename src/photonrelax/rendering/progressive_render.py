@@ -1,5 +1,8 @@
 """Progressive photon mapping: pass after pass of new photons, interrupted and resumed at any time.
 
+Passes are of caustics. Indirect light is estimated from one map of its own for the whole run, so
+that its blur is that of `render`; in passes it would be that of their few photons.
+
 PPM (Hachisuka, Ogaki & Jensen 2008) with fixed hit points, or SPPM (Hachisuka & Jensen 2009), which
 jitters them in their pixel in every pass. The photons and the jitter of a pass follow from the seed
 and the number of the pass, so that a resumed run has the bits of an uninterrupted one.
@@ -10,7 +13,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
 
@@ -24,7 +27,9 @@ from .._util.npz import check_names, scalar
 from .._util.progress import Progress
 from .._util.validation import check_seed
 from .._version import __version__
+from ..estimation.indirect import IndirectField
 from ..estimation.methods import PASSES_METHOD
+from ..estimation.nearest import GatherSettings
 from ..estimation.progressive import ProgressiveSettings
 from ..imaging.image import Image
 from ..photons.photon_map import NothingStoredError, PhotonMap
@@ -42,7 +47,11 @@ from .pass_statistics import (
     PassState,
     StochasticHitPoints,
 )
+from .plan import plan
 from .view import View
+
+# Passes whose photons are as many as those of indirect light by default, at most.
+_PASSES_OF_GLOBAL = 10
 
 
 @dataclass(frozen=True)
@@ -80,55 +89,55 @@ def render_progressive(
     supersampling: int = 2,
     stochastic: bool = False,
     max_depth: int = 8,
+    light_samples: int | None = None,
+    n_global: int | None = None,
+    indirect: GatherSettings | None = None,
     checkpoints: Checkpoints | None = None,
     n_threads: int | None = None,
     progress: Progress | None = None,
 ) -> Image:
-    """Render the view of a scene's camera by passes of new photons, whose errors tend to zero.
+    """Render the view of a scene's camera by passes of photons; errors of caustics tend to zero.
 
     Parameters
     ----------
     scene : Scene
         With a camera.
     n_passes, seconds : int, float, optional
-        Number of passes, those resumed from included; time of this call, after which the pass at
-        hand is the last. At least one of them is needed.
-    photons_per_pass, seed : int
-        Photons emitted in each pass; each has a seed of its own, see `pass_seed`.
-    settings : ProgressiveSettings, optional
-        Initial radius and radius reduction.
-    supersampling, stochastic, max_depth : int, bool, int
-        s·s samples a pixel, whose estimates are means over their footprints. Jitter samples in
-        their pixel in every pass instead: memory is then proportional to the number of pixels,
-        edges become smooth, and one sample a pixel suffices. Maximum number of specular surfaces on
-        a camera path.
+        One at least: passes, those resumed from included; time, after which no pass is begun.
+    photons_per_pass, seed, settings : int, int, ProgressiveSettings
+        Photons of a pass, whose seed is `pass_seed`; initial radius and radius reduction.
+    supersampling, stochastic : int, bool
+        s·s samples a pixel, with means over their footprints. Or samples jitter in their pixel
+        from pass to pass: memory is that of pixels, edges become smooth, one sample suffices.
+    max_depth, light_samples, n_global, indirect : int, int, int, GatherSettings, optional
+        As of `render`. Photons of indirect light are by default no more than ten passes emit.
     checkpoints : Checkpoints, optional
-        File to save the run to and to resume from; use of the image so far.
+        File to save the run to and to resume it from; use of the image so far.
     n_threads, progress : int, callable, optional
         Threads, by default all; called as ``progress("passes" or "seconds", done, total)``.
 
     Returns
     -------
     Image
-        Layers ``radiance``, ``caustic``, ``direct``, ``albedo``, ``N`` and ``Z``, as of `render`.
+        Layers as of `render`, but for the means over photons.
 
     Raises
     ------
     TypeError, ValueError, BlockingIOError, MemoryError
         If an argument is invalid, no pass stores a photon, the file is damaged, of another run or
-        in use (it is left as it is), or image or photons surely do not fit in memory.
-    KeyboardInterrupt
-        On Ctrl-C, after the run was saved; it is saved before any other error is raised, too.
+        in use, or memory surely does not suffice. The run is saved first, as on Ctrl-C.
     """
-    stop = _StopCondition.from_arguments(n_passes, seconds)
+    stop, checkpoints = (
+        _StopCondition.from_arguments(n_passes, seconds),
+        checkpoints or Checkpoints(),
+    )
     limits: dict[str, Any] = {"supersampling": supersampling, "max_depth": max_depth}
-    view = View(scene, **limits, seed=seed, n_threads=n_threads)
-    pass_settings = _pass_settings(view, settings, photons_per_pass, seed, stochastic)
-    check_photons_fit(scene, pass_settings.photons_per_pass, view.caster)
-    checkpoints = checkpoints or Checkpoints()
-    # Before the camera rays are traced, which may take long.
+    view = View(scene, **limits, light_samples=light_samples, seed=seed, n_threads=n_threads)
+    of_passes = _pass_settings(view, settings, photons_per_pass, seed, stochastic)
+    check_photons_fit(scene, of_passes.photons_per_pass, view.caster)
     with _locked(checkpoints.state):
-        return _run_to_end(_Run(view, pass_settings), stop, checkpoints, progress)
+        run = _Run(view, _with_indirect(view, of_passes, n_global, indirect))
+        return _run_to_end(run, stop, checkpoints, progress)
 
 
 def _pass_settings(
@@ -138,13 +147,29 @@ def _pass_settings(
     seed: int,
     stochastic: bool,
 ) -> PassSettings:
+    settings_of_view: dict[str, Any] = view.settings
     return PassSettings(
         settings=_checked_settings(settings),
         photons_per_pass=validation.count(photons_per_pass, "photons_per_pass", high=MAX_PHOTONS),
         seed=check_seed(seed),
         stochastic=bool(stochastic),
-        **view.settings,
+        **settings_of_view,
     )
+
+
+def _with_indirect(
+    view: View, settings: PassSettings, n_global: int | None, indirect: GatherSettings | None
+) -> PassSettings:
+    """Settings with the photons of indirect light, as planned."""
+    planned = plan(
+        view.scene,
+        n_emitted=min(_PASSES_OF_GLOBAL * settings.photons_per_pass, MAX_PHOTONS),
+        n_global=n_global,
+        components=("indirect",),
+        caster=view.caster,
+        n_threads=view.n_threads,
+    )
+    return replace(settings, n_global=planned.n_global, indirect=indirect)
 
 
 def _checked_settings(settings: ProgressiveSettings | None) -> ProgressiveSettings:
@@ -201,7 +226,7 @@ def _run_to_end(
 
 @contextmanager
 def _locked(state: str | os.PathLike[str] | None) -> Iterator[None]:
-    """Keep other processes from the file of a run."""
+    """Keep other processes from the file of a run, before rays are traced: that is long."""
     if state is None:
         yield
         return
@@ -281,6 +306,23 @@ class _Checkpointer:
             self._n_saved = run.n_passes
 
 
+def _indirect_field(view: View, settings: PassSettings) -> IndirectField:
+    """Estimates of indirect light for the whole run."""
+    try:
+        photons = trace_photons(
+            view.scene,
+            settings.n_global,
+            seed=settings.seed,
+            paths="global",
+            n_threads=view.n_threads,
+            caster=view.caster,
+            sensors=False,
+        )
+    except NothingStoredError as nothing:
+        photons = nothing.photons
+    return IndirectField(photons, settings.indirect, scene=view.scene, n_threads=view.n_threads)
+
+
 @dataclass(frozen=True)
 class _Completed:
     """Completed passes and their state; replaced by one assignment, so that it is consistent."""
@@ -299,7 +341,10 @@ class _Run:
         self._view = view
         self._settings = settings
         kind = StochasticHitPoints if settings.stochastic else FixedHitPoints
-        self._hit_points: PassHitPoints = kind(view, settings)
+        started = perf_counter()
+        self._indirect = _indirect_field(view, settings) if settings.n_global else None
+        self._seconds_of_indirect = perf_counter() - started
+        self._hit_points: PassHitPoints = kind(view, settings, self._indirect)
         self._nothing: NothingStoredError | None = None
 
     @property
@@ -313,6 +358,9 @@ class _Run:
             "version": __version__,
             "scene": scene.name,
             **scene_digests(scene),
+            # Runs without indirect light are resumed without.
+            "n_global": None,
+            "indirect": None,
             **self._settings.to_dict(),
         }
         if not self._settings.stochastic:
@@ -376,6 +424,16 @@ class _Run:
             method=PASSES_METHOD,
             settings={**settings.to_dict(), "n_passes": done.n_passes},
         )
-        stage = {"seconds": self.seconds, "passes": done.n_passes, "stored": done.n_stored}
-        stats = {"stages": {"passes": stage}, "seconds": self.seconds}
+        stages: dict[str, dict[str, Any]] = {}
+        if self._indirect is not None:
+            stages["indirect"] = {
+                "seconds": self._seconds_of_indirect,
+                "emitted": settings.n_global,
+            }
+        stages["passes"] = {
+            "seconds": self.seconds,
+            "passes": done.n_passes,
+            "stored": done.n_stored,
+        }
+        stats = {"stages": stages, "seconds": sum(stage["seconds"] for stage in stages.values())}
         return Image(with_radiance(layers), about, stats)

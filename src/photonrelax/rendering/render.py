@@ -117,8 +117,8 @@ def _check_scene(photons: PhotonMap, scene: Scene) -> None:
     ledger, paths, sampler = photons.ledger, photons.paths, photons.sampler
     if ledger is None or paths not in PATHS or sampler not in SAMPLERS:
         return
-    # As many photons, as they decide on the emission regions; these are not traced.
-    n_emitted = max(photons.n_emitted or 0, len(ledger.emitted))
+    # As many photons of each emitter, as they decide on the emission regions; none are traced.
+    n_emitted = np.sum(list(ledger.ends.values()), axis=0).tolist()
     plan = partial(plan_emission, scene, n_emitted, paths, seed=photons.seed or 0, sampler=sampler)
     other = _difference(ledger.emitted, len(scene.emitters), plan)
     if other:

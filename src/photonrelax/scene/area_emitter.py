@@ -41,7 +41,8 @@ class AreaEmitter(Emitter):
     two_sided : bool
         Emits on both sides.
     material : Diffuse or other Material
-        Of its surface, neither specular nor a sensor; black by default.
+        Of its surface, no sensor; black by default. One of a `Dielectric` is closed, and emits on
+        its outside alone.
     """
 
     shape: Rectangle | Disk | Sphere | trimesh.Trimesh
@@ -60,16 +61,20 @@ class AreaEmitter(Emitter):
         for name in ("radiance", "power"):
             if getattr(self, name) is not None:
                 set_field(self, name, frozen(rgb(getattr(self, name), name)))
-        if isinstance(self.material, Material) and (
-            self.material.is_specular or self.material.is_sensor
-        ):
-            raise ValueError(
-                "material should be neither specular nor a sensor, such as Diffuse, but is "
-                f"{type(self.material).__name__}: place an object of that material beside the light"
-            )
         set_field(self, "two_sided", bool(self.two_sided))
         # Checks shape and material.
-        _ = self.surface
+        surface = self.surface
+        if self.material.is_sensor:
+            raise ValueError(
+                "material should not be a Sensor: place an object of that material beside the light"
+            )
+        if self.material.has_inside and (self.two_sided or any(surface.edge_defects)):
+            raise ValueError(
+                "shape should be closed and shine on its outside alone where material is a "
+                f"Dielectric, but two_sided is {self.two_sided} and the mesh has "
+                f"{surface.edge_defects.open} open edges and "
+                f"{surface.edge_defects.inconsistent} edges whose faces wind against each other"
+            )
 
     @cached_property
     def surface(self) -> SceneObject:

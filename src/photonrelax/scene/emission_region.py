@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .._util.validation import Floats
+from .sky_map import SkyMap
 
 DISK, CAP, SPHERE, ELLIPSE, SPOT, SUN, AREA = range(7)
 """Values of `EmissionRegion.kind`; the kernel of emission has the same."""
@@ -99,6 +100,9 @@ class EmissionRegion:
     clip : (3,) float64 and float, optional
         Centre and radius, in emitter coordinates, of the ball that photons lie in: what is sampled
         reaches beyond it.
+    sky : SkyMap, optional
+        Of the directions of a sun that is all around, in place of uniform ones; photons differ in
+        colour with it.
     """
 
     kind: int
@@ -113,6 +117,7 @@ class EmissionRegion:
     triangles: Floats | None = None
     cumulative: Floats | None = None
     clip: tuple[Floats, float] | None = None
+    sky: SkyMap | None = None
 
     @property
     def is_plane(self) -> bool:
@@ -200,13 +205,21 @@ def sun_region(
     )
 
 
-def environment_region(radiance: Floats, target: Sphere, scene: Sphere) -> EmissionRegion:
-    """Return disks across all directions that cover the target, upstream of the whole scene."""
-    sun = sun_region(np.array([0.0, 0.0, -1.0]), radiance, 0.0, target, scene)
+def environment_region(
+    radiance: Floats, target: Sphere, scene: Sphere, sky: SkyMap | None = None
+) -> EmissionRegion:
+    """Return disks across all directions that cover the target, upstream of the whole scene.
+
+    `radiance` is the mean over all directions.
+    """
+    # Directions of a map are those of the world.
+    axis = np.array([0.0, 0.0, -1.0 if sky is None else 1.0])
+    sun = sun_region(axis, radiance, 0.0, target, scene)
     return replace(
         sun,
         shape=np.array([target.radius, 2.0, sun.shape[2], 1.0]),
         flux=4.0 * np.pi * sun.area * radiance,
+        sky=sky,
     )
 
 

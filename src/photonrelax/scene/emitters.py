@@ -103,9 +103,13 @@ class Emitter(ABC):
         """
 
     @property
-    def background(self) -> Floats | None:
-        """Radiance (3,) that is seen where there is no surface, W/(m² sr); None of others."""
-        return None
+    def is_background(self) -> bool:
+        """True if it is seen where there is no surface."""
+        return False
+
+    def background(self, direction: Floats) -> Floats:
+        """Return the radiance (m, 3) that rays of directions (m, 3) escape to, W/(m² sr)."""
+        return np.zeros_like(direction)
 
     def sampled(
         self, position: Floats, normal: Floats, emitter_offset: float, sample: Floats

@@ -152,10 +152,10 @@ class Scene:
         ids = self.surface_ids
         return surface if ids[-1] == len(ids) - 1 else ids[surface]
 
-    @property
+    @cached_property
     def specular_objects(self) -> tuple[int, ...]:
-        """The ids of the objects whose material is specular."""
-        return tuple(i for i, item in enumerate(self.objects) if item.material.is_specular)
+        """The indices of the surfaces whose material is specular, emitters' included."""
+        return tuple(i for i, item in enumerate(self.surfaces) if item.material.is_specular)
 
     @cached_property
     def sensors(self) -> tuple[int, ...]:
@@ -216,7 +216,7 @@ class Scene:
         if not self.specular_objects:
             return ()
         max_groups = max(1, min(MAX_GROUPS, _MAX_REGIONS // len(self.emitters)))
-        meshes = [self.objects[i].mesh for i in self.specular_objects]
+        meshes = [self.surfaces[i].mesh for i in self.specular_objects]
         return group_spheres(meshes, max_groups)
 
     @cached_property
@@ -233,6 +233,14 @@ class Scene:
     def _vertices(self) -> tuple[Floats, ...]:
         """The vertices of each surface that belong to a face with an area."""
         return tuple(nondegenerate_vertices(item.mesh) for item in self.surfaces)
+
+
+def surface_label(surface: int, scene: Scene) -> str:
+    """Index and name of an object of a scene, or of an emitter by its surface, for messages."""
+    n = len(scene.objects)
+    if surface < n:
+        return object_label(surface, scene.objects[surface])
+    return f"emitters[{scene.surface_ids[surface] - n}]"
 
 
 def object_label(object_id: int, item: SceneObject) -> str:

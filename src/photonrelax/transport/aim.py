@@ -15,11 +15,9 @@ from .._util.validation import Floats
 from ..scene.casters import SAVING
 from ..scene.emission_region import AREA, SUN, EmissionRegion, Sphere
 from ..scene.emitters import Emitter
+from ..scene.sky_map import LUMINANCE
 
 Bools = NDArray[np.bool_]
-
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Weights of red, green and blue in the luminance (Rec. 709)."""
 
 # Components of frames of one emitter differ by rounding alone.
 _SAME_FRAME = 1e-9

@@ -17,7 +17,7 @@ from .._ext.transport.materials import Materials
 from .._util.validation import Floats
 from ..photons.energy_ledger import PATH_OUTCOMES
 from ..scene.scene import Scene
-from .aim import LUMINANCE
+from ..scene.sky_map import LUMINANCE
 from .emission import PATHS, EmissionPlan
 from .media import MediaFinder, NestingFaults
 from .raycast import RayCaster

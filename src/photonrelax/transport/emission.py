@@ -3,12 +3,13 @@
 Each emitter is sampled over a region of its emitter coordinates, metres on the plane of a
 collimated emitter or unit vectors around a point, which the emitter itself provides: one region, or
 one for each group of casters where these lie apart. All photons of a region carry the same flux,
-and those of the other regions of an emitter differ from it by the rounding of their numbers.
+of a map of the sky the same luminance, and those of the other regions of an emitter differ from it
+by the rounding of their numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -80,6 +81,8 @@ class EmissionPlan:
         Candidates that are photons 0, 1024, … of regions not all of whose candidates are photons.
     counts, candidates : (n_regions,) int64
         Photons of each region, none where no flux leaves through it, and its candidates.
+    colours : (n_regions, 3) float64
+        Mean flux of the photons of each region over `flux_per_photon`: ones unless they differ.
     seed, sampler : int, str
         The sequence of the candidates.
     """
@@ -88,6 +91,7 @@ class EmissionPlan:
     starts: tuple[Sequence[int], ...]
     counts: NDArray[np.int64]
     candidates: NDArray[np.int64]
+    colours: Floats
     seed: int
     sampler: str
 
@@ -114,7 +118,7 @@ class EmissionPlan:
 
     @property
     def flux_per_photon(self) -> Floats:
-        """W carried by each photon of each region, (n_regions, 3)."""
+        """W carried by a photon of each region, (n_regions, 3); by the mean one of a map."""
         flux = np.array([each.region.flux for each in self.aimed])
         return flux / np.maximum(self.candidates, 1)[:, np.newaxis]
 
@@ -123,7 +127,8 @@ class EmissionPlan:
         """W that each emitter sends out, (n_emitters, 3)."""
         ids = self.emitter_ids
         flux = np.zeros((int(ids[-1]) + 1, 3))
-        np.add.at(flux, ids, self.counts[:, np.newaxis] * self.flux_per_photon)
+        photons = self.counts[:, np.newaxis] * self.colours
+        np.add.at(flux, ids, photons * self.flux_per_photon)
         return flux
 
     def emission(self, region_id: int) -> _kernel.Emission:
@@ -173,35 +178,47 @@ class PrimalRays:
 
 
 def plan_emission(
-    scene: Scene, n_emitted: int, paths: str = "caustic", *, seed: int = 0, sampler: str = "halton"
+    scene: Scene,
+    n_emitted: int | Sequence[int],
+    paths: str = "caustic",
+    *,
+    seed: int = 0,
+    sampler: str = "halton",
+    brought: Floats | None = None,
 ) -> EmissionPlan:
     """Aim the emitters of a scene, and apportion photons to their regions.
 
     Targets are the groups of the specular objects' parts for caustics, else the objects together:
     the visible ones for light that they scatter, and sensors too where direct light is stored.
-    Regions get photons in proportion to the luminance of the flux that they alone bring.
+    Regions get photons in proportion to the luminance of the flux that they alone send out; by what
+    is brought of it, emitters get more or less.
 
     Parameters
     ----------
     scene : Scene
         Its emitters and objects.
-    n_emitted : int
-        Photons in all; at least one per region.
+    n_emitted : int or sequence of int
+        Photons in all, at least one per region; or of each emitter.
     paths : {"caustic", "global", "all"}
         The light to be traced.
     seed, sampler : int, str
         As of `emit`: where regions overlap, photons depend on them.
+    brought : (n_emitters,), optional
+        Luminance that each emitter brings to what is looked for, see `transport.allotment`; by
+        default it is in proportion to what they send.
 
     Raises
     ------
     TypeError, ValueError
         If `paths`, seed or sampler is invalid, there is no specular object to aim at, no emitter
-        shines on the target, or there are fewer photons than regions.
+        shines on the target, there are fewer photons than regions, or photons are asked of an
+        emitter that does not shine on the target.
     """
-    n_emitted = count(n_emitted, "n_emitted", high=MAX_PHOTONS)
+    n_emitted = checked_numbers(n_emitted, scene)
     check_choice(sampler, "sampler", SAMPLERS)
     draw = partial(_emission, n_candidates=0, seed=check_seed(seed), sampler=sampler)
-    aimed = _aimed(scene, paths, n_emitted)
+    n_in_all = n_emitted if isinstance(n_emitted, int) else sum(n_emitted)
+    aimed = _aimed(scene, paths, n_in_all)
     # Whole regions are not sampled for it: there may be many emitters.
     shares = [draw(each).share(_N_PILOT) if each.is_thinned else 1.0 for each in aimed]
     weights = [luminance(each.region) * share for each, share in zip(aimed, shares, strict=True)]
@@ -211,14 +228,27 @@ def plan_emission(
             f"emitters should shine on {what}, "
             f"but all {len(scene.emitters)} have no power or face away"
         )
-    found = [
-        draw(each).photons(n, _STARTS_EVERY, min(int(_MAX_TRIES * n / share), 2**62))
-        if each.is_thinned
-        else ((), n, n)
-        for each, n, share in zip(aimed, _apportion(n_emitted, weights), shares, strict=True)
-    ]
-    starts, counts, candidates = zip(*found, strict=True)
-    return EmissionPlan(aimed, starts, np.array(counts), np.array(candidates), seed, sampler)
+    numbers = _numbers(n_emitted, np.array(weights), aimed, brought).tolist()
+    found = [_drawn(*given, draw) for given in zip(aimed, numbers, shares, strict=True)]
+    starts, counts, candidates, colours = zip(*found, strict=True)
+    columns = np.array(counts), np.array(candidates), np.array(colours)
+    return EmissionPlan(aimed, starts, *columns, seed, sampler)
+
+
+def _drawn(
+    each: AimedRegion, n: int, share: float, draw: Callable[[AimedRegion], _kernel.Emission]
+) -> tuple[Sequence[int], int, int, Sequence[float]]:
+    """Candidates that are photons 0, 1024, …, photons, candidates, and the mean colour of photons.
+
+    `share` is about that of photons among candidates.
+    """
+    if not (each.is_thinned or each.region.sky):
+        return (), n, n, (1.0, 1.0, 1.0)
+    emission, starts, n_candidates = draw(each), (), n
+    if each.is_thinned:
+        limit = min(int(_MAX_TRIES * n / share), 2**62)
+        starts, n, n_candidates = emission.photons(n, _STARTS_EVERY, limit)
+    return starts, n, n_candidates, emission.mean_colour(n_candidates)
 
 
 def emit(
@@ -279,6 +309,8 @@ def _emission(aimed: AimedRegion, n_candidates: int, seed: int, sampler: str) ->
             target=region.target,
             triangles=region.triangles,
             cumulative=region.cumulative,
+            sky=region.sky.kernel() if region.sky else None,
+            colours=region.sky.colours if region.sky else None,
         ),
         seed,
         stream,
@@ -329,9 +361,50 @@ def _targets(scene: Scene, paths: str) -> tuple[tuple[Sphere, ...], Sphere, Sphe
     return scene.caster_spheres, scene.bounding_sphere(scene.specular_objects), whole
 
 
-def _apportion(n: int, weights: list[float]) -> NDArray[np.int64]:
+def checked_numbers(n_emitted: int | Sequence[int], scene: Scene) -> int | list[int]:
+    """Photons in all, or of each emitter of a scene; raises TypeError or ValueError if invalid."""
+    if not isinstance(n_emitted, Sequence | np.ndarray):
+        return count(n_emitted, "n_emitted", high=MAX_PHOTONS)
+    numbers = [count(n, "n_emitted", low=0, high=MAX_PHOTONS) for n in n_emitted]
+    if len(numbers) != len(scene.emitters):
+        raise ValueError(
+            f"n_emitted should have a number for each of the {len(scene.emitters)} emitters, "
+            f"but has {len(numbers)}"
+        )
+    count(sum(numbers), "the sum of n_emitted", high=MAX_PHOTONS)
+    return numbers
+
+
+def _numbers(
+    n_emitted: int | list[int],
+    weights: Floats,
+    aimed: tuple[AimedRegion, ...],
+    brought: Floats | None,
+) -> NDArray[np.int64]:
+    """Photons of each region, by weights and by what its emitter brings, or as asked of that."""
+    emitter_ids = np.array([each.emitter_id for each in aimed])
+    if isinstance(n_emitted, int):
+        if brought is not None:
+            sent = np.bincount(emitter_ids, weights)
+            relative = np.divide(brought, sent, out=np.zeros_like(sent), where=sent > 0.0)
+            weights = weights * np.sqrt(relative)[emitter_ids]
+        return _apportion(n_emitted, weights)
+    numbers = np.zeros(len(aimed), dtype=np.int64)
+    for emitter_id, n in enumerate(n_emitted):
+        mine = emitter_ids == emitter_id
+        if n and not weights[mine].any():
+            raise ValueError(
+                f"n_emitted should be 0 for emitter {emitter_id}, which has no power or faces away "
+                f"from the target, but is {n}"
+            )
+        if n:
+            numbers[mine] = _apportion(n, weights[mine])
+    return numbers
+
+
+def _apportion(n: int, weights: Floats) -> NDArray[np.int64]:
     """Apportion n by weights, at least one to each positive weight (largest remainders)."""
-    share = np.array(weights) / np.sum(weights)
+    share = weights / np.sum(weights)
     counts = np.maximum(np.floor(n * share), share > 0.0).astype(np.int64)
     if counts.sum() > n and n < np.count_nonzero(share):
         raise ValueError(

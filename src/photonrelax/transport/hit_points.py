@@ -18,6 +18,7 @@ from .._ext.transport.raycast import EmbreeHits
 from .._util.parallel import ordered_map, thread_count, thread_executor
 from .._util.validation import MAX_REPEATS, Floats, count
 from ..scene.camera import Camera, film_corners, pixel_rays, sample_changes
+from ..scene.emitters import Emitter
 from ..scene.scene import Scene
 from .media import MediaFinder, NestingFaults, warn_of_faults
 from .raycast import RayCaster, empty_intersections
@@ -81,8 +82,8 @@ class FirstSurfaces:
     depth : (rows, width)
         Distance along the viewing axis, m, the least over the samples; inf where nothing is hit.
     background : (rows, width, 3), optional
-        Radiance of what is behind everything, also in mirrors and through glass, W/(m² sr); None in
-        scenes without.
+        Radiance of what is behind everything and of specular surfaces that emit, also in mirrors
+        and through glass, W/(m² sr); None in scenes without.
     """
 
     normal: Floats
@@ -186,8 +187,18 @@ class _CameraTracer:
         self._changes = sample_changes(camera, supersampling)
         self._axis = camera.axes()[2]
         self._extent = scene.scale
-        backgrounds = [emitter.background for emitter in scene.emitters]
-        self._background = [radiance for radiance in backgrounds if radiance is not None]
+        self._backgrounds = [emitter for emitter in scene.emitters if emitter.is_background]
+        self._shining = {
+            number: emitter
+            for number, emitter in _emitting_surfaces(scene)
+            if number in scene.specular_objects
+        }
+        self._n_objects = len(scene.objects)
+
+    @property
+    def _shines(self) -> bool:
+        """Light is seen that no diffuse point emits."""
+        return bool(self._backgrounds or self._shining)
 
     def trace(self, rows: range) -> _Batch:
         """Trace the rays of some rows of the image."""
@@ -197,27 +208,33 @@ class _CameraTracer:
             self._caster.triangles,
             least_weight=MIN_WEIGHT,
             longest_edge=self._extent,
-            keep_escaped=bool(self._background),
+            first_emitter=self._n_objects if self._shines else -1,
         )
         first, found = self._start(paths, rows)
         follow_paths(paths, self._caster, found, self._max_depth)
         seen = paths.seen_points()
         seen["weight"] /= self._supersampling**2
-        if self._background:
+        if self._shines:
             first = self._with_background(first, seen, rows)
-            on_surface = seen["object_id"] >= 0
+            on_surface = ~np.isin(seen["object_id"], [-1, *self._shining])
             seen = {name: column[on_surface] for name, column in seen.items()}
         return _Batch(seen, first, paths.faults.take())
 
     def _with_background(
         self, first: FirstSurfaces, seen: dict[str, NDArray], rows: range
     ) -> FirstSurfaces:
-        """First surfaces with the background that rays of their pixels escape to."""
-        escaped = seen["object_id"] < 0
-        pixel = seen["pixel"][escaped] - rows.start * self._camera.width
-        weight = np.zeros(first.normal.shape).reshape(-1, 3)
-        np.add.at(weight, pixel, seen["weight"][escaped])
-        radiance = weight.reshape(first.normal.shape) * np.sum(self._background, axis=0)
+        """First surfaces with what rays of their pixels escape to, or meet and go on from."""
+        surface, weight = seen["object_id"], seen["weight"]
+        light = np.zeros_like(weight)
+        escaped = surface < 0
+        for emitter in self._backgrounds:
+            light[escaped] += weight[escaped] * emitter.background(seen["normal"][escaped])
+        for number, shining in self._shining.items():
+            met = surface == number
+            light[met] = weight[met] * shining.surface_radiance(seen["from_behind"][met])
+        radiance = np.zeros(first.normal.shape)
+        pixel = seen["pixel"] - rows.start * self._camera.width
+        np.add.at(radiance.reshape(-1, 3), pixel, light)
         return replace(first, background=radiance)
 
     def _start(self, paths: CameraPaths, rows: range) -> tuple[FirstSurfaces, EmbreeHits]:
@@ -275,11 +292,17 @@ def hit_points_of(
 
 def _emission(scene: Scene, surface: NDArray, from_behind: NDArray[np.bool_]) -> Floats | None:
     """Radiance (m, 3) that points emit to the camera; None in scenes where nothing emits."""
-    emitters = [emitter for emitter in scene.emitters if emitter.surface is not None]
+    emitters = _emitting_surfaces(scene)
     if not emitters:
         return None
     emission = np.zeros((len(surface), 3))
-    for number, emitter in enumerate(emitters, len(scene.objects)):
+    for number, emitter in emitters:
         seen = surface == number
         emission[seen] = emitter.surface_radiance(from_behind[seen])
     return emission
+
+
+def _emitting_surfaces(scene: Scene) -> list[tuple[int, Emitter]]:
+    """Emitters that are surfaces, with the indices of these."""
+    emitters = [emitter for emitter in scene.emitters if emitter.surface is not None]
+    return list(enumerate(emitters, len(scene.objects)))

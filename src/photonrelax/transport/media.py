@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 from .._ext.transport.materials import Materials
 from .._util.validation import Floats
-from ..scene.scene import Scene, object_label
+from ..scene.scene import Scene, surface_label
 from .optics import from_behind
 from .raycast import Intersections, RayCaster
 
 Media = NDArray[np.uint64]
 """A stack of media for each ray."""
 NestingFaults = NDArray[np.int64]
-"""Objects (k, 3): id, rays that left it unentered, rays that entered it beyond a full stack."""
+"""Surfaces (k, 3): index, rays that left it unentered, rays that entered it beyond a full stack."""
 
 # Rays that leave a dielectric unentered by rounding at its edges: one, or this share of all.
 _STRAY, _STRAYS = 1, 1e-4
@@ -156,7 +156,7 @@ def warn_of_faults(
 
     `faults` are those of `n_rays` rays of emitters or cameras.
     """
-    count = np.zeros((len(scene.objects), 2), dtype=np.int64)
+    count = np.zeros((len(scene.surfaces), 2), dtype=np.int64)
     for rows in faults:
         np.add.at(count, rows[:, 0], rows[:, 1:])
     unentered, overflowed = count.T
@@ -172,9 +172,9 @@ def warn_of_faults(
 
 
 def _fault_text(scene: Scene, count: NDArray[np.int64], event: str, remedy: str) -> str:
-    """Events of rays with their counts (objects,) by object; empty if there are none."""
+    """Events of rays with their counts (surfaces,) by surface; empty if there are none."""
     ids = [int(i) for i in np.argsort(-count, kind="stable") if count[i]]
-    objects = ", ".join(f"{object_label(i, scene.objects[i])} {count[i]}" for i in ids)
+    objects = ", ".join(f"{surface_label(i, scene)} {count[i]}" for i in ids)
     return f"{count.sum()} times a ray {event} ({objects}), {remedy}" if ids else ""
 
 

@@ -16,7 +16,7 @@ carry spectra, each of which takes a fifth of a millisecond, as its neighbours a
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import groupby
@@ -34,8 +34,9 @@ from .._util.validation import Floats, check_choice, count, float_array
 from ..photons.energy_ledger import PATH_OUTCOMES, EnergyLedger
 from ..photons.photon_map import NothingStoredError, PhotonMap
 from ..scene.scene import Scene
+from .allotment import allotted_plan
 from .batch import BatchLedger, Job, TraceContext, TracedBatch, TraceSettings, trace_batch
-from .emission import MAX_PHOTONS, PATHS, EmissionPlan, emit, plan_emission
+from .emission import PATHS, EmissionPlan, checked_numbers, emit
 from .frequency.spectra import ReplayBatch, SpectrumTracer, batches_by_region
 from .media import warn_of_faults
 from .raycast import RayCaster
@@ -77,7 +78,7 @@ _WIDTHS = dict.fromkeys(("position", "normal", "wi", "flux"), 3)
 
 def trace_photons(
     scene: Scene,
-    n_emitted: int,
+    n_emitted: int | Sequence[int],
     *,
     seed: int = 0,
     paths: str = "caustic",
@@ -96,9 +97,10 @@ def trace_photons(
     ----------
     scene : Scene
         Objects and emitters.
-    n_emitted, seed : int
-        Paths to start, apportioned to the emitters by flux sent to the target; the seed. Photon i
-        of an emission region depends on it and on i alone.
+    n_emitted : int or sequence of int
+        Paths to start, apportioned by what emitters bring to what is stored; or those of each.
+    seed : int
+        Photon i of an emission region depends on it and on i alone.
     paths : {"caustic", "global", "all"}
         Light to store: that of specular paths (L S+ D), neither that nor direct light, or all; on
         sensors after specular events alone, after a diffuse one, or all that crosses them.
@@ -120,8 +122,7 @@ def trace_photons(
     Returns
     -------
     PhotonMap
-        By emitter, index and event, between two events by sensor; caustics of Halton photons are
-        well spaced.
+        By emitter, index and event, between two events by sensor; Halton caustics are well spaced.
 
     Raises
     ------
@@ -130,9 +131,9 @@ def trace_photons(
     """
     settings = _checked_settings(paths, max_bounces, frequency_share, sensors=sensors)
     threads = thread_count(n_threads)
-    n_emitted = count(n_emitted, "n_emitted", high=MAX_PHOTONS)
-    _check_memory(scene, n_emitted, settings, caster, threads)
-    plan = plan_emission(scene, n_emitted, paths, seed=seed, sampler=sampler)
+    numbers, caster = checked_numbers(n_emitted, scene), caster or RayCaster(scene.surfaces)
+    _check_memory(scene, int(np.sum(numbers)), settings, caster, threads)
+    plan = allotted_plan(scene, numbers, settings, seed=seed, sampler=sampler, caster=caster)
     context = TraceContext(scene, plan, settings, _batch_capacity(batch_size, plan), caster=caster)
     return _trace_all(context, threads, progress)
 
@@ -191,7 +192,8 @@ def _stored_per_path(
 ) -> float:
     """Photons stored for each path, of the first paths of each emitter."""
     n = max(_PILOT, len(scene.emitters))
-    plan = plan_emission(scene, n, settings.paths)
+    caster = caster or RayCaster(scene.surfaces)
+    plan = allotted_plan(scene, n, settings, caster=caster)
     pilot = TraceContext(scene, plan, replace(settings, frequency_share=0.0), _PILOT, caster=caster)
     try:
         return len(_trace_all(pilot, n_threads, None)) / n

@@ -2,6 +2,8 @@
 
 from libc.stdint cimport uint64_t
 
+from ..scene.sky_map cimport SkyMap
+
 cdef enum:
     # Numbers of the shape of any kind of region, at most.
     SHAPE_NUMBERS = 5
@@ -17,6 +19,9 @@ cdef class EmissionRegion:
     # Of extended emitters, else None.
     cdef const double[::1] target, cumulative
     cdef const double[:, :, ::1] triangles
+    # Of a map of the sky, and the colours (texels, 3) of its photons, else None.
+    cdef SkyMap sky
+    cdef const double[:, ::1] colours
 
     cdef void to_world(self, double* out, const double* local) noexcept nogil
     cdef double from_point(self, double* direction, double u, double v) noexcept nogil
@@ -50,6 +55,10 @@ cdef class Emission:
     # coordinates and squared radius.
     cdef const double[:, ::1] outlines
 
+    # Photons differ in colour.
+    cdef bint is_coloured
+
+    cdef void colour(self, double* out, uint64_t index) noexcept nogil
     cdef uint64_t key(self, uint64_t index) noexcept nogil
     cdef bint accepts(self, uint64_t index) noexcept nogil
     cdef void point(self, uint64_t index, double* point) noexcept nogil

@@ -116,7 +116,7 @@ cdef class EmissionRegion:
         self, int kind, const double[::1] origin, const double[:, ::1] frame,
         const double[::1] shape, *, double start_distance, const double[::1] coords_offset,
         double density, const double[::1] target=None, const double[:, :, ::1] triangles=None,
-        const double[::1] cumulative=None,
+        const double[::1] cumulative=None, SkyMap sky=None, const double[:, ::1] colours=None,
     ):
         cdef int i, c
         if not (
@@ -136,6 +136,7 @@ cdef class EmissionRegion:
         self.start_distance = start_distance
         self.density = density
         self.target, self.triangles, self.cumulative = target, triangles, cumulative
+        self.sky, self.colours = sky, colours
 
     cdef void to_world(self, double* out, const double* local) noexcept nogil:
         cdef int c
@@ -191,8 +192,13 @@ cdef class EmissionRegion:
         cdef double[2] disk
         cdef double upstream = self.shape[2]
         cdef int c
-        disk_point(disk, point[2], point[3])
-        cap_direction(local, disk, self.shape[1])
+        if self.sky is None:
+            disk_point(disk, point[2], point[3])
+            cap_direction(local, disk, self.shape[1])
+        else:
+            self.sky.direction(local, point[2], point[3])
+            for c in range(3):
+                local[c] = -local[c]
         orthonormal_frame(across, along, local)
         disk_point(disk, point[0], point[1])
         coords[0] = coords[1] = 0.0
@@ -317,12 +323,50 @@ cdef class Emission:
         self.seed = seed
         self.stream = stream
         self.outlines = outlines
+        self.is_coloured = region.sky is not None
         self.n_numbers = 4 if region.kind == SUN or region.kind == AREA else 2
         self.halton = shift.shape[0] > 0
         if self.halton and shift.shape[0] < self.n_numbers:
             raise ValueError(f"shift should have {self.n_numbers} numbers")
         for i in range(self.n_numbers if self.halton else 0):
             self.shift[i] = shift[i]
+
+    cdef void colour(self, double* out, uint64_t index) noexcept nogil:
+        """Write the flux of a photon over that of the mean one, if photons differ in colour."""
+        cdef double[3] direction
+        cdef double[4] point
+        self.point(index, point)
+        copy(out, &self.region.colours[self.region.sky.direction(direction, point[2], point[3]), 0])
+
+    def mean_colour(self, int64_t n):
+        """Mean colour (3,) of the photons among the first n candidates; ones if there are none.
+
+        Blocks are summed by themselves, so that no digits are lost to many photons.
+        """
+        cdef double[3] total, block, own
+        cdef int64_t index, found = 0
+        cdef int c
+        cdef Watch watch
+        if not self.is_coloured:
+            return [1.0, 1.0, 1.0]
+        watch = open_watch()
+        with nogil:
+            for c in range(3):
+                total[c] = block[c] = 0.0
+            for index in range(n):
+                if not goes_on(&watch, index % LOOK_EVERY == 0):
+                    break
+                if self.accepts(index):
+                    self.colour(own, index)
+                    found += 1
+                    for c in range(3):
+                        block[c] += own[c]
+                if index % LOOK_EVERY == LOOK_EVERY - 1 or index == n - 1:
+                    for c in range(3):
+                        total[c] += block[c]
+                        block[c] = 0.0
+        close_watch(&watch)
+        return [total[c] / found for c in range(3)] if found else [1.0, 1.0, 1.0]
 
     cdef uint64_t key(self, uint64_t index) noexcept nogil:
         """Return the key of the random numbers of a photon."""

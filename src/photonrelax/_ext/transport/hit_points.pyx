@@ -13,9 +13,9 @@ import numpy as np
 
 from ..common.vec3 cimport copy, dot, orthonormal_frame
 from .curvature cimport change_along, normal_derivative
-from .hidden cimport Passage, pass_surface
+from .live_rays cimport LiveRays, Passage
 from .materials cimport (
-    OVERFLOWED, Arrival, Faults, Interface, Materials, add_fault, counted_media_at, interface_at,
+    OVERFLOWED, Arrival, Interface, Materials, add_fault, counted_media_at, interface_at,
     is_absorbing, is_diffuse, transmittance,
 )
 from .optics cimport reflection_change, refraction_change
@@ -51,7 +51,7 @@ cdef struct Meeting:
 
 
 @cython.final
-cdef class CameraPaths:
+cdef class CameraPaths(LiveRays):
     """Camera rays that are followed together, one batch after another.
 
     Parameters
@@ -62,48 +62,33 @@ cdef class CameraPaths:
         Rays of less weight in every channel are not followed.
     longest_edge : float
         Limit of the edges of footprints, m: at grazing angles they have none.
-    keep_escaped : bool
-        Record rays that hit nothing as points of object -1.
+    first_emitter : int
+        First surface that emits. Rays that meet one which is specular, too, are recorded as points
+        there, beside their continuations; and those that hit nothing as points of object -1. -1 for
+        neither.
     """
 
-    cdef Materials materials
-    cdef EmbreeFrame frame
-    cdef Triangles triangles
     cdef double least_weight, longest_edge
-    cdef bint keep_escaped
+    cdef int first_emitter
     # Rays of this level and of the next, (n, sizeof(CameraRay)).
     cdef unsigned char[::1] memory, next_memory
     cdef CameraRay* ray
     cdef CameraRay* next_ray
-    cdef object origin_array, direction_array
-    cdef float[:, ::1] origins, directions
     # (n, sizeof(SeenPoint))
     cdef unsigned char[::1] seen_memory
     cdef SeenPoint* seen
     cdef Py_ssize_t n_seen
-    cdef bint finite
-    cdef readonly Py_ssize_t n_live
-    # False if rays meet all surfaces that they hit.
-    cdef readonly bint has_hidden
-    cdef readonly Faults faults
 
     def __init__(
         self, Materials materials, EmbreeFrame frame, Triangles triangles, *, double least_weight,
-        double longest_edge, bint keep_escaped=False,
+        double longest_edge, int first_emitter=-1,
     ):
-        self.materials, self.frame, self.triangles = materials, frame, triangles
-        self.has_hidden = materials.has_hidden
+        super().__init__(materials, frame, triangles)
         self.least_weight, self.longest_edge = least_weight, longest_edge
-        self.keep_escaped = keep_escaped
+        self.first_emitter = first_emitter
         self.memory = self.next_memory = np.empty(0, np.uint8)
         self.origins = np.empty((0, 3), np.float32)
         self.seen_memory = np.empty(0, np.uint8)
-        self.faults = Faults(len(materials.kind))
-
-    @property
-    def rays(self):
-        """Origins and directions (n_live, 3) of the live rays in embree's frame."""
-        return self.origin_array[: self.n_live], self.direction_array[: self.n_live]
 
     def live_rays(self):
         """Pixels (n_live,), origins and directions (n_live, 3) of the live rays."""
@@ -194,44 +179,6 @@ cdef class CameraPaths:
             raise ValueError(f"media should be of {self.n_live} rays, but are {media.shape[0]}")
         for i in range(self.n_live):
             self.ray[i].media = media[i]
-
-    def pass_hidden(self, EmbreeHits found):
-        """Take live rays on from surfaces that they hit and that are not there.
-
-        Their origins stay: they start anew in embree's frame alone.
-
-        Returns
-        -------
-        (k,) intp, (k, 3), (k, 3)
-            Rows of these rays among the live ones, where they hit the surfaces, and directions.
-        """
-        cdef Py_ssize_t i, k = 0, n = self.n_live
-        cdef Py_ssize_t[::1] rows = np.empty(n, np.intp)
-        cdef double[:, ::1] position = np.empty((n, 3)), direction = np.empty((n, 3))
-        with nogil:
-            for i in range(n):
-                if self.pass_one(found, i, &position[k, 0]):
-                    copy(&direction[k, 0], self.ray[i].direction)
-                    rows[k] = i
-                    k += 1
-        return rows.base[:k], position.base[:k], direction.base[:k]
-
-    cdef bint pass_one(self, EmbreeHits found, Py_ssize_t i, double* position) noexcept nogil:
-        """Take a ray on from its hit, whose position is written; false if the surface is there."""
-        cdef CameraRay* ray = &self.ray[i]
-        cdef Passage passage = Passage(&ray.origin[0], &ray.direction[0], &ray.media)
-        cdef double[3] offset
-        cdef Hit hit
-        cdef int c
-        if not pass_surface(
-            &hit, &passage, self.materials, self.triangles, found, i, self.faults
-        ):
-            return False
-        copy(position, hit.position)
-        for c in range(3):
-            offset[c] = hit.step * hit.geometric[c]
-        self.to_embree(i, position, ray.direction, offset)
-        return True
 
     def first_surfaces(self, EmbreeHits found, const double[::1] axis, Py_ssize_t n_samples):
         """Surfaces that pixels of `n_samples` live rays each see first.
@@ -371,14 +318,9 @@ cdef class CameraPaths:
         self.to_embree(i, self.ray[i].origin, self.ray[i].direction, offset)
         return True
 
-    cdef void to_embree(
-        self, Py_ssize_t row, const double* origin, const double* direction, const double* offset
-    ) noexcept nogil:
-        cdef double skipped = self.frame.ray_to_embree(
-            origin, direction, offset, &self.origins[row, 0], &self.directions[row, 0]
-        )
-        if not isfinite(skipped):
-            self.finite = False
+    cdef Passage passage(self, Py_ssize_t row) noexcept nogil:
+        cdef CameraRay* ray = &self.ray[row]
+        return Passage(&ray.origin[0], &ray.direction[0], &ray.media)
 
     cdef Py_ssize_t process(
         self, EmbreeHits found, Py_ssize_t row, Py_ssize_t target
@@ -388,7 +330,7 @@ cdef class CameraPaths:
         cdef double[3] transmitted
         cdef int c
         if not self.refine(&at.hit, found, row):
-            if self.keep_escaped:
+            if self.first_emitter >= 0:
                 self.record_escape(&self.ray[row])
             return target
         at.ray = self.ray[row]
@@ -405,14 +347,17 @@ cdef class CameraPaths:
         if is_diffuse(self.materials, at.hit.object_id):
             self.record(&at)
             return target
+        if 0 <= self.first_emitter <= at.hit.object_id:
+            self.record(&at)
         return self.split(&at, target)
 
     cdef void record_escape(self, const CameraRay* ray) noexcept nogil:
-        """Record a ray that hits nothing: its pixel and weight."""
+        """Record a ray that hits nothing: pixel, weight, and its direction for a normal."""
         cdef SeenPoint* point = &self.seen[self.n_seen]
         self.n_seen += 1
         point[0] = SeenPoint(pixel=ray.pixel, object_id=-1)
         copy(point.weight, ray.weight)
+        copy(point.normal, ray.direction)
 
     cdef void record(self, const Meeting* at) noexcept nogil:
         cdef SeenPoint* point = &self.seen[self.n_seen]

@@ -7,7 +7,7 @@ the order of the photons, however they are split into batches.
 """
 
 cimport cython
-from libc.math cimport INFINITY, fabs, isfinite
+from libc.math cimport INFINITY, fabs
 from libc.stdint cimport int16_t, int32_t, int64_t, uint8_t, uint32_t, uint64_t
 
 import numpy as np
@@ -16,9 +16,9 @@ from ..common.rng cimport mix, uniform
 from ..common.vec3 cimport copy, dot, orthonormal_frame
 from .deposits cimport Deposit, Deposits
 from .emission cimport Emission
-from .hidden cimport Passage, pass_surface
+from .live_rays cimport LiveRays, Passage
 from .materials cimport (
-    OVERFLOWED, Arrival, Faults, Interface, Materials, add_fault, counted_media_at, interface_at,
+    OVERFLOWED, Arrival, Interface, Materials, add_fault, counted_media_at, interface_at,
     is_absorbing, is_absorbing_surface, is_diffuse, media_at, transmittance,
 )
 from .raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
@@ -179,16 +179,13 @@ cdef void append_signature(Ray* ray, int32_t object_id, int kind) noexcept nogil
 
 
 @cython.final
-cdef class Paths:
+cdef class Paths(LiveRays):
     """State of a batch of up to `size` paths of one emitter; reused for one batch after another.
 
     Live rays are packed at the front. Ledger rows belong to blocks of `LEDGER_BLOCK` photons,
     counted from the emitter's first.
     """
 
-    cdef Materials materials
-    cdef EmbreeFrame frame
-    cdef Triangles triangles
     cdef unsigned char[::1] memory, loss_memory
     cdef Ray* ray
     cdef Ray* spare
@@ -196,26 +193,19 @@ cdef class Paths:
     cdef Py_ssize_t n_losses
     # Row of the first loss of each path in a pass; empty while rays are in the order of paths.
     cdef int32_t[::1] first_loss
-    cdef object origin_array, direction_array
-    cdef float[:, ::1] origins, directions
     cdef Deposits deposits
     cdef double[:, :, ::1] ledger
     cdef int64_t[::1] ends
     cdef double[3] luminance
     cdef int path_filter, max_bounces
-    cdef bint finite
-    cdef readonly Py_ssize_t size, n_live
-    # False if rays meet all surfaces that they hit.
-    cdef readonly bint has_hidden
+    cdef readonly Py_ssize_t size
     cdef readonly int64_t n_met_specular
-    cdef readonly Faults faults
 
     def __init__(
         self, Materials materials, EmbreeFrame frame, Triangles triangles, Py_ssize_t size, *,
         int path_filter, int max_bounces,
     ):
-        self.materials, self.frame, self.triangles = materials, frame, triangles
-        self.has_hidden = materials.has_hidden
+        super().__init__(materials, frame, triangles)
         self.size = size
         self.memory = np.empty(2 * size * sizeof(Ray), np.uint8)
         self.ray = <Ray*> &self.memory[0]
@@ -225,13 +215,7 @@ cdef class Paths:
         self.origins = self.origin_array = np.empty((size, 3), np.float32)
         self.directions = self.direction_array = np.empty((size, 3), np.float32)
         self.deposits = Deposits(0)
-        self.faults = Faults(len(materials.kind))
         self.path_filter, self.max_bounces = path_filter, max_bounces
-
-    @property
-    def rays(self):
-        """Origins and directions (n_live, 3) of the live rays in embree's frame."""
-        return self.origin_array[: self.n_live], self.direction_array[: self.n_live]
 
     def start(
         self, Emission emission, const int64_t[::1] photons, *, const double[::1] luminance,
@@ -269,7 +253,7 @@ cdef class Paths:
             self.follow_curve(n)
         with nogil:
             for i in range(n):
-                self.to_embree(i, self.ray[i].origin, NULL)
+                self.to_embree(i, self.ray[i].origin, self.ray[i].direction, NULL)
         self.n_live = n
         self.check_finite()
 
@@ -292,44 +276,6 @@ cdef class Paths:
                 origins[i, c] = self.ray[i].origin[c]
                 directions[i, c] = self.ray[i].direction[c]
         return path, origin, direction
-
-    def pass_hidden(self, EmbreeHits found):
-        """Take live rays on from surfaces that they hit and that are not there.
-
-        Their origins stay: they start anew in embree's frame alone.
-
-        Returns
-        -------
-        (k,) intp, (k, 3), (k, 3)
-            Rows of these rays among the live ones, where they hit the surfaces, and directions.
-        """
-        cdef Py_ssize_t i, k = 0, n = self.n_live
-        cdef Py_ssize_t[::1] rows = np.empty(n, np.intp)
-        cdef double[:, ::1] position = np.empty((n, 3)), direction = np.empty((n, 3))
-        with nogil:
-            for i in range(n):
-                if self.pass_one(found, i, &position[k, 0]):
-                    copy(&direction[k, 0], self.ray[i].direction)
-                    rows[k] = i
-                    k += 1
-        return rows.base[:k], position.base[:k], direction.base[:k]
-
-    cdef bint pass_one(self, EmbreeHits found, Py_ssize_t row, double* position) noexcept nogil:
-        """Take a ray on from its hit, whose position is written; false if the surface is there."""
-        cdef Ray* ray = &self.ray[row]
-        cdef Passage passage = Passage(&ray.origin[0], &ray.direction[0], &ray.media)
-        cdef double[3] offset
-        cdef Hit hit
-        cdef int c
-        if not pass_surface(
-            &hit, &passage, self.materials, self.triangles, found, row, self.faults
-        ):
-            return False
-        copy(position, hit.position)
-        for c in range(3):
-            offset[c] = hit.step * hit.geometric[c]
-        self.to_embree(row, position, offset)
-        return True
 
     def stored_rays(self):
         """Rows (m,), origins and directions (m, 3) of the live rays whose light is stored."""
@@ -428,6 +374,8 @@ cdef class Paths:
         for c in range(3):
             # Channels in which the emitter is black stay out of every product.
             ray.throughput[c] = 1.0 if self.luminance[c] > 0.0 else 0.0
+        if emission.is_coloured:
+            emission.colour(ray.throughput, index)
         self.deposits.coords[path, 2] = 0.0
         self.deposits.density[path] = emission.ray(
             index, ray.origin, ray.direction, &self.deposits.coords[path, 0]
@@ -471,16 +419,9 @@ cdef class Paths:
         if not self.finite:
             raise ValueError("rays should be finite, but the scene leads some to infinity")
 
-    cdef void to_embree(
-        self, Py_ssize_t row, const double* origin, const double* offset
-    ) noexcept nogil:
-        """Write a ray in embree's frame, from an origin on."""
-        cdef double skipped = self.frame.ray_to_embree(
-            origin, self.ray[row].direction, offset, &self.origins[row, 0],
-            &self.directions[row, 0],
-        )
-        if not isfinite(skipped):
-            self.finite = False
+    cdef Passage passage(self, Py_ssize_t row) noexcept nogil:
+        cdef Ray* ray = &self.ray[row]
+        return Passage(&ray.origin[0], &ray.direction[0], &ray.media)
 
     cdef bint intersect(self, EmbreeHits found, Py_ssize_t row, Py_ssize_t target) noexcept nogil:
         """Process the hit of one ray; true if its path continues, from row `target`."""
@@ -517,7 +458,7 @@ cdef class Paths:
             ray.origin[c] = event.hit.position[c]
             ray.direction[c] = direction[c]
             offset[c] = event.hit.step * event.facing[c]
-        self.to_embree(target, ray.origin, offset)
+        self.to_embree(target, ray.origin, direction, offset)
 
     cdef bint survives_medium(self, const Event* event) noexcept nogil:
         """Apply the absorption on the way to the hit; false if the path ends."""

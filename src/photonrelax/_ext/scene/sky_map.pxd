@@ -1,0 +1,9 @@
+"""Directions by the radiance of a latitude-longitude map, for kernels that emit photons."""
+
+
+cdef class SkyMap:
+    # Shares of the light up to each row, and in each row up to each column.
+    cdef const double[::1] rows
+    cdef const double[:, ::1] columns
+
+    cdef Py_ssize_t direction(self, double* out, double u, double v) noexcept nogil
