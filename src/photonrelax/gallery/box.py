@@ -15,9 +15,9 @@ from .solids import ball, cuboid
 # Albedo of the boxes that are the walls, with their middles, on the floor, and sizes, m.
 _RED, _BLUE, _WHITE = (0.85, 0.06, 0.04), (0.06, 0.16, 0.80), (0.85, 0.85, 0.85)
 _BOXES = {
-    "red box": (_RED, (-1.15, -0.3), (0.5, 3.0, 2.2)),
-    "blue box": (_BLUE, (1.15, -0.3), (0.5, 3.0, 2.2)),
-    "white box": (_WHITE, (0.0, 1.05), (1.76, 0.5, 2.2)),
+    "red box": (_RED, (-1.15, -0.7), (0.5, 3.0, 2.2)),
+    "blue box": (_BLUE, (1.15, -0.7), (0.5, 3.0, 2.2)),
+    "white box": (_WHITE, (0.0, 1.051), (2.8, 0.5, 2.2)),
 }
 # Above the floor, so that they share no face with it, m.
 _GAP = 1e-3
