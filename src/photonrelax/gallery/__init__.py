@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import inspect
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -68,6 +70,12 @@ def scene(name: str, **sizes: Any) -> Scene:
     return built
 
 
+def moves(name: str) -> bool:
+    """Whether a scene depends on an argument `time`."""
+    _check(name, _SCENES, "scene")
+    return "time" in inspect.signature(_builder(name)).parameters
+
+
 def pattern(name: str, **sizes: Any) -> PhotonPattern:
     """Make the photons of a pattern, with their exact irradiance.
 
@@ -98,8 +106,13 @@ distribution_names, distribution = pattern_names, pattern
 
 
 def _build(name: str, sizes: dict[str, Any]) -> Any:
+    return _builder(name)(**sizes)
+
+
+def _builder(name: str) -> Callable[..., Any]:
     module = name.replace("-", "_")
-    return getattr(importlib.import_module(f".{module}", __name__), module)(**sizes)
+    builder: Callable[..., Any] = getattr(importlib.import_module(f".{module}", __name__), module)
+    return builder
 
 
 def _check(name: str, known: dict[str, str], argument: str) -> None:

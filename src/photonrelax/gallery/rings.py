@@ -41,7 +41,7 @@ _AZIMUTH = 200.0
 
 def rings(
     *,
-    power: float = 5200.0,
+    power: float = 9500.0,
     elevation: float = 31.0,
     distance: float = 14.0,
     sections: int = 1024,
@@ -78,11 +78,11 @@ def rings(
     light = distance * np.array(
         [np.cos(up) * np.cos(azimuth), np.cos(up) * np.sin(azimuth), np.sin(up)]
     )
-    eye, target = np.array([[0.9, -8.0, 9.0], [0.22, 0.42, 0.1]])
+    eye, target = np.array([[0.9, -8.0, 9.0], [0.25, 0.55, 0.1]])
     return Scene(
         objects,
         [PointEmitter(light, power), EnvironmentEmitter(_SURROUNDINGS)],
-        Camera(eye, target, vertical_fov=25.0, width=pixels, height=pixels),
+        Camera(eye, target, vertical_fov=27.0, width=pixels, height=pixels),
         name="rings",
     )
 
