@@ -71,7 +71,7 @@ def test_what_does_not_move_does_not_change(animation):
     np.testing.assert_allclose(last[:, :20], first[:, :20], atol=1e-9)
     # FLIP looks a few pixels around.
     assert flip[:, :12].max() == 0.0
-    assert flip[:, 40:].max() > 0.1
+    assert flip[:, 40:].max() > 0.02
 
 
 def test_common_targets_hold_those_of_all_scenes():

@@ -21,7 +21,7 @@ _SCENES = {
     "pool": "sun through moving water: a net of light on the floor and walls of a pool",
     "prism": "glass prism before a strong point light: overlapping shards and filaments",
     "reflector": "bent strip of metal: a caustic beside light that is smooth",
-    "ring": "metal ring in slanting sunlight: the cardioid",
+    "ring": "metal ring in slanting sunlight: the nephroid",
     "ripples": "sunlight through a wavy slab of glass: the net of light below water",
     "rings": "rings and coins of gold and silver on a table",
     "sphere": "glass sphere over a plane in collimated light: bright spot and folds",
