@@ -19,6 +19,7 @@ python -m bench initial-radius    progressive photon mapping by its initial radi
 python -m bench pixel-means       errors of means over texels by photons, against counted photons
 python -m bench error-times       errors of irradiance maps over the time they take
 python -m bench resolution        errors by gaps, thicknesses and widths that float32 tells apart
+python -m bench tessellation      changes of the caustic of `cognac` with twice the facets
 python -m bench slopes            light relaxed to the density its map prescribes, and to even one
 """
 
@@ -45,6 +46,7 @@ from bench.studies import (
     shapes,
     slopes,
     table1,
+    tessellation,
 )
 
 _DEFAULT = "compare"
@@ -69,6 +71,7 @@ _COMMANDS = {
     "error-times": error_times,
     "resolution": resolution,
     "slopes": slopes,
+    "tessellation": tessellation,
     # The processes that `compare` and `memory` start.
     "simd": simd,
     "stage": memory_stage,
