@@ -6,6 +6,7 @@ python -m bench contention        every stage on several threads and on one, bes
 python -m bench table1            SJ13's Table I compared with the paper's own figures
 python -m bench memory            bytes a photon takes in each stage
 python -m bench figure7           SJ13's Fig. 7: λ₂ of uniform photons, and the constraint
+python -m bench figure9           SJ13's Fig. 9: rings at three numbers of photons, and a reference
 python -m bench progressive       convergence of progressive photon mapping to analytic irradiance
 python -m bench shapes            SSO08's Fig. 4: shapes in twelve ways, as an image and as figures
 python -m bench equal-error       SSO08's Table 1: photons for the error of diffusion
@@ -13,10 +14,12 @@ python -m bench frequency         frequency-driven and progressive photon mappin
 python -m bench methods           errors and times of every method on the same photons
 python -m bench refinements       refinements of standard estimates compared with relaxations
 python -m bench kernels           kernels of estimates at points, against analytic irradiance
+python -m bench gallery-light     light on patches of gallery scenes, against counted particles
 python -m bench initial-radius    progressive photon mapping by its initial radius
 python -m bench pixel-means       errors of means over texels by photons, against counted photons
 python -m bench error-times       errors of irradiance maps over the time they take
 python -m bench resolution        errors by gaps, thicknesses and widths that float32 tells apart
+python -m bench tessellation      changes of the caustic of `cognac` with twice the facets
 python -m bench slopes            light relaxed to the density its map prescribes, and to even one
 """
 
@@ -30,7 +33,9 @@ from bench.studies import (
     equal_error,
     error_times,
     figure7,
+    figure9,
     frequency,
+    gallery_light,
     initial_radius,
     kernels,
     methods,
@@ -41,6 +46,7 @@ from bench.studies import (
     shapes,
     slopes,
     table1,
+    tessellation,
 )
 
 _DEFAULT = "compare"
@@ -50,6 +56,7 @@ _COMMANDS = {
     "contention": contention,
     "table1": table1,
     "figure7": figure7,
+    "figure9": figure9,
     "memory": memory,
     "methods": methods,
     "progressive": progressive,
@@ -59,10 +66,12 @@ _COMMANDS = {
     "refinements": refinements,
     "initial-radius": initial_radius,
     "kernels": kernels,
+    "gallery-light": gallery_light,
     "pixel-means": pixel_means,
     "error-times": error_times,
     "resolution": resolution,
     "slopes": slopes,
+    "tessellation": tessellation,
     # The processes that `compare` and `memory` start.
     "simd": simd,
     "stage": memory_stage,

@@ -29,7 +29,7 @@ def test_relaxed_sphere_profile():
 
 
 def test_relaxed_ring_equals_the_reflection_map():
-    """Pixel means of the cardioid; relaxed photons come closer to it than the same unrelaxed."""
+    """Pixel means of the nephroid; relaxed photons come closer to it than the same unrelaxed."""
     sizes = {"height": 0.5, "gap": 1e-3, "irradiance": 2.5, "reflectance": 0.95}
     scene = gallery.scene("ring", elevation=28.0, **sizes)
     photons = pr.trace_photons(scene, 600_000)

@@ -71,7 +71,7 @@ def sphere() -> Case:
 
 @cache
 def ring() -> Case:
-    """Points of the ring's floor away from the cardioid and the border of light."""
+    """Points of the ring's floor away from the nephroid and the border of light."""
     radius = 0.04
     known = MetalRing(height=0.4, elevation=np.radians(28.0), irradiance=1.6, reflectance=0.95)
     axis = np.linspace(-0.9, 0.9, 121)

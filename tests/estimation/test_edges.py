@@ -466,3 +466,17 @@ def test_estimates_are_divided_by_no_less_than_a_sixteenth():
     where = plane(np.array([[-0.0999, 0.5], [-0.2, 0.5]]))
     shares = Surface(scene_of(flat(SQUARE)), 1).shares(*where, np.full(2, 0.1), KERNELS["constant"])
     np.testing.assert_array_equal(shares, [1 / 16, 1.0])
+
+
+def test_a_footprint_far_beyond_its_surface_is_finite():
+    """As of walls seen at grazing angles, where the edges of others may leave nothing of it."""
+    rng = np.random.default_rng(0)
+    on_wall = np.column_stack([np.full(4000, 0.9), rng.random((4000, 2)) * [3.0, 2.2] - [1.8, 0.0]])
+    normals = np.tile([-1.0, 0.0, 0.0], (4000, 1))
+    photons = pr.PhotonMap(on_wall, normals, np.full(4000, 1 / 4000), n_emitted=4000)
+    boxes = [trimesh.creation.box(size) for size in ((0.5, 3.0, 2.2), (1.76, 0.5, 2.2))]
+    boxes[0].apply_translation((1.15, -0.3, 1.101))
+    boxes[1].apply_translation((0.0, 1.05, 1.101))
+    field = pr.irradiance_field(photons, method="standard", scene=scene_of(*boxes))
+    edges = np.array([[[0.0, 6.8, 0.0], [0.0, 0.0, 0.0092]]])
+    assert np.isfinite(field([[0.9, 0.865, 0.0236]], normals[:1], footprint=edges)).all()

@@ -331,9 +331,9 @@ def test_hollow_bodies_cover_their_walls_alone():
     assert area(of_side(found, UP, 0.0), UP) == pytest.approx(36.0 - 4.0 + 1.0)
 
 
-@pytest.mark.parametrize("name", gallery.names())
+@pytest.mark.parametrize("name", ["lights", "prism", "reflector", "ring", "ripples", "sphere"])
 def test_floors_of_the_gallery_end_at_their_outline(name):
-    sizes = {"subdivisions": 3} if name in ("prism", "sphere") else {}
+    sizes = {"subdivisions": 3} if name in ("lights", "prism", "sphere") else {}
     objects = gallery.scene(name, **sizes).objects
     (floor,) = [item for item in objects if item.name == "floor"]
     found = SurfaceBoundary.of(objects)

@@ -11,6 +11,7 @@ from .._version import __version__
 
 PHOTONS = 1_000_000
 PHOTONS_PER_PASS = 100_000
+FPS = 24.0
 REFERENCE_PASSES, REFERENCE_PHOTONS = 50, 1_000_000
 SAMPLER = "halton"
 # In place of the name of a file; a file of this name is ./-
@@ -48,13 +49,7 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
         f"--method {PLAIN_METHOD}",
     )
     _add_components(parser)
-    parser.add_argument(
-        "--final-gather",
-        type=whole,
-        default=0,
-        metavar="N",
-        help="rays to gather indirect light with, from each piece of surface in a pixel (0: none)",
-    )
+    _add_final_gather(parser)
     _add_sampler(parser)
     _add_settings(parser)
     _add_image(parser)
@@ -85,6 +80,54 @@ def _add_components(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="photons to emit for indirect light (as the plan says; 0 for none)",
     )
+
+
+def _add_final_gather(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--final-gather",
+        type=whole,
+        default=0,
+        metavar="N",
+        help="rays to gather indirect light with, from each piece of surface in a pixel (0: none)",
+    )
+
+
+def _add_animate(parser: argparse.ArgumentParser) -> None:
+    from ..estimation.methods import DEFAULT_METHOD, METHODS
+
+    moving = ", ".join(name for name in gallery.names() if gallery.moves(name))
+    parser.add_argument(
+        "scene", choices=gallery.names(), metavar="SCENE", help=f"that moves: {moving}"
+    )
+    _add_output(parser, "FILE.%04d.exr")
+    parser.add_argument("--frames", type=positive, required=True, metavar="N", help="their number")
+    parser.add_argument(
+        "--fps",
+        type=_positive_number,
+        default=FPS,
+        metavar="RATE",
+        help="frames a second, of the scene's time and of --movie (%(default)g)",
+    )
+    parser.add_argument(
+        "--start",
+        type=float,
+        default=0.0,
+        metavar="SECONDS",
+        help="time of the first frame (%(default)g)",
+    )
+    parser.add_argument(
+        "--movie", type=Path, metavar="FILE.webp", help="write an animated WebP or PNG file too"
+    )
+    parser.add_argument(
+        "--method", choices=METHODS, default=DEFAULT_METHOD, help="default: %(default)s"
+    )
+    _add_emission(parser)
+    _add_components(parser)
+    _add_final_gather(parser)
+    _add_sampler(parser)
+    _add_settings(parser)
+    _add_image(parser)
+    _add_common(parser)
 
 
 def _add_plan(parser: argparse.ArgumentParser) -> None:
@@ -268,6 +311,10 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "irradiance": (
         "map the irradiance on a flat object to an EXR file, and a PNG preview beside it",
         _add_irradiance,
+    ),
+    "animate": (
+        "render frames of a scene that moves, but those whose files are there already",
+        _add_animate,
     ),
     "list": ("list the built-in scenes and photon patterns", lambda parser: None),
     "info": ("describe an EXR file or a photon map", _add_info),

@@ -21,6 +21,7 @@ from .._util.files import (
     whole_file,
     write_json,
 )
+from .animate import animate
 from .arguments import (
     PHOTONS,
     PHOTONS_PER_PASS,
@@ -454,6 +455,7 @@ _COMMANDS = {
     "relax": _relax,
     "compare": _compare,
     "irradiance": _irradiance,
+    "animate": animate,
     "list": _list,
     "info": _info,
 }

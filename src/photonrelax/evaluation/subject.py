@@ -12,7 +12,7 @@ from .._util.memory import check_memory
 from .._util.progress import Progress
 from .._util.validation import MAX_REPEATS, Floats, count
 from ..gallery.analytic import AnalyticIrradiance, analytic_irradiance
-from ..gallery.shapes import PHOTON_BYTES
+from ..gallery.stencil import PHOTON_BYTES
 from ..photons.photon_map import PhotonMap
 from ..rendering.view import Band, StoredView, View, resized
 from ..scene.scene import Scene

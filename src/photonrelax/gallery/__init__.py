@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import inspect
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -10,14 +12,24 @@ if TYPE_CHECKING:
     from .photon_pattern import PhotonPattern
 
 _SCENES = {
+    "box": "three coloured boxes, a white ball and a glass ball: colour that bleeds",
+    "cognac": "golden liquid, stirred up, in a balloon glass: the caustic beside it",
+    "cylinder": "cylinder of tinted glass on a plane, in slanting light",
+    "ellipsoid": "ellipsoid of coloured glass, and the caustic that it throws",
+    "lamp": "faceted halogen lamp above a chair: every bit of light is caustic",
+    "lights": "red, green and blue lights through clear and coloured glass",
+    "pool": "sun through moving water: a net of light on the floor and walls of a pool",
     "prism": "glass prism before a strong point light: overlapping shards and filaments",
     "reflector": "bent strip of metal: a caustic beside light that is smooth",
-    "ring": "metal ring in slanting sunlight: the cardioid",
+    "ring": "metal ring in slanting sunlight: the nephroid",
     "ripples": "sunlight through a wavy slab of glass: the net of light below water",
+    "rings": "rings and coins of gold and silver on a table",
     "sphere": "glass sphere over a plane in collimated light: bright spot and folds",
+    "toruses": "a torus of glass and one of metal, linked",
 }
 _PHOTON_PATTERNS = {
     "shapes": "photons alone: a disc, a square and three lines of equal density on black",
+    "two-sets": "photons alone: two overlapping sets of uneven density, after SJ13 Fig. 2 and 3",
 }
 
 
@@ -58,6 +70,12 @@ def scene(name: str, **sizes: Any) -> Scene:
     return built
 
 
+def moves(name: str) -> bool:
+    """Whether a scene depends on an argument `time`."""
+    _check(name, _SCENES, "scene")
+    return "time" in inspect.signature(_builder(name)).parameters
+
+
 def pattern(name: str, **sizes: Any) -> PhotonPattern:
     """Make the photons of a pattern, with their exact irradiance.
 
@@ -88,8 +106,13 @@ distribution_names, distribution = pattern_names, pattern
 
 
 def _build(name: str, sizes: dict[str, Any]) -> Any:
-    module = importlib.import_module(f".{name}", __name__)
-    return getattr(module, name)(**sizes)
+    return _builder(name)(**sizes)
+
+
+def _builder(name: str) -> Callable[..., Any]:
+    module = name.replace("-", "_")
+    builder: Callable[..., Any] = getattr(importlib.import_module(f".{module}", __name__), module)
+    return builder
 
 
 def _check(name: str, known: dict[str, str], argument: str) -> None:

@@ -1,4 +1,7 @@
-"""A metal ring on the floor in slanting sunlight: the cardioid of SSO08 Fig. 6."""
+"""A metal ring on the floor in slanting sunlight, after SSO08 Fig. 6: the nephroid.
+
+SSO08 calls it a cardioid, which is that of a light on the ring; parallel light makes a nephroid.
+"""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,12 +21,15 @@ from .._util.validation import Floats, float_array
 
 if TYPE_CHECKING:
     import OpenEXR
+    import PIL.Image
 
 # Channels of layers with three values per pixel that are not NAME.R, NAME.G and NAME.B.
 _CHANNELS = {"radiance": ("R", "G", "B"), "N": ("N.X", "N.Y", "N.Z")}
 # Layers that may hold inf: the depth where nothing is seen.
 MAY_BE_INFINITE = ("Z",)
 _MAX_FLOAT32 = float(np.finfo(np.float32).max)
+# Formats of movies by suffix.
+_MOVIES = {".webp": "WEBP", ".png": "PNG"}
 # Stops, in either direction; larger ones would overflow.
 MAX_EXPOSURE = 100.0
 # Printed by OpenEXR in place of an error.
@@ -127,6 +130,18 @@ class Image:
         OSError
             If the file cannot be written.
         """
+        display = self.display(exposure)
+        with whole_file(path) as partial:
+            display.save(partial, "PNG")
+
+    def display(self, exposure: float = 0.0) -> PIL.Image.Image:
+        """Return ``radiance`` times 2^exposure as an 8-bit sRGB picture.
+
+        Raises
+        ------
+        ValueError
+            As of `write_png`.
+        """
         from PIL.Image import fromarray
 
         if "radiance" not in self.layers:
@@ -134,8 +149,7 @@ class Image:
         radiance = np.asarray(self.layers["radiance"])
         _check_to_write("radiance", radiance)
         display = srgb(radiance * 2.0 ** _checked_exposure(exposure))
-        with whole_file(path) as partial:
-            fromarray(np.rint(255.0 * display).astype(np.uint8)).save(partial, "PNG")
+        return fromarray(np.rint(255.0 * display).astype(np.uint8))
 
     def _channels(self) -> dict[str, NDArray[np.float32]]:
         channels = {}
@@ -148,6 +162,35 @@ class Image:
                     # OpenEXR silently writes wrong values of other layouts.
                     channels[encodable(channel)] = np.ascontiguousarray(values[..., i])
         return channels
+
+
+def write_movie(
+    pictures: Sequence[PIL.Image.Image], path: str | os.PathLike[str], fps: float
+) -> None:
+    """Write pictures as an animated WebP or PNG file, by its suffix, that repeats for ever.
+
+    Raises
+    ------
+    ValueError
+        If the suffix is another.
+    OSError
+        If the file cannot be written.
+    """
+    kind = check_movie(path)
+    # Of WebP in whole milliseconds.
+    duration = round(1000.0 / fps) if kind == "WEBP" else 1000.0 / fps
+    with whole_file(path) as partial:
+        pictures[0].save(
+            partial, kind, save_all=True, append_images=pictures[1:], duration=duration, loop=0
+        )
+
+
+def check_movie(path: str | os.PathLike[str]) -> str:
+    """Return the format of a movie by the suffix of its file; raises as `write_movie` does."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in _MOVIES:
+        raise ValueError(f"a movie should be a .webp or .png file, but is {path}")
+    return _MOVIES[suffix]
 
 
 def read_exr(path: str | os.PathLike[str]) -> Image:

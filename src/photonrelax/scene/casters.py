@@ -23,6 +23,24 @@ MAX_GROUPS = 64
 SAVING = 0.8
 
 
+class Targets(NamedTuple):
+    """What emitters aim at.
+
+    Attributes
+    ----------
+    casters : tuple of Sphere
+        Around groups of the specular objects' parts, the largest first; empty without any.
+    around_casters : Sphere, optional
+        Around all specular objects; None without any.
+    around : Sphere
+        Around all visible objects.
+    """
+
+    casters: tuple[Sphere, ...]
+    around_casters: Sphere | None
+    around: Sphere
+
+
 def bounding_sphere(vertices: Floats) -> Sphere:
     """Sphere around the centre of the bounding box of vertices (v, 3), to the farthest of them."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -45,6 +63,37 @@ def group_spheres(meshes: Iterable[trimesh.Trimesh], max_groups: int) -> tuple[S
         for group in _groups(_Parts.of(vertices, part, first[:-1]), max_groups)
     ]
     return tuple(sorted(spheres, key=lambda sphere: -sphere.radius))
+
+
+def common_targets(targets: Sequence[Targets], max_groups: int = MAX_GROUPS) -> Targets:
+    """Targets that hold those of several scenes, as of one whose objects move.
+
+    Raises
+    ------
+    ValueError
+        If some scenes have specular objects and others have none, or there is no scene.
+    """
+    casters = [sphere for each in targets for sphere in each.casters]
+    around = [each.around_casters for each in targets if each.around_casters is not None]
+    if not targets or len(around) not in (0, len(targets)):
+        raise ValueError(
+            "all scenes should have specular objects, or none, but of "
+            f"{len(targets)} scenes {len(around)} have some"
+        )
+    spheres: list[Sphere] = []
+    if casters:
+        parts = _Parts.around(casters)
+        spheres = [parts.sphere(group) for group in _groups(parts, max_groups)]
+    return Targets(
+        tuple(sorted(spheres, key=lambda sphere: -sphere.radius)),
+        _enclosing(around) if around else None,
+        _enclosing([each.around for each in targets]),
+    )
+
+
+def _enclosing(spheres: Sequence[Sphere]) -> Sphere:
+    """Sphere around spheres."""
+    return _Parts.around(spheres).sphere(np.arange(len(spheres)))
 
 
 def _ranges(first: Ids, parts: Ids) -> Ids:
@@ -91,12 +140,23 @@ class _Parts(NamedTuple):
         distance = np.linalg.norm(vertices - (0.5 * (low + high))[part], axis=1)
         return cls(low, high, np.maximum.reduceat(distance, first))
 
+    @classmethod
+    def around(cls, spheres: Sequence[Sphere]) -> _Parts:
+        """Spheres as parts."""
+        centre = np.array([sphere.centre for sphere in spheres])
+        radius = np.array([sphere.radius for sphere in spheres])
+        return cls(centre - radius[:, np.newaxis], centre + radius[:, np.newaxis], radius)
+
     def outline(self, ids: Ids) -> float:
         """Squared radius of a sphere around parts."""
+        return self.sphere(ids).radius ** 2
+
+    def sphere(self, ids: Ids) -> Sphere:
+        """Sphere around parts."""
         low, high, radius = (column[ids] for column in self)
         centre = 0.5 * (low.min(axis=0) + high.max(axis=0))
         distance = np.linalg.norm(0.5 * (low + high) - centre, axis=1)
-        return float((distance + radius).max() ** 2)
+        return Sphere(centre, float((distance + radius).max()))
 
 
 @dataclass

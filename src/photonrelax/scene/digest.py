@@ -38,7 +38,10 @@ def _parts(value: Any) -> Iterator[bytes]:
     elif is_dataclass(value):
         yield type(value).__name__.encode()
         for field in fields(value):
-            yield from _parts(getattr(value, field.name))
+            part = getattr(value, field.name)
+            # Scenes without an aim of their own keep the digests of earlier versions.
+            if not (isinstance(value, Scene) and field.name == "aim" and part is None):
+                yield from _parts(part)
     elif hasattr(value, "vertices") and hasattr(value, "faces"):
         yield from _parts([np.asarray(value.vertices), np.asarray(value.faces)])
     elif isinstance(value, np.ndarray):

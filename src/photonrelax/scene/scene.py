@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from .._util.frozen import set_field
 from .._util.validation import Floats
 from .camera import Camera
-from .casters import MAX_GROUPS, bounding_sphere, group_spheres
+from .casters import MAX_GROUPS, Targets, bounding_sphere, group_spheres
 from .emission_region import Sphere
 from .emitters import Emitter
 from .materials import Material, MaterialTable
@@ -114,12 +114,16 @@ class Scene:
         Needed to render, not to trace photons.
     name : str
         A label.
+    aim : Targets, optional
+        What emitters aim at, in place of spheres around the objects: photons of scenes with the
+        same emitters and aim have the same emitter coordinates, as in the frames of an animation.
     """
 
     objects: Sequence[SceneObject]
     emitters: Sequence[Emitter]
     camera: Camera | None = None
     name: str = ""
+    aim: Targets | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         set_field(self, "objects", _members(self.objects, "objects", SceneObject))
@@ -218,6 +222,14 @@ class Scene:
         max_groups = max(1, min(MAX_GROUPS, _MAX_REGIONS // len(self.emitters)))
         meshes = [self.surfaces[i].mesh for i in self.specular_objects]
         return group_spheres(meshes, max_groups)
+
+    @cached_property
+    def targets(self) -> Targets:
+        """What emitters aim at."""
+        if self.aim is not None:
+            return self.aim
+        casters = self.bounding_sphere(self.specular_objects) if self.specular_objects else None
+        return Targets(self.caster_spheres, casters, self.bounding_sphere())
 
     @cached_property
     def object_bounds(self) -> tuple[Floats, Floats]:

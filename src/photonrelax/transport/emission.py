@@ -350,15 +350,16 @@ def _targets(scene: Scene, paths: str) -> tuple[tuple[Sphere, ...], Sphere, Sphe
     Light is stored on sensors after it has met another object, unless paths are "all".
     """
     check_choice(paths, "paths", PATHS)
-    whole = scene.bounding_sphere(range(len(scene.surfaces)) if paths == "all" else None)
+    aim = scene.targets
+    whole = scene.bounding_sphere(range(len(scene.surfaces))) if paths == "all" else aim.around
     if paths != "caustic":
         return (whole,), whole, whole
-    if not scene.specular_objects:
+    if aim.around_casters is None:
         raise ValueError(
             'paths="caustic" should have a specular object to aim at, '
             f"but none of the {len(scene.objects)} objects is a Mirror or Dielectric"
         )
-    return scene.caster_spheres, scene.bounding_sphere(scene.specular_objects), whole
+    return aim.casters, aim.around_casters, whole
 
 
 def checked_numbers(n_emitted: int | Sequence[int], scene: Scene) -> int | list[int]:

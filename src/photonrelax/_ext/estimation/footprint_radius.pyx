@@ -19,6 +19,8 @@ cdef double LOW = 0.78
 cdef double HIGH = 1.3
 # Squared radius that edges are first searched within, over that where there are none.
 cdef double EDGES_WITHIN = 2.0
+# Squared radius, over the area of the footprint, below which none is searched.
+cdef double LEAST = 1e-12
 # Relative error of the squared radius of a number of photons near edges.
 cdef double ROOT = 1e-13
 
@@ -137,6 +139,9 @@ cdef double search_squared_radius(
             bracket.high = fmax(fmin(HIGH * expected, 16.0 * below), 1.5 * below)
             bracket.high = fmin(fmin(bracket.high, above), largest)
         elif bracket.low > below and is_enough(footprint, bracket.n_low, bracket.low):
+            if bracket.low <= LEAST * footprint.area:
+                # Photons inside of a footprint that hardly lies on surface are enough for any.
+                return LEAST * footprint.area
             above = bracket.high = bracket.low
             expected = squared_expected(footprint, above, bracket.n_low)
             bracket.low = fmax(fmin(LOW * expected, 0.75 * above), below)

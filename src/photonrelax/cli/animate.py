@@ -1,0 +1,110 @@
+"""The command `animate`: frames of a scene that moves, each an EXR file and a PNG preview."""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .. import gallery
+from .._util.files import check_distinct, output_path, whole_file
+from .arguments import PHOTONS, SAMPLER
+from .interrupts import Interrupts
+from .progress_bar import ProgressBars
+from .streams import write_lines
+
+# Import lazily, so that Ctrl-C during an import reaches `main`.
+if TYPE_CHECKING:
+    from ..imaging.image import Image
+    from ..rendering.animation import Animation, SceneAt
+    from ..scene.scene import Scene
+
+
+def animate(options: argparse.Namespace, interrupts: Interrupts) -> None:
+    """Render the frames that are not there, and the movie of all."""
+    paths = _frame_paths(options.output, options.frames)
+    movie = None if options.movie is None else _movie_path(options.movie)
+    check_distinct({"the first frame": paths[0].with_suffix(".png"), "--movie": movie})
+    missing = [number for number, path in enumerate(paths) if not path.exists()]
+    if missing:
+        with ProgressBars(options.quiet, interrupts) as bars:
+            animation = _animation(options, bars)
+            for number in missing:
+                image = animation.frame(number)
+                interrupts.check()
+                _write_frame(image, paths[number], options.exposure)
+    if movie is not None:
+        _write_movie(paths, movie, options)
+    if not options.quiet:
+        there = len(paths) - len(missing)
+        write_lines(f"wrote {len(missing)} frames to {options.output}; {there} were there already")
+
+
+def _animation(options: argparse.Namespace, bars: ProgressBars) -> Animation:
+    from ..rendering.animation import Animation
+    from .settings import settings_from_options
+
+    settings = settings_from_options(options, (options.method,), ("gather", "progressive"))
+    times = [options.start + number / options.fps for number in range(options.frames)]
+    return Animation(
+        _scene_at(options),
+        times,
+        method=options.method,
+        n_emitted=options.photons or PHOTONS,
+        n_global=options.n_global,
+        components=options.components,
+        final_gather=options.final_gather,
+        seed=options.seed or 0,
+        sampler=options.sampler or SAMPLER,
+        supersampling=options.supersampling,
+        n_threads=options.threads,
+        progress=bars,
+        **settings.given,
+    )
+
+
+def _scene_at(options: argparse.Namespace) -> SceneAt:
+    from ..rendering.view import resized
+
+    if not gallery.moves(options.scene):
+        moving = ", ".join(name for name in gallery.names() if gallery.moves(name))
+        raise ValueError(f"{options.scene} does not move: it has no argument time, as {moving} has")
+
+    def scene_at(time: float) -> Scene:
+        return resized(gallery.scene(options.scene, time=time), options.width, options.height)
+
+    return scene_at
+
+
+def _frame_paths(pattern: Path, n: int) -> list[Path]:
+    """Paths of the frames, counted from zero by a place like %04d in the file's name."""
+    try:
+        paths = [output_path(pattern.with_name(pattern.name % number), ".exr") for number in (0, 1)]
+    except (TypeError, ValueError):
+        paths = []
+    if len(set(paths)) < 2:
+        raise ValueError(
+            f"--output should have one place for numbers, as in %04d, but is {pattern}"
+        )
+    return [pattern.with_name(pattern.name % number) for number in range(n)]
+
+
+def _movie_path(path: Path) -> Path:
+    from ..imaging.image import check_movie
+
+    check_movie(path)
+    return output_path(path)
+
+
+def _write_frame(image: Image, path: Path, exposure: float) -> None:
+    with ExitStack() as files:
+        image.write_exr(files.enter_context(whole_file(path)))
+        image.write_png(files.enter_context(whole_file(path.with_suffix(".png"))), exposure)
+
+
+def _write_movie(paths: list[Path], movie: Path, options: argparse.Namespace) -> None:
+    from ..imaging.image import read_exr, write_movie
+
+    pictures = [read_exr(path).display(options.exposure) for path in paths]
+    write_movie(pictures, movie, options.fps)

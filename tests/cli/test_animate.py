@@ -1,0 +1,57 @@
+"""`photonrelax animate`: frames, those that are there, and the movie."""
+
+import pytest
+from PIL import Image
+
+from photonrelax import gallery
+from photonrelax.cli import main
+
+
+@pytest.fixture
+def animate(monkeypatch, tmp_path):
+    """Frames of 8 pixels of a coarse pool, in a folder of their own."""
+    build = gallery.scene
+    monkeypatch.setattr(gallery, "scene", lambda name, **given: build(name, resolution=16, **given))
+    monkeypatch.chdir(tmp_path)
+    size = ("--width", "8", "--photons", "500", "--global", "500", "--supersampling", "1")
+    return lambda *arguments: main(["animate", *arguments, *size, "--quiet"])
+
+
+def test_frames_and_a_movie(animate, tmp_path):
+    done = animate("pool", "--frames", "3", "-o", "a.%03d.exr", "--movie", "a.webp", "--fps", "10")
+    assert done == 0
+    names = {f"a.00{number}.{suffix}" for number in range(3) for suffix in ("exr", "png")}
+    assert {path.name for path in tmp_path.iterdir()} == names | {"a.webp"}
+    with Image.open("a.webp") as movie:
+        assert (movie.n_frames, movie.size) == (3, (8, 8))
+
+
+def test_frames_that_are_there_are_kept(animate, tmp_path):
+    arguments = ("pool", "--frames", "2", "-o", "a.%d.exr")
+    assert animate(*arguments) == 0
+    kept, redone = (tmp_path / f"a.{number}.exr" for number in (0, 1))
+    content, before = redone.read_bytes(), kept.stat().st_mtime_ns
+    redone.unlink()
+    assert animate(*arguments) == 0
+    assert kept.stat().st_mtime_ns == before
+    assert redone.read_bytes() == content
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (
+            ("ring", "--frames", "2", "-o", "a.%d.exr"),
+            "ring does not move: it has no argument time",
+        ),
+        (
+            ("pool", "--frames", "2", "-o", "a.exr"),
+            "one place for numbers, as in %04d, but is a.exr",
+        ),
+        (("pool", "--frames", "2", "-o", "a.%d.%d.exr"), "one place for numbers"),
+        (("pool", "--frames", "2", "-o", "a.%d.exr", "--movie", "a.gif"), "a .webp or .png file"),
+    ],
+)
+def test_what_cannot_be_is_refused(animate, capsys, arguments, complaint):
+    assert animate(*arguments) == 1
+    assert complaint in capsys.readouterr().err
