@@ -19,7 +19,7 @@ TIERS = [
     {"scene", "spatial", "imaging"},
     {"photons"},
     {"transport", "surfaces"},
-    {"relaxation", "gallery"},
+    {"relaxation", "gallery", "io"},
     {"estimation"},
     {"rendering"},
     {"evaluation"},

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .estimation.progressive import ProgressiveSettings as ProgressiveSettings
     from .estimation.progressive import ProgressiveStatistics as ProgressiveStatistics
     from .imaging.image import Image as Image
+    from .io.load import load_scene as load_scene
     from .photons.energy_ledger import EnergyLedger as EnergyLedger
     from .photons.photon_map import PhotonMap as PhotonMap
     from .relaxation.gradient import GradientSettings as GradientSettings
@@ -108,6 +109,7 @@ _MODULE_OF = {
     "irradiance_field": "estimation.methods",
     "irradiance_map": "estimation.irradiance_map",
     "lightmap": "estimation.lightmap",
+    "load_scene": "io.load",
     "plan": "rendering.plan",
     "relax": "relaxation.relax",
     "render": "rendering.render",

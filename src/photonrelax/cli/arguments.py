@@ -8,6 +8,7 @@ from pathlib import Path
 
 from .. import gallery
 from .._version import __version__
+from .scenes import add_file_options, add_scene, scene_name
 
 PHOTONS = 1_000_000
 PHOTONS_PER_PASS = 100_000
@@ -34,7 +35,7 @@ def parser(commands: Mapping[str, Callable[..., None]]) -> argparse.ArgumentPars
 def _add_render(parser: argparse.ArgumentParser) -> None:
     from ..estimation.methods import DEFAULT_METHOD, METHODS, PLAIN_METHOD
 
-    _add_scene(parser)
+    add_scene(parser)
     _add_output(parser, "FILE.exr")
     parser.add_argument(
         "--method", choices=METHODS, default=DEFAULT_METHOD, help="default: %(default)s"
@@ -87,7 +88,7 @@ def _add_components(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_plan(parser: argparse.ArgumentParser) -> None:
-    _add_scene(parser)
+    add_scene(parser)
     parser.add_argument(
         "--photons", type=positive, metavar="N", help=f"photons to emit for caustics ({PHOTONS})"
     )
@@ -134,7 +135,7 @@ def _add_trace(parser: argparse.ArgumentParser) -> None:
     from ..estimation.methods import METHODS
 
     with_spectra = ", ".join(each.name for each in METHODS.values() if each.needs_spectra)
-    _add_scene(parser)
+    add_scene(parser)
     _add_output(parser, "FILE.npz")
     _add_emission(parser)
     _add_sampler(parser)
@@ -156,9 +157,11 @@ def _add_relax(parser: argparse.ArgumentParser) -> None:
     _add_output(parser, "FILE.npz")
     parser.add_argument(
         "--scene",
-        choices=gallery.names(),
+        type=lambda text: scene_name(text, gallery.names()),
+        metavar="SCENE|FILE",
         help="scene of the photons, to project moved photons onto its surfaces",
     )
+    add_file_options(parser)
     parser.add_argument(
         "--method",
         choices=[method.name for method in METHODS.values() if method.relax is not None],
@@ -172,7 +175,8 @@ def _add_relax(parser: argparse.ArgumentParser) -> None:
 def _add_compare(parser: argparse.ArgumentParser) -> None:
     from ..estimation.methods import METHODS
 
-    _add_scene(parser, *gallery.pattern_names())
+    names = (*gallery.names(), *gallery.pattern_names())
+    parser.add_argument("scene", choices=names, metavar="SCENE", help=", ".join(names))
     _add_output(parser, "FOLDER")
     parser.add_argument(
         "--methods",
@@ -211,7 +215,7 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
 def _add_irradiance(parser: argparse.ArgumentParser) -> None:
     from ..estimation.methods import DEFAULT_METHOD, METHODS
 
-    _add_scene(parser)
+    add_scene(parser)
     parser.add_argument(
         "--on",
         required=True,
@@ -259,9 +263,9 @@ def _add_info(parser: argparse.ArgumentParser) -> None:
 
 
 COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
-    "render": ("render a built-in scene to an EXR file, and a PNG preview beside it", _add_render),
-    "plan": ("print what light a render of a built-in scene models, and why", _add_plan),
-    "trace": ("trace the photons of a built-in scene into a photon map", _add_trace),
+    "render": ("render a scene to an EXR file, and a PNG preview beside it", _add_render),
+    "plan": ("print what light a render models, and why", _add_plan),
+    "trace": ("trace the photons of a scene into a photon map", _add_trace),
     "relax": ("relax the photons of a photon map", _add_relax),
     "compare": ("compare methods on the same photons: table, images, HTML page", _add_compare),
     "irradiance": (
@@ -271,11 +275,6 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "list": ("list the built-in scenes and photon patterns", lambda parser: None),
     "info": ("describe an EXR file or a photon map", _add_info),
 }
-
-
-def _add_scene(parser: argparse.ArgumentParser, *others: str) -> None:
-    names = (*gallery.names(), *others)
-    parser.add_argument("scene", choices=names, metavar="SCENE", help=", ".join(names))
 
 
 def _add_output(parser: argparse.ArgumentParser, metavar: str) -> None:

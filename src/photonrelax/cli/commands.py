@@ -32,6 +32,7 @@ from .arguments import (
 )
 from .interrupts import Interrupts
 from .progress_bar import ProgressBars
+from .scenes import scene_of
 from .streams import complain, escaping_streams, write_lines
 
 # Import lazily, so that Ctrl-C during an import reaches `main`.
@@ -147,7 +148,7 @@ def _render_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Im
         with ExitStack() as files:
             _place(files, image, options)
 
-    scene = resized(gallery.scene(options.scene), options.width, options.height)
+    scene = resized(scene_of(options.scene, options), options.width, options.height)
     with ProgressBars(options.quiet, interrupts) as bars:
         return pr.render_progressive(
             scene,
@@ -169,7 +170,7 @@ def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Imag
 
     settings = _render_settings(options)
     photons = None if options.photon_map is None else pr.PhotonMap.load(options.photon_map)
-    scene = resized(gallery.scene(options.scene), options.width, options.height)
+    scene = resized(scene_of(options.scene, options), options.width, options.height)
     with ProgressBars(options.quiet, interrupts) as bars:
         return pr.render(
             scene,
@@ -198,7 +199,7 @@ def _plan(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ..rendering.cost import estimate_costs
     from .reports import cost_table, plan_table
 
-    scene = gallery.scene(options.scene)
+    scene = scene_of(options.scene, options)
     found = pr.plan(
         scene,
         n_emitted=_photons(options),
@@ -214,7 +215,7 @@ def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from .reports import stage_table
 
     output = output_path(options.output, ".npz")
-    scene = gallery.scene(options.scene)
+    scene = scene_of(options.scene, options)
     with ProgressBars(options.quiet, interrupts) as bars:
         photons, seconds = _timed(
             lambda: pr.trace_photons(
@@ -239,7 +240,7 @@ def _relax(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
     output = output_path(options.output, ".npz")
     photons = pr.PhotonMap.load(options.photon_map)
-    scene = None if options.scene is None else gallery.scene(options.scene)
+    scene = None if options.scene is None else scene_of(options.scene, options)
     settings = Settings()
     if options.iterations is not None:
         default = method_named(options.method).default("relax")
@@ -366,7 +367,7 @@ def _field_of_scene(
     from .settings import settings_from_options
 
     settings = settings_from_options(options, (options.method,))
-    scene = gallery.scene(options.scene)
+    scene = scene_of(options.scene, options)
     object_id = object_named(scene, options.on)
     with ProgressBars(options.quiet, interrupts) as bars:
         photons = pr.trace_photons(
