@@ -37,6 +37,8 @@ class MaterialRow:
         Of the medium inside, where others overlap it.
     tint : (3,)
         Factor on light that is refracted.
+    schlick : bool
+        The reflectance rises to 1 at grazing angles.
     """
 
     kind: str
@@ -46,6 +48,7 @@ class MaterialRow:
     absorption: ArrayLike = (0.0, 0.0, 0.0)
     priority: int = 0
     tint: ArrayLike = (1.0, 1.0, 1.0)
+    schlick: bool = False
 
 
 class Material(ABC):
@@ -98,16 +101,21 @@ class Mirror(Material):
     Parameters
     ----------
     reflectance : (3,) or float
-        Reflected fraction of the light per channel, in [0, 1].
+        Reflected fraction R of the light per channel, in [0, 1].
+    schlick : bool
+        True: R is that of light along the normal, and rises to 1 at grazing angles as Schlick's
+        approximation of metals has it, R + (1 - R) (1 - cos θ)⁵. False: the same at all angles.
     """
 
     reflectance: ArrayLike = (1.0, 1.0, 1.0)
+    schlick: bool = False
 
     def __post_init__(self) -> None:
         set_field(self, "reflectance", frozen(rgb(self.reflectance, "reflectance", high=1.0)))
+        set_field(self, "schlick", bool(self.schlick))
 
     def row(self) -> MaterialRow:
-        return MaterialRow("mirror", reflectance=self.reflectance)
+        return MaterialRow("mirror", reflectance=self.reflectance, schlick=self.schlick)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +213,8 @@ class MaterialTable:
         Of dielectrics, where they overlap; 0 for other materials.
     tint : (n, 3)
         Factor on light that dielectrics refract; 1 for other materials.
+    schlick : (n,) bool
+        The reflectance rises to 1 at grazing angles.
     """
 
     kind: tuple[str, ...]
@@ -214,6 +224,7 @@ class MaterialTable:
     absorption: Floats
     priority: NDArray[np.int64]
     tint: Floats
+    schlick: NDArray[np.bool_]
 
     @classmethod
     def of(cls, materials: Iterable[Material]) -> MaterialTable:
@@ -228,4 +239,5 @@ class MaterialTable:
             absorption=np.array([row.absorption for row in rows], dtype=np.float64),
             priority=np.array([row.priority for row in rows], dtype=np.int64),
             tint=np.array([row.tint for row in rows], dtype=np.float64),
+            schlick=np.array([row.schlick for row in rows], dtype=bool),
         )

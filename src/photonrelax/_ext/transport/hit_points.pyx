@@ -16,7 +16,7 @@ from .curvature cimport change_along, normal_derivative
 from .hidden cimport Passage, pass_surface
 from .materials cimport (
     OVERFLOWED, Arrival, Faults, Interface, Materials, add_fault, counted_media_at, interface_at,
-    is_absorbing, is_diffuse, transmittance,
+    cosine_at, is_absorbing, is_diffuse, reflectance_at, transmittance,
 )
 from .optics cimport reflection_change, refraction_change
 from .raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
@@ -442,15 +442,14 @@ cdef class CameraPaths:
         )
         cdef Interface to
         cdef double[2][3] normal_change
-        cdef double[3] weight
+        cdef double[3] weight, reflectance
         cdef int32_t i = at.hit.object_id
         cdef int c
         interface_at(&to, self.materials, &arrival)
+        reflectance_at(reflectance, self.materials, i, cosine_at(&to, &arrival))
         self.change_normal(normal_change, at, to.to.is_shading)
         for c in range(3):
-            weight[c] = (
-                at.ray.weight[c] * to.reflected * self.materials.reflectance[i, c]
-            )
+            weight[c] = at.ray.weight[c] * to.reflected * reflectance[c]
         if self.is_followed(weight):
             self.follow(at, target, to.to.reflection, weight, at.ray.media)
             for c in range(2):

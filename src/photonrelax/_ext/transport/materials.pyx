@@ -16,12 +16,13 @@ from .media cimport current
 # The kinds of `scene.materials.MaterialTable`.
 KINDS = {"diffuse": DIFFUSE, "mirror": MIRROR, "dielectric": DIELECTRIC, "sensor": SENSOR}
 
-Interfaces = namedtuple("Interfaces", "normal is_shading n1 n2 reflected beyond")
+Interfaces = namedtuple("Interfaces", "normal is_shading n1 n2 reflected rising beyond")
 Interfaces.__doc__ = """Specular surfaces that m rays meet.
 
 normal (m, 3) faces the rays; is_shading (m,) flags where it is the interpolated one. n1, n2 (m,)
 are the indices of refraction on the side of the ray and beyond, `reflected` (m,) the shares of the
-light that are reflected, and `beyond` (m,) the media that refracted rays are in.
+light that are reflected by dielectrics, 1 for mirrors; `rising` (m, 3) the reflectances of those
+that rise at grazing angles, 1 for others; and `beyond` (m,) the media that refracted rays are in.
 """
 
 
@@ -38,6 +39,7 @@ cdef class Materials:
         self.reflectance, self.exterior_ior = table.reflectance, table.exterior_ior
         self.tint = table.tint
         self.is_tinted = (table.tint != 1.0).any(axis=1).astype(np.uint8)
+        self.is_schlick = table.schlick.astype(np.uint8)
         dielectrics = self.dielectrics
         numbers = np.zeros(len(table.kind), np.uint64)
         numbers[dielectrics] = 1 + np.arange(len(dielectrics))
@@ -131,6 +133,7 @@ cdef class Materials:
         cdef double[:, ::1] normal = np.empty((m, 3))
         cdef uint8_t[::1] is_shading = np.empty(m, np.uint8)
         cdef double[:, ::1] numbers = np.empty((3, m))
+        cdef double[:, ::1] rising = np.ones((m, 3))
         cdef uint64_t[::1] beyond = np.empty(m, np.uint64)
         cdef Arrival at
         cdef Interface out
@@ -145,8 +148,10 @@ cdef class Materials:
                 normal[i, 0], normal[i, 1], normal[i, 2] = out.to.normal
                 is_shading[i], beyond[i] = out.to.is_shading, out.beyond
                 numbers[0, i], numbers[1, i], numbers[2, i] = out.n1, out.n2, out.reflected
+                if self.is_schlick[object_id[i]]:
+                    reflectance_at(&rising[i, 0], self, object_id[i], cosine_at(&out, &at))
         return Interfaces(
-            normal.base, is_shading.base.view(np.bool_), *numbers.base, beyond.base
+            normal.base, is_shading.base.view(np.bool_), *numbers.base, rising.base, beyond.base
         )
 
 

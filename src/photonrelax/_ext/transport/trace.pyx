@@ -19,7 +19,8 @@ from .emission cimport Emission
 from .hidden cimport Passage, pass_surface
 from .materials cimport (
     OVERFLOWED, Arrival, Faults, Interface, Materials, add_fault, counted_media_at, interface_at,
-    is_absorbing, is_absorbing_surface, is_diffuse, media_at, transmittance,
+    cosine_at, is_absorbing, is_absorbing_surface, is_diffuse, media_at, reflectance_at,
+    transmittance,
 )
 from .raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
 from .sampling cimport disk_point, hemisphere_direction
@@ -534,16 +535,17 @@ cdef class Paths:
         cdef int kind = REFLECTED
         cdef Arrival arrival
         cdef Interface at
+        cdef double[3] reflectance
         self.n_met_specular += ray.n_specular == 0 and ray.n_diffuse == 0
-        if is_absorbing_surface(self.materials, i) and not self.roulette(
-            &self.materials.reflectance[i, 0], event, OF_SURFACE, ABSORBED
-        ):
-            return False
         arrival = Arrival(
             &ray.direction[0], &event.hit.geometric[0], &event.hit.shading[0], i, event.inside,
             ray.media,
         )
         interface_at(&at, self.materials, &arrival)
+        if is_absorbing_surface(self.materials, i):
+            reflectance_at(reflectance, self.materials, i, cosine_at(&at, &arrival))
+            if not self.roulette(reflectance, event, OF_SURFACE, ABSORBED):
+                return False
         if at.reflected == 1.0 or random(event, OF_SURFACE) < at.reflected:
             copy(out, at.to.reflection)
         else:
