@@ -9,12 +9,15 @@ from typing import Any
 
 from .._util.validation import check_choice
 from ..scene.scene import Scene
+from .gltf.load import load_gltf
 from .options import LIGHT_UNITS, LoadOptions
 from .script import load_script
 
 # Loaders by the endings of names.
 _LOADERS: dict[str, Callable[[Path, LoadOptions], Scene]] = {
     ".py": load_script,
+    ".glb": load_gltf,
+    ".gltf": load_gltf,
 }
 
 
@@ -31,7 +34,7 @@ def load_scene(
     Parameters
     ----------
     path : path
-        A Python script (``.py``) that defines ``scene()``.
+        A Python script (``.py``) that defines ``scene()``, or glTF 2.0 (``.glb``, ``.gltf``).
     camera : str, optional
         Name of the camera, of several in the file; by default the first.
     light_units : str
