@@ -8,6 +8,7 @@ from pathlib import Path
 
 from .. import gallery
 from .._version import __version__
+from .casters import add_caster_options
 from .scenes import add_file_options, add_scene, scene_name
 
 PHOTONS = 1_000_000
@@ -218,9 +219,9 @@ def _add_irradiance(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     parser.add_argument(
         "--on",
-        required=True,
         metavar="OBJECT",
-        help="name or number of the flat object to map, from the side with most light",
+        help="name or number of the flat object to map, from the side with most light; required "
+        "but for a mesh, which has a screen",
     )
     _add_output(parser, "FILE.exr")
     parser.add_argument(
@@ -234,13 +235,15 @@ def _add_irradiance(parser: argparse.ArgumentParser) -> None:
         "--size",
         type=_positive_number,
         metavar="METRES",
-        help="side of a square around the middle of the light, in place of the whole object",
+        help="side of a square around the middle of the light, in place of the whole object; of a "
+        "mesh in --units (its diagonal)",
     )
     parser.add_argument(
         "--encircled",
         type=_radii,
         metavar="RADIUS,...",
-        help="print the flux within these radii, in m, of the centre and of the brightest point",
+        help="print the flux within these radii, in m, of the centre and of the brightest point; "
+        "of a mesh in --units, and of the axis too",
     )
     parser.add_argument(
         "--plot",
@@ -255,6 +258,7 @@ def _add_irradiance(parser: argparse.ArgumentParser) -> None:
     _add_sampler(parser)
     _add_settings(parser)
     _add_exposure(parser)
+    add_caster_options(parser)
     _add_common(parser)
 
 
@@ -269,7 +273,7 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "relax": ("relax the photons of a photon map", _add_relax),
     "compare": ("compare methods on the same photons: table, images, HTML page", _add_compare),
     "irradiance": (
-        "map the irradiance on a flat object to an EXR file, and a PNG preview beside it",
+        "map the irradiance on a flat object, or behind a mesh, to an EXR file and a PNG preview",
         _add_irradiance,
     ),
     "list": ("list the built-in scenes and photon patterns", lambda parser: None),

@@ -30,6 +30,7 @@ from .arguments import (
     STDOUT,
     parser,
 )
+from .casters import axis_point, complete_options, gather_radius, map_size, unit_of
 from .interrupts import Interrupts
 from .progress_bar import ProgressBars
 from .scenes import scene_of
@@ -335,14 +336,17 @@ def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ..rendering.object_map import ObjectMap
     from .reports import encircled_table
 
+    complete_options(options)
     output = output_path(options.output, ".exr")
     preview = output_path(output.with_suffix(".png"))
     plot = None if options.plot is None else output_path(options.plot, ".png")
     check_distinct({"the map": output, "the preview": preview, "--plot": plot})
     if plot is not None:
         irradiance_plot.check_installed()
-    field, scene = _field_of_scene(options, interrupts)
-    found = ObjectMap(field, scene, options.on, options.texels, size=options.size)
+    scene = scene_of(options.scene, options)
+    size = map_size(options, scene)
+    field = _field_of_scene(options, interrupts, scene, gather_radius(options, size))
+    found = ObjectMap(field, scene, options.on, options.texels, size=size)
     with ExitStack() as files:
         _place(files, found.image, options)
         if plot is not None:
@@ -355,19 +359,25 @@ def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
         interrupts.check()
     texts = [f"wrote {output} and {preview}" + ("" if plot is None else f" and {plot}")]
     if options.encircled is not None:
-        texts.insert(0, encircled_table(found, options.encircled))
+        axis = axis_point(options, scene)
+        texts.insert(0, encircled_table(found, options.encircled, unit_of(options), axis))
     _report(options, *texts)
 
 
 def _field_of_scene(
-    options: argparse.Namespace, interrupts: Interrupts
-) -> tuple[PhotonField, pr.Scene]:
-    from ..estimation.methods import MethodInput, method_named, prepare
+    options: argparse.Namespace, interrupts: Interrupts, scene: pr.Scene, radius: float | None
+) -> PhotonField:
+    """Field of photons on the object to map, gathered within a radius unless settings have one."""
+    from ..estimation.methods import MethodInput, Settings, method_named, prepare
     from ..rendering.object_map import object_named, photons_of_surface
     from .settings import settings_from_options
 
     settings = settings_from_options(options, (options.method,))
-    scene = scene_of(options.scene, options)
+    gather = settings.of("gather")
+    reads = "gather" in method_named(options.method).stages
+    if radius is not None and reads and gather.gather_radius is None:
+        gather = replace(gather, gather_radius=radius)
+        settings = Settings(**settings.given | {"gather": gather})
     object_id = object_named(scene, options.on)
     with ProgressBars(options.quiet, interrupts) as bars:
         photons = pr.trace_photons(
@@ -381,7 +391,7 @@ def _field_of_scene(
         )
         there = photons_of_surface(photons, scene, object_id)
         inputs = MethodInput(there, settings, scene, options.threads, bars)
-        return prepare(options.method, inputs), scene
+        return prepare(options.method, inputs)
 
 
 def _list(options: argparse.Namespace, interrupts: Interrupts) -> None:

@@ -21,7 +21,7 @@ def add_scene(parser: argparse.ArgumentParser, *others: str) -> None:
         "scene",
         type=lambda text: scene_name(text, names),
         metavar="SCENE|FILE",
-        help=f"{', '.join(names)}; or a file: a script that defines scene()",
+        help=f"{', '.join(names)}; or a file: a script that defines scene(), glTF or a mesh",
     )
     add_file_options(parser)
 
@@ -62,7 +62,8 @@ def scene_name(text: str, names: tuple[str, ...]) -> str:
     """
     from ..io.load import endings
 
-    if text in names or Path(text).suffix.lower() in endings():
+    # Which other files trimesh reads is not known before it is loaded.
+    if text in names or Path(text).suffix:
         return text
     files = ", ".join(f"*{each}" for each in endings())
     raise argparse.ArgumentTypeError(

@@ -9,7 +9,10 @@ from typing import Any
 
 from .._util.validation import check_choice
 from ..scene.scene import Scene
+from .caster import ReadParts, load_caster
 from .gltf.load import load_gltf
+from .mesh_file import is_mesh_format, read_other, read_ply, read_stl
+from .obj import read_obj
 from .options import LIGHT_UNITS, LoadOptions
 from .script import load_script
 
@@ -19,6 +22,8 @@ _LOADERS: dict[str, Callable[[Path, LoadOptions], Scene]] = {
     ".glb": load_gltf,
     ".gltf": load_gltf,
 }
+# Readers of files of a mesh alone.
+_MESHES: dict[str, ReadParts] = {".obj": read_obj, ".stl": read_stl, ".ply": read_ply}
 
 
 def load_scene(
@@ -34,7 +39,9 @@ def load_scene(
     Parameters
     ----------
     path : path
-        A Python script (``.py``) that defines ``scene()``, or glTF 2.0 (``.glb``, ``.gltf``).
+        A Python script (``.py``) that defines ``scene()``; glTF 2.0 (``.glb``, ``.gltf``); or a
+        mesh (``.obj`` with its materials, ``.stl``, ``.ply``, or any that trimesh reads), which
+        gets parallel light and a screen behind it.
     camera : str, optional
         Name of the camera, of several in the file; by default the first.
     light_units : str
@@ -42,7 +49,11 @@ def load_scene(
     strict : bool
         Raise an error for what the file holds and the scene cannot, in place of a warning.
     arguments : mapping, optional
-        Keyword arguments of a script's function.
+        Keyword arguments of a script's function; for a mesh ``material`` (``"glass"``,
+        ``"mirror"``, ``"diffuse"``), ``ior``, ``units`` of the file, ``direction`` of the light,
+        ``distance`` of the screen from the last point along the light, ``rotate`` about x, y and z
+        in degrees, ``sun_angular_radius``, ``irradiance``, and ``screen``, ``"diffuse"`` or
+        ``"sensor"``.
 
     Raises
     ------
@@ -53,16 +64,24 @@ def load_scene(
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix not in _LOADERS:
-        raise ValueError(
-            f"a scene should be a file named {', '.join('*' + each for each in endings())}, "
-            f"but is {path}"
-        )
     check_choice(light_units, "light_units", LIGHT_UNITS)
     options = LoadOptions(camera, light_units, strict, dict(arguments or {}))
-    return _LOADERS[suffix](path, options)
+    if suffix in _LOADERS:
+        return _LOADERS[suffix](path, options)
+    if is_mesh_file(path):
+        return load_caster(path, options, _MESHES.get(suffix, read_other))
+    known = ", ".join(f"*{each}" for each in endings())
+    raise ValueError(
+        f"a scene should be a file named {known}, or a mesh that trimesh reads, but is {path}"
+    )
+
+
+def is_mesh_file(path: str | os.PathLike[str]) -> bool:
+    """True for the name of a file of a mesh alone, by its ending."""
+    suffix = Path(path).suffix.lower()
+    return suffix in _MESHES or (suffix not in _LOADERS and is_mesh_format(suffix))
 
 
 def endings() -> tuple[str, ...]:
-    """Endings of the names of files that hold scenes."""
-    return tuple(_LOADERS)
+    """Endings of the names of files that hold scenes; trimesh may read more."""
+    return (*_LOADERS, *_MESHES)
