@@ -19,6 +19,8 @@ _STL_HEADING, _STL_TRIANGLE = 80, 50
 _STL_TYPE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("other", "<u2")])
 # What a file may be of: containers of other files are not read.
 _REFUSED = {"zip", "7z", "tar.gz", "tar.bz2", "json", "dict", "dict64", "xyz", "svg", "dxf", "path"}
+# Of a count that Python converts, which is more than any file holds.
+_MAX_DIGITS = 20
 _PLY_COUNT = re.compile(rb"^element\s+(\S+)\s+(\S+)", re.MULTILINE)
 
 
@@ -61,7 +63,7 @@ def read_ply(path: Path, substitutions: Substitutions) -> list[Part]:
         raise ValueError(f"{path} should be a PLY file, but has no whole header")
     for name, count in _PLY_COUNT.findall(head):
         # An element takes a byte at least.
-        if not count.isdigit() or int(count) > len(body):
+        if not (count.isdigit() and len(count) < _MAX_DIGITS and int(count) <= len(body)):
             raise ValueError(
                 f"{path} should have as many elements {name.decode(errors='replace')} as its "
                 f"{len(body)} bytes can hold, but says {count.decode(errors='replace')[:25]}"
@@ -121,7 +123,9 @@ def _binary_stl(content: bytes) -> np.ndarray | None:
     if len(content) != _STL_HEADING + 4 + _STL_TRIANGLE * n:
         return None
     rows = np.frombuffer(content, _STL_TYPE, offset=_STL_HEADING + 4)
-    return rows["corners"].astype(np.float64)
+    # Of NaN that signal casts warn; vertices are checked later.
+    with np.errstate(invalid="ignore"):
+        return rows["corners"].astype(np.float64)
 
 
 def _text_stl(path: Path, content: bytes) -> np.ndarray:
