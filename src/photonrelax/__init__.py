@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from .estimation.progressive import ProgressiveStatistics as ProgressiveStatistics
     from .imaging.image import Image as Image
     from .io.load import load_scene as load_scene
+    from .io.save import save_scene as save_scene
     from .photons.energy_ledger import EnergyLedger as EnergyLedger
     from .photons.photon_map import PhotonMap as PhotonMap
     from .relaxation.gradient import GradientSettings as GradientSettings
@@ -115,6 +116,7 @@ _MODULE_OF = {
     "render": "rendering.render",
     "render_progressive": "rendering.progressive_render",
     "rest_density": "relaxation.rest_density",
+    "save_scene": "io.save",
     "trace_photons": "transport.trace",
 }
 _SUBPACKAGES = ("gallery",)

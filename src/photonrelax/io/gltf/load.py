@@ -8,6 +8,7 @@ from ...scene.scene import Scene
 from ..options import LoadOptions
 from ..substitutions import Substitutions
 from .cameras import cameras_of, chosen_camera
+from .exact import decoded
 from .file import GltfFile
 from .lights import EXTENSION as LIGHTS
 from .lights import emitters_of
@@ -33,6 +34,9 @@ def load_gltf(path: Path, options: LoadOptions) -> Scene:
     options.refuse_arguments(path)
     file = GltfFile(path)
     _check_extensions(file)
+    exact = decoded(file)
+    if exact is not None:
+        return _with_camera(path, exact, options.camera)
     nodes = placed_nodes(file)
     camera = chosen_camera(path, cameras_of(file, nodes), options.camera)
     substitutions = Substitutions()
@@ -52,6 +56,13 @@ def load_gltf(path: Path, options: LoadOptions) -> Scene:
         )
     substitutions.report(path, options.strict)
     return Scene(built.objects, emitters, camera, path.stem)
+
+
+def _with_camera(path: Path, scene: Scene, name: str | None) -> Scene:
+    """The scene; raises ValueError if a camera is asked for, of which it has no names."""
+    if name is not None:
+        raise ValueError(f"{path} has the one camera of its scene, but camera is {name!r}")
+    return scene
 
 
 def _check_extensions(file: GltfFile) -> None:
