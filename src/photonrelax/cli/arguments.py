@@ -19,7 +19,7 @@ SAMPLER = "halton"
 STDOUT = "-"
 
 
-def parser(commands: Mapping[str, Callable[..., None]]) -> argparse.ArgumentParser:
+def parser(commands: Mapping[str, Callable[..., int | None]]) -> argparse.ArgumentParser:
     """Parser of the command line; `commands` are the functions to call."""
     parser = argparse.ArgumentParser(
         prog="photonrelax", description="Render sharp, noise-free caustics from few photons."
@@ -262,6 +262,17 @@ def _add_irradiance(parser: argparse.ArgumentParser) -> None:
     _add_common(parser)
 
 
+def _add_check(parser: argparse.ArgumentParser) -> None:
+    add_scene(parser)
+    parser.add_argument(
+        "--repair",
+        type=Path,
+        metavar="FILE.glb",
+        help="write the scene with meshes of glass welded, closed and wound outwards, as far as "
+        "that can be done",
+    )
+
+
 def _add_info(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", type=Path)
 
@@ -277,6 +288,7 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
         _add_irradiance,
     ),
     "list": ("list the built-in scenes and photon patterns", lambda parser: None),
+    "check": ("list what is wrong with a scene, without rendering it", _add_check),
     "info": ("describe an EXR file or a photon map", _add_info),
 }
 

@@ -51,13 +51,13 @@ Result = TypeVar("Result")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
-    0 for success, 1 for an error, 2 for wrong usage (raised as SystemExit); 130 for Ctrl-C, 143
-    for SIGTERM and 129 for SIGHUP.
+    0 for success, 1 for an error or a scene that `check` finds wrong, 2 for wrong usage (raised as
+    SystemExit); 130 for Ctrl-C, 143 for SIGTERM and 129 for SIGHUP.
     """
     with escaping_streams(), Interrupts() as interrupts:
         try:
             options = parser(_COMMANDS).parse_args(arguments)
-            options.command(options, interrupts)
+            code: int | None = options.command(options, interrupts)
         except KeyboardInterrupt:
             return _interrupted(interrupts)
         except Exception as error:
@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise
             complain(f"error: {str(error) or 'out of memory'}")
             return 1
-    return 0
+    return code or 0
 
 
 def _interrupted(interrupts: Interrupts) -> int:
@@ -394,6 +394,20 @@ def _field_of_scene(
         return prepare(options.method, inputs)
 
 
+def _check(options: argparse.Namespace, interrupts: Interrupts) -> int:
+    from .scenes import findings_of
+
+    repaired = None if options.repair is None else output_path(options.repair, ".glb")
+    findings, scene = findings_of(options.scene, options)
+    lines = [f"{'error' if each.spoils else 'note'}: {each.text}" for each in findings]
+    if repaired is not None and scene is not None:
+        pr.save_scene(scene, repaired)
+        lines.append(f"wrote {repaired}")
+    write_lines(*(lines or ["no findings"]))
+    is_mended = repaired is not None and scene is not None
+    return int(any(each.spoils and not (is_mended and each.mended) for each in findings))
+
+
 def _list(options: argparse.Namespace, interrupts: Interrupts) -> None:
     names = (*gallery.names(), *gallery.pattern_names())
     width = max(map(len, names))
@@ -452,6 +466,7 @@ _COMMANDS = {
     "relax": _relax,
     "compare": _compare,
     "irradiance": _irradiance,
+    "check": _check,
     "list": _list,
     "info": _info,
 }

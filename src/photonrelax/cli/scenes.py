@@ -6,12 +6,15 @@ import argparse
 import ast
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import photonrelax as pr
 
 from .. import gallery
 from .streams import write_lines
+
+if TYPE_CHECKING:
+    from ..io.objects import Finding
 
 
 def add_scene(parser: argparse.ArgumentParser, *others: str) -> None:
@@ -98,6 +101,19 @@ def scene_of(name: str, options: argparse.Namespace) -> pr.Scene:
         if lines:
             write_lines(*lines, to_stderr=True)
     return scene
+
+
+def findings_of(name: str, options: argparse.Namespace) -> tuple[list[Finding], pr.Scene | None]:
+    """Findings about a scene of a name, and the scene, its meshes mended."""
+    from ..io.check import check_scene, scene_findings
+    from ..io.options import LoadOptions
+
+    if not is_file(name):
+        scene = scene_of(name, options)
+        return list(scene_findings(scene)), scene
+    arguments = dict(options.arg or ())
+    given = LoadOptions(options.camera, options.light_units, options.strict, arguments)
+    return check_scene(name, given)
 
 
 def _argument(text: str) -> tuple[str, Any]:

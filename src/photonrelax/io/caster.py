@@ -17,6 +17,7 @@ from ..scene.emitters import CollimatedEmitter, Emitter
 from ..scene.materials import Dielectric, Diffuse, Material, Mirror, Sensor
 from ..scene.scene import Scene, SceneObject
 from ..scene.shapes import Rectangle
+from .objects import ObjectMaker
 from .options import LoadOptions
 from .parts import Part
 from .substitutions import Substitutions
@@ -102,10 +103,9 @@ def load_caster(path: Path, options: LoadOptions, read: ReadParts) -> Scene:
     parts = read(path, substitutions)
     objects: list[SceneObject] = []
     emitters: list[Emitter] = []
-    linear = UNITS[setup.units] * rotation(setup.rotate)
     for part in parts:
         try:
-            _add(objects, emitters, part, setup, linear)
+            _add(objects, emitters, part, setup, options.maker)
         except ValueError as error:
             raise ValueError(f"{path}: {part.name}: {error}") from None
     if not objects:
@@ -122,14 +122,14 @@ def _add(
     emitters: list[Emitter],
     part: Part,
     setup: CasterSetup,
-    linear: Floats,
+    maker: ObjectMaker,
 ) -> None:
-    mesh = part.mesh(linear)
+    mesh = part.mesh(UNITS[setup.units] * rotation(setup.rotate))
     material = _material(part, setup)
     if part.radiance.any() and setup.material is None:
         emitters.append(AreaEmitter(mesh, radiance=part.radiance, material=material))
     else:
-        objects.append(SceneObject(mesh, material, part.name, smooth=True))
+        objects.append(maker.make(mesh, material, part.name, smooth=True))
 
 
 def _material(part: Part, setup: CasterSetup) -> Material:

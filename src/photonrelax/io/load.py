@@ -62,10 +62,14 @@ def load_scene(
     ValueError
         If the file is damaged or not of a known format, or an argument has no meaning for it.
     """
+    check_choice(light_units, "light_units", LIGHT_UNITS)
+    return load_with(path, LoadOptions(camera, light_units, strict, dict(arguments or {})))
+
+
+def load_with(path: str | os.PathLike[str], options: LoadOptions) -> Scene:
+    """Scene of a file, with all options."""
     path = Path(path)
     suffix = path.suffix.lower()
-    check_choice(light_units, "light_units", LIGHT_UNITS)
-    options = LoadOptions(camera, light_units, strict, dict(arguments or {}))
     if suffix in _LOADERS:
         return _LOADERS[suffix](path, options)
     if is_mesh_file(path):

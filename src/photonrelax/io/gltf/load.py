@@ -43,7 +43,7 @@ def load_gltf(path: Path, options: LoadOptions) -> Scene:
     _add_ignored(file, substitutions)
     generator = file.root.entry("asset").text("generator")
     materials = MaterialReader(generator, options.light_units, substitutions)
-    built = ObjectBuilder(file, materials, substitutions).build(nodes)
+    built = ObjectBuilder(file, materials, substitutions, options.maker).build(nodes)
     emitters = built.emitters + emitters_of(file, nodes, options.light_units, substitutions)
     if not built.objects:
         raise ValueError(

@@ -11,6 +11,7 @@ from ...scene.materials import Dielectric
 from ...scene.scene import SceneObject
 from ...scene.winding import EdgeDefects, check_surface
 from ..json_entry import JsonEntry
+from ..objects import ObjectMaker
 from ..plate import plate
 from ..substitutions import Substitutions
 from .file import GltfFile
@@ -40,9 +41,14 @@ class ObjectBuilder:
     """Builds objects; a mesh under many nodes, and a material, are read once."""
 
     def __init__(
-        self, file: GltfFile, materials: MaterialReader, substitutions: Substitutions
+        self,
+        file: GltfFile,
+        materials: MaterialReader,
+        substitutions: Substitutions,
+        maker: ObjectMaker,
     ) -> None:
         self._file, self._materials, self._substitutions = file, materials, substitutions
+        self._maker = maker
         self._triangles: dict[tuple[int, int], Triangles | None] = {}
         self._surfaces: dict[int | None, Surface] = {}
 
@@ -87,12 +93,12 @@ class ObjectBuilder:
     def _object(self, name: str, triangles: Triangles, surface: Surface) -> SceneObject:
         mesh, smooth = triangles.mesh()
         if isinstance(surface.material, Dielectric):
-            if check_surface(mesh).open:
+            if _is_open(mesh) and not self._maker.closes(mesh, name):
                 return self._plate(name, triangles, surface)
             self._substitutions.add_reading(
                 surface.name, "glass around a closed mesh", "solid glass"
             )
-        return SceneObject(mesh, surface.material, name, smooth)
+        return self._maker.make(mesh, surface.material, name, smooth)
 
     def _plate(self, name: str, triangles: Triangles, surface: Surface) -> SceneObject:
         """Glass of an open mesh, which the standard has as a thin wall."""
@@ -105,7 +111,7 @@ class ObjectBuilder:
             f"a plate {thickness:.3g} m thick",
         )
         mesh = trimesh.Trimesh(vertices, faces, process=False)
-        return SceneObject(mesh, surface.material, name, _CREASE)
+        return self._maker.make(mesh, surface.material, name, _CREASE)
 
     def _surface(self, primitive: JsonEntry) -> Surface:
         materials = self._file.entries("materials")
@@ -135,6 +141,14 @@ def _lamp(triangles: Triangles, surface: Surface) -> AreaEmitter:
         two_sided=surface.two_sided and not _winds_outwards(mesh),
         material=surface.material,
     )
+
+
+def _is_open(mesh: trimesh.Trimesh) -> bool:
+    try:
+        return check_surface(mesh).open > 0
+    except ValueError:
+        # It winds inwards, and is closed.
+        return False
 
 
 def _winds_outwards(mesh: trimesh.Trimesh) -> bool:
