@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from .scene.shapes import Disk as Disk
     from .scene.shapes import Rectangle as Rectangle
     from .scene.shapes import Sphere as Sphere
+    from .scene.textures import Texture as Texture
     from .spatial.kdtree import KDTree as KDTree
     from .spatial.kdtree import Neighbours as Neighbours
     from .transport.hit_points import HitPoints as HitPoints
@@ -104,6 +105,7 @@ _MODULE_OF = {
     "SpotEmitter": "scene.emitters",
     "Structure": "relaxation.structure",
     "StructureSettings": "relaxation.structure",
+    "Texture": "scene.textures",
     "detect_gradient": "relaxation.gradient",
     "detect_structure": "relaxation.structure",
     "estimate_irradiance": "estimation.nearest",

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._util.frozen import frozen, set_field
 from .._util.validation import Floats, count, positive, rgb
+from .textures import FaceTexture, Texture
 
 MAX_PRIORITY = 2**31 - 1
 """Ceiling of priorities, and of their negatives."""
@@ -68,6 +69,11 @@ class Material(ABC):
     has_inside: ClassVar[bool] = False
     is_sensor: ClassVar[bool] = False
 
+    @property
+    def texture(self) -> Texture | None:
+        """Texture of the albedo; None for one albedo all over."""
+        return None
+
     @abstractmethod
     def row(self) -> MaterialRow:
         """The material as kernels read it."""
@@ -79,19 +85,25 @@ class Diffuse(Material):
 
     Parameters
     ----------
-    albedo : (3,) or float
+    albedo : (3,), float or Texture
         Reflected fraction of the light per channel, in [0, 1].
     """
 
     is_specular: ClassVar[bool] = False
 
-    albedo: ArrayLike = (0.8, 0.8, 0.8)
+    albedo: ArrayLike | Texture = (0.8, 0.8, 0.8)
 
     def __post_init__(self) -> None:
-        set_field(self, "albedo", frozen(rgb(self.albedo, "albedo", high=1.0)))
+        if not isinstance(self.albedo, Texture):
+            set_field(self, "albedo", frozen(rgb(self.albedo, "albedo", high=1.0)))
+
+    @property
+    def texture(self) -> Texture | None:
+        return self.albedo if isinstance(self.albedo, Texture) else None
 
     def row(self) -> MaterialRow:
-        return MaterialRow("diffuse", reflectance=self.albedo)
+        albedo = self.albedo.mean if isinstance(self.albedo, Texture) else self.albedo
+        return MaterialRow("diffuse", reflectance=albedo)
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,6 +227,8 @@ class MaterialTable:
         Factor on light that dielectrics refract; 1 for other materials.
     schlick : (n,) bool
         The reflectance rises to 1 at grazing angles.
+    textures : (n,) FaceTexture or None
+        Of diffuse objects, whose `reflectance` is the mean; empty if there are none.
     """
 
     kind: tuple[str, ...]
@@ -225,6 +239,7 @@ class MaterialTable:
     priority: NDArray[np.int64]
     tint: Floats
     schlick: NDArray[np.bool_]
+    textures: tuple[FaceTexture | None, ...] = ()
 
     @classmethod
     def of(cls, materials: Iterable[Material]) -> MaterialTable:

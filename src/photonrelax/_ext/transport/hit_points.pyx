@@ -27,7 +27,8 @@ cdef struct SeenPoint:
     double[3] weight
     double[2][3] footprint
     int64_t pixel
-    int32_t object_id
+    # Object, and face of its mesh where that has a texture.
+    int32_t object_id, face_id
     bint from_behind
 
 
@@ -302,6 +303,7 @@ cdef class CameraPaths:
         cdef Py_ssize_t i, m = self.n_seen
         cdef int64_t[::1] pixel = np.empty(m, np.int64)
         cdef int32_t[::1] object_id = np.empty(m, np.int32)
+        cdef int32_t[::1] face_id = np.empty(m, np.int32)
         cdef uint8_t[::1] from_behind = np.empty(m, np.uint8)
         cdef double[:, ::1] position = np.empty((m, 3)), normal = np.empty((m, 3))
         cdef double[:, ::1] weight = np.empty((m, 3))
@@ -310,6 +312,7 @@ cdef class CameraPaths:
             for i in range(m):
                 pixel[i], object_id[i] = self.seen[i].pixel, self.seen[i].object_id
                 from_behind[i] = self.seen[i].from_behind
+                face_id[i] = self.seen[i].face_id
                 copy(&position[i, 0], self.seen[i].position)
                 copy(&normal[i, 0], self.seen[i].normal)
                 copy(&weight[i, 0], self.seen[i].weight)
@@ -321,6 +324,7 @@ cdef class CameraPaths:
             "normal": normal.base,
             "weight": weight.base,
             "object_id": object_id.base,
+            "face_id": face_id.base,
             "from_behind": from_behind.base.view(np.bool_),
             "footprint": footprint.base,
         }
@@ -408,7 +412,7 @@ cdef class CameraPaths:
         """Record a ray that hits nothing: its pixel and weight."""
         cdef SeenPoint* point = &self.seen[self.n_seen]
         self.n_seen += 1
-        point[0] = SeenPoint(pixel=ray.pixel, object_id=-1)
+        point[0] = SeenPoint(pixel=ray.pixel, object_id=-1, face_id=-1)
         copy(point.weight, ray.weight)
 
     cdef void record(self, const Meeting* at) noexcept nogil:
@@ -417,6 +421,9 @@ cdef class CameraPaths:
         self.n_seen += 1
         point.pixel = at.ray.pixel
         point.object_id = at.hit.object_id
+        point.face_id = -1
+        if self.materials.is_textured[at.hit.object_id]:
+            point.face_id = self.triangles.face_id[at.triangle]
         point.from_behind = at.inside
         copy(point.position, at.hit.position)
         seen_normal(point.normal, at.ray.direction, &at.hit)

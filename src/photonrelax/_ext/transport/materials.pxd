@@ -8,6 +8,7 @@ from libc.math cimport exp, isnan
 from libc.stdint cimport int32_t, int64_t, uint8_t, uint64_t
 
 from ..common.vec3 cimport dot
+from ..scene.textures cimport TextureView
 from .media cimport current, entered, is_full, left
 from .optics cimport Directions, deflect, fresnel_reflectance
 
@@ -62,6 +63,12 @@ cdef class Materials:
     cdef const double[::1] exterior_ior, medium_ior
     cdef const double[:, ::1] absorption
     cdef const uint8_t[::1] is_absorbing
+    # Views of the textures of `is_textured` objects (objects, sizeof(TextureView)); `arrays` owns
+    # what they point to.
+    cdef const uint8_t[::1] is_textured
+    cdef unsigned char[::1] view_memory
+    cdef const TextureView* view
+    cdef object arrays
 
 
 cdef class Faults:

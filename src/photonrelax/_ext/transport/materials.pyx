@@ -49,7 +49,38 @@ cdef class Materials:
         self.medium_ior = np.concatenate([[1.0], table.ior[dielectrics]])
         self.absorption = absorption
         self.is_absorbing = absorption.any(axis=1).astype(np.uint8)
+        self.set_textures(table.textures or (None,) * len(table.kind))
         self.set_ranks(table.priority[dielectrics], dielectrics)
+
+    def set_textures(self, textures):
+        """Point to the textures of objects, each a `FaceTexture` or None."""
+        cdef TextureView* view
+        cdef const uint8_t[:, :, ::1] bytes
+        cdef const float[:, :, ::1] floats
+        cdef const double[::1] meaning
+        cdef const double[:, :, ::1] uv
+        cdef Py_ssize_t i
+        cdef int c
+        self.is_textured = np.array([each is not None for each in textures], np.uint8)
+        self.view_memory = np.zeros(max(len(textures), 1) * sizeof(TextureView), np.uint8)
+        view = <TextureView*> &self.view_memory[0]
+        self.view, self.arrays = view, []
+        for i, each in enumerate(textures):
+            if each is None:
+                continue
+            image, meaning, uv = each.texture.image, each.texture.meaning, each.uv
+            self.arrays.append((image, meaning.base, uv.base))
+            if image.dtype == np.uint8:
+                bytes = image
+                view[i].bytes = &bytes[0, 0, 0]
+            else:
+                floats = image
+                view[i].floats = &floats[0, 0, 0]
+            view[i].height, view[i].width = image.shape[:2]
+            view[i].meaning, view[i].uv = &meaning[0], &uv[0, 0, 0]
+            view[i].wrap_u, view[i].wrap_v = each.texture.wraps
+            for c in range(3):
+                view[i].factor[c] = each.texture.factor[c]
 
     def set_ranks(self, priority, dielectrics):
         """Set the ranks of media and of surfaces by the priorities (m,) of the dielectrics.

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..common.rng cimport mix, uniform
 from ..common.vec3 cimport copy, dot, orthonormal_frame
+from ..scene.textures cimport colour_at
 from .deposits cimport Deposit, Deposits
 from .emission cimport Emission
 from .hidden cimport Passage, pass_surface
@@ -94,6 +95,9 @@ cdef struct Event:
     bint inside
     double[3] facing
     uint64_t counter
+    # Barycentric coordinates of the second and third corner of the triangle.
+    int32_t triangle
+    double u, v
 
 
 cdef struct Crossing:
@@ -487,6 +491,8 @@ cdef class Paths:
         cdef double[3] out
         if not self.triangles.refine_hit(found, row, ray.origin, ray.direction, &event.hit):
             return self.terminate(ray, ESCAPED)
+        event.triangle = found.triangle[row]
+        event.u, event.v = found.u[row], found.v[row]
         event.ray = ray
         event.counter = event_counter(ray)
         orient(&event)
@@ -574,11 +580,18 @@ cdef class Paths:
         cdef Ray* ray = event.ray
         cdef bint stored = self.is_stored(ray)
         cdef int outcome = STORED if stored else FILTERED
+        cdef double[3] albedo
         if stored:
             self.deposit(event)
-        if self.path_filter == CAUSTIC or not self.roulette(
-            &self.materials.reflectance[i, 0], event, OF_SURFACE, outcome
-        ):
+        if self.path_filter == CAUSTIC:
+            return self.terminate(ray, outcome)
+        copy(albedo, &self.materials.reflectance[i, 0])
+        if self.materials.is_textured[i]:
+            colour_at(
+                albedo, &self.materials.view[i], self.triangles.face_id[event.triangle],
+                event.u, event.v,
+            )
+        if not self.roulette(albedo, event, OF_SURFACE, outcome):
             return self.terminate(ray, outcome)
         sample_cosine(out, event)
         ray.n_diffuse += 1

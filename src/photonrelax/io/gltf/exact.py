@@ -22,6 +22,7 @@ from ...scene.materials import Dielectric, Diffuse, Mirror, Sensor
 from ...scene.scene import Scene, SceneObject
 from ...scene.shading import given_normals
 from ...scene.shapes import Disk, Rectangle, Sphere
+from ...scene.textures import Texture
 from ..json_entry import JsonEntry
 from .file import GltfFile
 
@@ -34,6 +35,7 @@ _VERSION = 1
 _CLASSES: dict[str, type] = {
     each.__name__: each
     for each in (
+        Texture,
         Scene,
         SceneObject,
         Camera,
@@ -100,7 +102,8 @@ def _encoded(value: Any, add_view: AddView) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, np.ndarray):
-        return value.tolist() if value.size <= _MAX_INLINE else _view_of(value, add_view)
+        inline = value.size <= _MAX_INLINE and value.dtype == np.float64
+        return value.tolist() if inline else _view_of(value, add_view)
     if isinstance(value, list | tuple):
         return [_encoded(each, add_view) for each in value]
     if hasattr(value, "vertices") and hasattr(value, "faces"):
@@ -120,8 +123,13 @@ def _encoded_mesh(mesh: trimesh.Trimesh, add_view: AddView) -> dict[str, Any]:
         "vertices": np.asarray(mesh.vertices, dtype="<f8"),
         "faces": np.asarray(mesh.faces, dtype="<i8"),
         "vertex_normals": given_normals(mesh),
+        "uv": getattr(mesh.visual, "uv", None),
     }
-    views = {key: _view_of(each, add_view) for key, each in arrays.items() if each is not None}
+    views = {
+        key: _view_of(np.asarray(each), add_view)
+        for key, each in arrays.items()
+        if each is not None
+    }
     return {"class": "Trimesh", **views}
 
 
@@ -148,7 +156,9 @@ def _decoded(value: Any, file: GltfFile) -> Any:
     if name == "Trimesh":
         import trimesh
 
-        return trimesh.Trimesh(**members, process=False)
+        uv = members.pop("uv", None)
+        visual = None if uv is None else trimesh.visual.TextureVisuals(uv=uv)
+        return trimesh.Trimesh(**members, visual=visual, process=False)
     return _CLASSES[name](**members)
 
 

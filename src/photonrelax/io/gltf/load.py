@@ -15,9 +15,10 @@ from .lights import emitters_of
 from .materials import MATERIAL_EXTENSIONS, MaterialReader
 from .nodes import placed_nodes
 from .objects import ObjectBuilder
+from .textures import TRANSFORM, WEBP, TextureReader
 
 # Extensions that a file may require.
-_KNOWN = {LIGHTS, "KHR_mesh_quantization", *MATERIAL_EXTENSIONS}
+_KNOWN = {LIGHTS, TRANSFORM, WEBP, "KHR_mesh_quantization", *MATERIAL_EXTENSIONS}
 
 
 def load_gltf(path: Path, options: LoadOptions) -> Scene:
@@ -42,7 +43,9 @@ def load_gltf(path: Path, options: LoadOptions) -> Scene:
     substitutions = Substitutions()
     _add_ignored(file, substitutions)
     generator = file.root.entry("asset").text("generator")
-    materials = MaterialReader(generator, options.light_units, substitutions)
+    materials = MaterialReader(
+        generator, options.light_units, TextureReader(file, substitutions), substitutions
+    )
     built = ObjectBuilder(file, materials, substitutions, options.maker).build(nodes)
     emitters = built.emitters + emitters_of(file, nodes, options.light_units, substitutions)
     if not built.objects:

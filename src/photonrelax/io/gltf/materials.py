@@ -12,6 +12,7 @@ from ...scene.materials import Dielectric, Diffuse, Material, Mirror
 from ..json_entry import JsonEntry
 from ..substitutions import Substitutions
 from .lights import LUMENS_PER_WATT
+from .textures import TextureReader, TextureUse
 
 # Metal that is rougher is diffuse.
 _MIRROR_ROUGHNESS = 0.3
@@ -58,12 +59,15 @@ class Surface:
         Emitted, W/(m² sr); zero of most.
     two_sided : bool
         Emits on both sides where its mesh is open.
+    texture : TextureUse, optional
+        Of a diffuse material, in place of its albedo.
     """
 
     name: str
     material: Material
     radiance: Floats
     two_sided: bool
+    texture: TextureUse | None = None
 
 
 class MaterialReader:
@@ -75,9 +79,18 @@ class MaterialReader:
         Program that wrote the file: Blender's glass takes its colour once for a way through it.
     light_units : str
         Of emitted light in files of other programs.
+    textures : TextureReader
+    substitutions : Substitutions
     """
 
-    def __init__(self, generator: str, light_units: str, substitutions: Substitutions) -> None:
+    def __init__(
+        self,
+        generator: str,
+        light_units: str,
+        textures: TextureReader,
+        substitutions: Substitutions,
+    ) -> None:
+        self._textures = textures
         self._from_blender = "blender" in generator.lower()
         # Blender writes the strength of its own lights on surfaces whatever the units of lamps.
         in_nits = light_units == "standard" and not self._from_blender
@@ -94,7 +107,13 @@ class MaterialReader:
         if radiance.any() and material.is_specular:
             self._substitutions.add(name, "light of glass or metal", "a diffuse lamp")
             material = Diffuse(colour)
-        return Surface(name, material, radiance, entry.flag("doubleSided"))
+        texture = None
+        if "baseColorTexture" in base:
+            if isinstance(material, Diffuse):
+                texture = self._textures.read(base.entry("baseColorTexture"), colour, name)
+            else:
+                self._substitutions.add(name, "baseColorTexture", "the factor alone")
+        return Surface(name, material, radiance, entry.flag("doubleSided"), texture)
 
     def _material(self, entry: JsonEntry, base: JsonEntry, colour: Floats, name: str) -> Material:
         roughness = base.number("roughnessFactor", 1.0, 0.0, 1.0)
@@ -147,8 +166,6 @@ class MaterialReader:
         base = entry.entry("pbrMetallicRoughness")
         if "metallicRoughnessTexture" in base:
             self._substitutions.add(name, "metallicRoughnessTexture", "the factors alone")
-        if "baseColorTexture" in base:
-            self._substitutions.add(name, "baseColorTexture", "the factor alone")
         for extension in entry.entry("extensions").names():
             if extension not in MATERIAL_EXTENSIONS or extension in _IGNORED:
                 self._substitutions.add(name, extension, _IGNORED.get(extension, "nothing of it"))

@@ -35,11 +35,14 @@ class Triangles:
     normals : (v, 3), optional
         Unit vectors; None for flat faces.
     faces : (f, 3)
+    uv : (v, 2), optional
+        Texture coordinates, v down.
     """
 
     vertices: Floats
     normals: Floats | None
     faces: NDArray[np.int64]
+    uv: Floats | None = None
 
     def placed(self, to_world: Floats) -> Triangles:
         """The triangles in the world; those of mirrored nodes keep their outside."""
@@ -53,7 +56,7 @@ class Triangles:
             cofactors = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])
             normals = normals @ cofactors.T * (-1.0 if mirrored else 1.0)
             normals = divided(normals, np.linalg.norm(normals, axis=1, keepdims=True))
-        return Triangles(vertices, normals, np.ascontiguousarray(faces))
+        return Triangles(vertices, normals, np.ascontiguousarray(faces), self.uv)
 
     def mesh(self) -> tuple[trimesh.Trimesh, bool | float]:
         """The triangles as a mesh, and the ``smooth`` of its object."""
@@ -68,8 +71,12 @@ class Triangles:
         return mesh, True if given_normals(mesh) is not None else _ALL_SMOOTH
 
 
-def triangles_of(file: GltfFile, primitive: JsonEntry) -> Triangles | None:
+def triangles_of(
+    file: GltfFile, primitive: JsonEntry, uv_set: int | None = None
+) -> Triangles | None:
     """Triangles of a primitive, None if it is of points or lines.
+
+    With texture coordinates of the set of a number, if one is asked for.
 
     Raises
     ------
@@ -86,9 +93,10 @@ def triangles_of(file: GltfFile, primitive: JsonEntry) -> Triangles | None:
         raise ValueError(f"{primitive.where} should have a POSITION, but has none")
     vertices = file.floats(index, 3)
     faces = _faces(file, primitive, mode, len(vertices))
+    uv = None if uv_set is None else _uv(file, primitive, uv_set, len(vertices))
     index = attributes.index("NORMAL", n)
     if index is None:
-        return _welded(Triangles(vertices, None, faces))
+        return _welded(Triangles(vertices, None, faces, uv))
     normals = file.floats(index, 3)
     if normals.shape != vertices.shape:
         raise ValueError(
@@ -96,9 +104,21 @@ def triangles_of(file: GltfFile, primitive: JsonEntry) -> Triangles | None:
             f"and {len(vertices)}"
         )
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    given = Triangles(vertices, divided(normals, length), faces)
+    given = Triangles(vertices, divided(normals, length), faces, uv)
     usable = (length > 0.0).all() and not _is_flat(given)
     return _welded(given if usable else replace(given, normals=None))
+
+
+def _uv(file: GltfFile, primitive: JsonEntry, uv_set: int, n: int) -> Floats:
+    """Texture coordinates (n, 2) of a set."""
+    name = f"TEXCOORD_{uv_set}"
+    index = primitive.entry("attributes").index(name, len(file.entries("accessors")))
+    if index is None:
+        raise ValueError(f"{primitive.where} should have {name} for its texture, but has none")
+    uv = file.floats(index, 2)
+    if len(uv) != n:
+        raise ValueError(f"{primitive.where} should have {n} of {name}, but has {len(uv)}")
+    return uv
 
 
 def _faces(file: GltfFile, primitive: JsonEntry, mode: int, n: int) -> NDArray[np.int64]:
@@ -133,12 +153,11 @@ def _is_flat(triangles: Triangles) -> bool:
 
 
 def _welded(triangles: Triangles) -> Triangles:
-    """The triangles with vertices that are equal in position and normal joined."""
+    """The triangles with vertices that are equal in position, normal and texture joined."""
     if not len(triangles.vertices):
         return triangles
     parts = [triangles.vertices]
-    if triangles.normals is not None:
-        parts.append(triangles.normals)
+    parts += [each for each in (triangles.normals, triangles.uv) if each is not None]
     # Zeros of both signs are one.
     rows = np.ascontiguousarray(np.hstack(parts) + 0.0)
     keys = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))[:, 0]
@@ -152,4 +171,5 @@ def _welded(triangles: Triangles) -> Triangles:
         triangles.vertices[kept],
         None if triangles.normals is None else triangles.normals[kept],
         rank[of_vertex][triangles.faces],
+        None if triangles.uv is None else triangles.uv[kept],
     )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from ...scene.area_emitter import AreaEmitter
 from ...scene.emitters import Emitter
-from ...scene.materials import Dielectric
+from ...scene.materials import Dielectric, Diffuse, Material
 from ...scene.scene import SceneObject
 from ...scene.winding import EdgeDefects, check_surface
 from ..json_entry import JsonEntry
@@ -49,7 +49,7 @@ class ObjectBuilder:
     ) -> None:
         self._file, self._materials, self._substitutions = file, materials, substitutions
         self._maker = maker
-        self._triangles: dict[tuple[int, int], Triangles | None] = {}
+        self._triangles: dict[tuple[int, int, int | None], Triangles | None] = {}
         self._surfaces: dict[int | None, Surface] = {}
 
     def build(self, nodes: list[PlacedNode]) -> Built:
@@ -71,14 +71,17 @@ class ObjectBuilder:
             for i, primitive in enumerate(primitives):
                 name = node.name if len(primitives) == 1 else f"{node.name}[{i}]"
                 self._add_ignored(primitive, name)
-                if (index, i) not in self._triangles:
-                    self._triangles[index, i] = triangles_of(self._file, primitive)
-                triangles = self._triangles[index, i]
+                surface = self._surface(primitive)
+                uv_set = None if surface.texture is None else surface.texture.uv_set
+                key = index, i, uv_set
+                if key not in self._triangles:
+                    self._triangles[key] = triangles_of(self._file, primitive, uv_set)
+                triangles = self._triangles[key]
                 if triangles is None:
                     self._substitutions.add(name, "points or lines", "nothing of them")
                 else:
                     placed = triangles.placed(node.to_world)
-                    self._add(built, name, placed, self._surface(primitive))
+                    self._add(built, name, placed, surface)
         return built
 
     def _add(self, built: Built, name: str, triangles: Triangles, surface: Surface) -> None:
@@ -98,7 +101,7 @@ class ObjectBuilder:
             self._substitutions.add_reading(
                 surface.name, "glass around a closed mesh", "solid glass"
             )
-        return self._maker.make(mesh, surface.material, name, smooth)
+        return self._maker.make(mesh, _material(triangles, surface), name, smooth)
 
     def _plate(self, name: str, triangles: Triangles, surface: Surface) -> SceneObject:
         """Glass of an open mesh, which the standard has as a thin wall."""
@@ -139,8 +142,15 @@ def _lamp(triangles: Triangles, surface: Surface) -> AreaEmitter:
         mesh,
         radiance=surface.radiance,
         two_sided=surface.two_sided and not _winds_outwards(mesh),
-        material=surface.material,
+        material=_material(triangles, surface),
     )
+
+
+def _material(triangles: Triangles, surface: Surface) -> Material:
+    """The material, its texture on the coordinates of the triangles."""
+    if surface.texture is None or triangles.uv is None:
+        return surface.material
+    return Diffuse(surface.texture.on(triangles.uv))
 
 
 def _is_open(mesh: trimesh.Trimesh) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import struct
 from pathlib import Path
@@ -17,13 +18,16 @@ from ...scene.camera import Camera
 from ...scene.emitters import CollimatedEmitter, Emitter, PointEmitter, SpotEmitter
 from ...scene.materials import Dielectric, Diffuse, Material, Mirror
 from ...scene.scene import Scene, SceneObject
+from ...scene.textures import Texture
 from .exact import GENERATOR, KEY, encoded
 from .file import MAGIC
 from .lights import EXTENSION as LIGHTS
 from .lights import LUMENS_PER_WATT, spot_solid_angle
 
 _FLOAT, _UNSIGNED = 5126, 5125
-_TYPES = {1: "SCALAR", 3: "VEC3"}
+_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3"}
+_NEAREST = 9728
+_WRAPS = {"repeat": 10497, "mirror": 33648, "clamp": 33071}
 # To glTF's axes, y up: (x, y, z) becomes (x, z, -y).
 _Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 # Metres after which light in a medium has its colour.
@@ -60,7 +64,10 @@ class _Writer:
         self._buffer = bytearray()
         self._lists: dict[str, list[Any]] = {
             name: []
-            for name in ("nodes", "meshes", "materials", "cameras", "accessors", "bufferViews")
+            for name in (
+                *("nodes", "meshes", "materials", "cameras", "accessors", "bufferViews"),
+                *("textures", "samplers", "images"),
+            )
         }
         self._lights: list[dict[str, Any]] = []
         self._extensions: set[str] = set()
@@ -72,14 +79,18 @@ class _Writer:
             self._set_radiance(material, radiance)
         vertices, faces = np.asarray(item.mesh.vertices), np.asarray(item.mesh.faces)
         attributes = {}
+        uv = _texture_coordinates(item)
         if item.smooth:
             shading = item.shading_normals
             vertices, faces = vertices[shading.vertex], shading.faces
+            uv = None if uv is None else uv[shading.vertex]
             length = np.linalg.norm(shading.normal, axis=1, keepdims=True)
             if (length > 0.0).all():
                 normals = shading.normal / length
                 attributes["NORMAL"] = self._accessor(normals @ _Y_UP.T, _FLOAT)
         attributes["POSITION"] = self._accessor(vertices @ _Y_UP.T, _FLOAT)
+        if uv is not None:
+            attributes["TEXCOORD_0"] = self._accessor(uv * [1.0, -1.0] + [0.0, 1.0], _FLOAT)
         primitive = {
             "attributes": attributes,
             "indices": self._accessor(faces.ravel(), _UNSIGNED),
@@ -155,6 +166,9 @@ class _Writer:
         made: dict[str, Any] = {"name": name, "pbrMetallicRoughness": factors}
         if material.is_sensor:
             made["alphaMode"] = "BLEND"
+        if material.texture is not None:
+            factors["baseColorFactor"] = [*np.asarray(material.texture.factor).tolist(), 1.0]
+            factors["baseColorTexture"] = {"index": self._add_texture(material.texture)}
         if isinstance(material, Dielectric):
             made["extensions"] = self._glass(material)
         return made
@@ -173,6 +187,14 @@ class _Writer:
         }
         self._extensions |= extensions.keys()
         return extensions
+
+    def _add_texture(self, texture: Texture) -> int:
+        u, v = texture.wrap
+        sampler = {"magFilter": _NEAREST, "wrapS": _WRAPS[u], "wrapT": _WRAPS[v]}
+        image = {"mimeType": "image/png", "bufferView": self._add_view(_png(texture))}
+        source = self._append("images", image)
+        sampler_index = self._append("samplers", sampler)
+        return self._append("textures", {"source": source, "sampler": sampler_index})
 
     def _set_radiance(self, material: dict[str, Any], radiance: Floats) -> None:
         """Emission in cd/m², as a factor of 1 at most and a strength."""
@@ -207,6 +229,30 @@ class _Writer:
     def _append(self, name: str, value: dict[str, Any]) -> int:
         self._lists[name].append(value)
         return len(self._lists[name]) - 1
+
+
+def _texture_coordinates(item: SceneObject) -> Floats | None:
+    """Texture coordinates (v, 2) of an object with a texture, v up; None of others."""
+    texture = item.material.texture
+    if texture is None:
+        return None
+    visual: Any = item.mesh.visual
+    return np.asarray(visual.uv if texture.uv is None else texture.uv, dtype=float)
+
+
+def _png(texture: Texture) -> bytes:
+    """PNG file of an image, in sRGB."""
+    from PIL import Image
+
+    texels = np.asarray(texture.image)
+    if texels.dtype != np.uint8 or texture.encoding != "srgb":
+        linear = texture.meaning[texels] if texels.dtype == np.uint8 else texels
+        curved = 1.055 * np.power(linear, 1.0 / 2.4) - 0.055
+        stored = np.where(linear <= 0.0031308, 12.92 * linear, curved)
+        texels = np.rint(255.0 * stored).astype(np.uint8)
+    file = io.BytesIO()
+    Image.fromarray(texels).save(file, "PNG")
+    return file.getvalue()
 
 
 def _light(emitter: Emitter) -> dict[str, Any] | None:
