@@ -12,6 +12,7 @@ from ..scene.scene import Scene
 from .caster import ReadParts, load_caster
 from .gltf.load import load_gltf
 from .mesh_file import is_mesh_format, read_other, read_ply, read_stl
+from .mitsuba.load import load_mitsuba, load_mitsuba_dict
 from .obj import read_obj
 from .options import LIGHT_UNITS, LoadOptions
 from .script import load_script
@@ -21,13 +22,14 @@ _LOADERS: dict[str, Callable[[Path, LoadOptions], Scene]] = {
     ".py": load_script,
     ".glb": load_gltf,
     ".gltf": load_gltf,
+    ".xml": load_mitsuba,
 }
 # Readers of files of a mesh alone.
 _MESHES: dict[str, ReadParts] = {".obj": read_obj, ".stl": read_stl, ".ply": read_ply}
 
 
 def load_scene(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | Mapping[str, Any],
     *,
     camera: str | None = None,
     light_units: str = "standard",
@@ -38,10 +40,11 @@ def load_scene(
 
     Parameters
     ----------
-    path : path
+    path : path, or dict
         A Python script (``.py``) that defines ``scene()``; glTF 2.0 (``.glb``, ``.gltf``); or a
         mesh (``.obj`` with its materials, ``.stl``, ``.ply``, or any that trimesh reads), which
-        gets parallel light and a screen behind it.
+        gets parallel light and a screen behind it; or a Mitsuba 3 scene (``.xml``), also as a
+        dictionary.
     camera : str, optional
         Name of the camera, of several in the file; by default the first.
     light_units : str
@@ -63,7 +66,10 @@ def load_scene(
         If the file is damaged or not of a known format, or an argument has no meaning for it.
     """
     check_choice(light_units, "light_units", LIGHT_UNITS)
-    return load_with(path, LoadOptions(camera, light_units, strict, dict(arguments or {})))
+    options = LoadOptions(camera, light_units, strict, dict(arguments or {}))
+    if isinstance(path, Mapping):
+        return load_mitsuba_dict(path, options)
+    return load_with(path, options)
 
 
 def load_with(path: str | os.PathLike[str], options: LoadOptions) -> Scene:

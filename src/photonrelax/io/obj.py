@@ -20,8 +20,10 @@ _GLASS, _MIRRORS, _FRESNEL_MIRROR = (4, 6, 7, 9), (3, 5, 8), 5
 _ABSENT = -1
 
 
-def read_obj(path: Path, substitutions: Substitutions) -> list[Part]:
-    """Parts of an OBJ file, one for each material of each object.
+def read_obj(
+    path: Path, substitutions: Substitutions, *, with_materials: bool = True
+) -> list[Part]:
+    """Parts of an OBJ file, one for each material of each object; MTL files may be left out.
 
     Raises
     ------
@@ -32,6 +34,8 @@ def read_obj(path: Path, substitutions: Substitutions) -> list[Part]:
     """
     obj = _Obj(path, substitutions)
     for number, words in _lines(read_whole(path)):
+        if words[0] == b"mtllib" and not with_materials:
+            continue
         try:
             obj.read(words)
         except (ValueError, IndexError, OverflowError) as error:

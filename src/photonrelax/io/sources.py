@@ -27,6 +27,20 @@ def read_beside(scene: Path, name: str, where: str) -> bytes:
     OSError
         If there is no such file or it cannot be read.
     """
+    try:
+        return read_whole(path_beside(scene, name, where))
+    except OSError as error:
+        raise type(error)(f"{where} should name a file: {error}") from None
+
+
+def path_beside(scene: Path, name: str, where: str) -> Path:
+    """Path of a file in the folder of a scene's file, or below, links followed.
+
+    Raises
+    ------
+    ValueError
+        If the name leads out of the folder.
+    """
     folder = Path(os.path.realpath(scene)).parent
     try:
         target = Path(os.path.realpath(folder / name))
@@ -34,7 +48,4 @@ def read_beside(scene: Path, name: str, where: str) -> bytes:
         raise ValueError(f"{where} should name a file, but is {name!r}") from None
     if "://" in name or not target.is_relative_to(folder):
         raise ValueError(f"{where} should name a file in {folder} or below, but is {name!r}")
-    try:
-        return read_whole(target)
-    except OSError as error:
-        raise type(error)(f"{where} should name a file: {error}") from None
+    return target
