@@ -21,6 +21,7 @@ TIERS = [
     {"photons"},
     {"transport", "surfaces"},
     {"relaxation", "gallery"},
+    {"io"},
     {"estimation"},
     {"rendering"},
     {"evaluation"},

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from .estimation.progressive import ProgressiveSettings as ProgressiveSettings
     from .estimation.progressive import ProgressiveStatistics as ProgressiveStatistics
     from .imaging.image import Image as Image
+    from .io.load import load_scene as load_scene
+    from .io.save import save_scene as save_scene
     from .photons.energy_ledger import EnergyLedger as EnergyLedger
     from .photons.photon_map import PhotonMap as PhotonMap
     from .relaxation.gradient import GradientSettings as GradientSettings
@@ -61,6 +63,7 @@ if TYPE_CHECKING:
     from .scene.shapes import Disk as Disk
     from .scene.shapes import Rectangle as Rectangle
     from .scene.shapes import Sphere as Sphere
+    from .scene.textures import Texture as Texture
     from .spatial.kdtree import KDTree as KDTree
     from .spatial.kdtree import Neighbours as Neighbours
     from .transport.hit_points import HitPoints as HitPoints
@@ -107,17 +110,20 @@ _MODULE_OF = {
     "SpotEmitter": "scene.emitters",
     "Structure": "relaxation.structure",
     "StructureSettings": "relaxation.structure",
+    "Texture": "scene.textures",
     "detect_gradient": "relaxation.gradient",
     "detect_structure": "relaxation.structure",
     "estimate_irradiance": "estimation.nearest",
     "irradiance_field": "estimation.methods",
     "irradiance_map": "estimation.irradiance_map",
     "lightmap": "estimation.lightmap",
+    "load_scene": "io.load",
     "plan": "rendering.plan",
     "relax": "relaxation.relax",
     "render": "rendering.render",
     "render_progressive": "rendering.progressive_render",
     "rest_density": "relaxation.rest_density",
+    "save_scene": "io.save",
     "trace_envelope": "estimation.envelope.envelope",
     "trace_photons": "transport.trace",
 }

@@ -49,3 +49,15 @@ class PlanoConvex:
         power *= 1.0 - fresnel_reflectance(entering, self.ior)
         power *= 1.0 - fresnel_reflectance(slope, 1.0 / self.ior)
         return power[np.abs(landed) < radius].sum()
+
+    def flux_within_from_below(self, radius, height, n_rays=200_000):
+        """W within a radius of the axis, `height` above the apex, of 1 W/mm² from below."""
+        y = self.radius * (np.arange(n_rays) + 0.5) / n_rays
+        inside = np.arcsin(y / self.curvature_radius)
+        outside = refraction_angle(inside, 1.0 / self.ior)
+        rise = height + self.curvature_radius - self.height_of_centre(y)
+        landed = y - rise * np.tan(outside - inside)
+        power = 2 * np.pi * y * self.radius / n_rays
+        power *= 1.0 - fresnel_reflectance(0.0 * y, self.ior)
+        power *= 1.0 - fresnel_reflectance(inside, 1.0 / self.ior)
+        return power[np.abs(landed) < radius].sum()

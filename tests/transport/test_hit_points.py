@@ -150,6 +150,18 @@ def test_a_mirror_shows_what_a_mirrored_camera_sees():
     np.testing.assert_allclose(first.normal[..., 2], 1)  # the mirror itself
 
 
+def test_a_schlick_mirror_shows_more_at_grazing_angles():
+    mirror = plane(half=30.0, material=pr.Mirror((0.9, 0.5, 0.1), schlick=True))
+    for degrees in (0.0, 45.0, 80.0):
+        angle = np.radians(degrees)
+        toward = np.array([np.sin(angle), 0.0, -np.cos(angle)])
+        camera = one_ray(np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, 2.0]) + toward)
+        points, _ = trace_view([mirror, plane(z=5.0, half=300.0)], camera)
+        rise = (1.0 - np.cos(angle)) ** 5
+        expected = [r + (1.0 - r) * rise for r in (0.9, 0.5, 0.1)]
+        np.testing.assert_allclose(points.weight, [expected], rtol=1e-9)
+
+
 @pytest.mark.parametrize("degrees", [0.0, 30.0, 75.0])
 def test_a_slab_transmits_what_all_its_internal_reflections_let_through(degrees, monkeypatch):
     trace_weights_from(1e-12, monkeypatch)

@@ -68,6 +68,17 @@ def test_dielectrics_reflect_by_fresnel_and_mirrors_reflect_all(materials):
     assert at.reflected[2] == 1.0
 
 
+def test_the_reflectance_of_a_schlick_mirror_rises_to_1():
+    metals = Materials(MaterialTable.of([Mirror((0.9, 0.4, 0.0), schlick=True), Mirror(0.9)]))
+    angle = np.radians([0.0, 60.0, 90.0])
+    direction = np.column_stack([np.sin(angle), 0 * angle, -np.cos(angle)])
+    metal = interfaces(metals, direction, hits_on(0, 0, 0)).rising
+    expected = [[r + (1.0 - r) * x**5 for r in (0.9, 0.4, 0.0)] for x in (0.0, 0.5, 1.0)]
+    np.testing.assert_allclose(metal, expected, atol=1e-15)
+    # Of others nothing changes along a path, and nothing needs to be known.
+    np.testing.assert_array_equal(interfaces(metals, direction, hits_on(1, 1, 1)).rising, 1.0)
+
+
 # Bodies of indices 1.1, 1.2, 1.3 and 1.4, and one with an index outside of its own.
 BODIES = [Dielectric(1.0 + 0.1 * i, absorption=i) for i in (1, 2, 3, 4)]
 BODIES.append(Dielectric(1.5, exterior_ior=1.05, absorption=5))

@@ -131,6 +131,17 @@ def test_flat_mirror():
     np.testing.assert_allclose(level, level[0], atol=1e-9)
 
 
+def test_a_schlick_mirror_reflects_by_the_angle():
+    """Light meets a mirror at 60°, where (1 - cos θ)⁵ is 1/32."""
+    mirror = pr.SceneObject(sheet(1.0), pr.Mirror(TINT, schlick=True))
+    wall = pr.SceneObject(box([0.1, 50, 50], [20.05, 0, 0]), pr.Diffuse())
+    light = pr.CollimatedEmitter([np.sin(np.pi / 3), 0.0, -0.5])
+    photons = pr.trace_photons(pr.Scene([mirror, wall], [light]), 100_000)
+    area = np.ptp(mirror.mesh.vertices[:, 0]) * np.ptp(mirror.mesh.vertices[:, 1])
+    reflectance = np.array(TINT) + (1.0 - np.array(TINT)) / 32.0
+    np.testing.assert_allclose(photons.flux.sum(axis=0), 0.5 * area * reflectance, rtol=0.02)
+
+
 def test_total_reflection_in_a_prism():
     """Light enters one leg of a right-angled prism, turns at the hypotenuse, leaves the other."""
     corners = [[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0], [1, 1, 0], [0, 1, 1]]

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from .. import gallery
 from .._version import __version__
+from .casters import add_caster_options
+from .scenes import add_file_options, add_scene, scene_name
 
 PHOTONS = 1_000_000
 PHOTONS_PER_PASS = 100_000
@@ -18,7 +20,7 @@ SAMPLER = "halton"
 STDOUT = "-"
 
 
-def parser(commands: Mapping[str, Callable[..., None]]) -> argparse.ArgumentParser:
+def parser(commands: Mapping[str, Callable[..., int | None]]) -> argparse.ArgumentParser:
     """Parser of the command line; `commands` are the functions to call."""
     parser = argparse.ArgumentParser(
         prog="photonrelax", description="Render sharp, noise-free caustics from few photons."
@@ -35,7 +37,7 @@ def parser(commands: Mapping[str, Callable[..., None]]) -> argparse.ArgumentPars
 def _add_render(parser: argparse.ArgumentParser) -> None:
     from ..estimation.methods import DEFAULT_METHOD, METHODS, PLAIN_METHOD
 
-    _add_scene(parser)
+    add_scene(parser)
     _add_output(parser, "FILE.exr")
     parser.add_argument(
         "--method", choices=METHODS, default=DEFAULT_METHOD, help="default: %(default)s"
@@ -131,7 +133,7 @@ def _add_animate(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_plan(parser: argparse.ArgumentParser) -> None:
-    _add_scene(parser)
+    add_scene(parser)
     parser.add_argument(
         "--photons", type=positive, metavar="N", help=f"photons to emit for caustics ({PHOTONS})"
     )
@@ -178,7 +180,7 @@ def _add_trace(parser: argparse.ArgumentParser) -> None:
     from ..estimation.methods import METHODS
 
     with_spectra = ", ".join(each.name for each in METHODS.values() if each.needs_spectra)
-    _add_scene(parser)
+    add_scene(parser)
     _add_output(parser, "FILE.npz")
     _add_emission(parser)
     _add_sampler(parser)
@@ -200,9 +202,11 @@ def _add_relax(parser: argparse.ArgumentParser) -> None:
     _add_output(parser, "FILE.npz")
     parser.add_argument(
         "--scene",
-        choices=gallery.names(),
+        type=lambda text: scene_name(text, gallery.names()),
+        metavar="SCENE|FILE",
         help="scene of the photons, to project moved photons onto its surfaces",
     )
+    add_file_options(parser)
     parser.add_argument(
         "--method",
         choices=[method.name for method in METHODS.values() if method.relax is not None],
@@ -216,7 +220,8 @@ def _add_relax(parser: argparse.ArgumentParser) -> None:
 def _add_compare(parser: argparse.ArgumentParser) -> None:
     from ..estimation.methods import METHODS
 
-    _add_scene(parser, *gallery.pattern_names())
+    names = (*gallery.names(), *gallery.pattern_names())
+    parser.add_argument("scene", choices=names, metavar="SCENE", help=", ".join(names))
     _add_output(parser, "FOLDER")
     parser.add_argument(
         "--methods",
@@ -255,12 +260,12 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
 def _add_irradiance(parser: argparse.ArgumentParser) -> None:
     from ..estimation.methods import DEFAULT_METHOD, METHODS
 
-    _add_scene(parser)
+    add_scene(parser)
     parser.add_argument(
         "--on",
-        required=True,
         metavar="OBJECT",
-        help="name or number of the flat object to map, from the side with most light",
+        help="name or number of the flat object to map, from the side with most light; required "
+        "but for a mesh, which has a screen",
     )
     _add_output(parser, "FILE.exr")
     parser.add_argument(
@@ -274,13 +279,15 @@ def _add_irradiance(parser: argparse.ArgumentParser) -> None:
         "--size",
         type=_positive_number,
         metavar="METRES",
-        help="side of a square around the middle of the light, in place of the whole object",
+        help="side of a square around the middle of the light, in place of the whole object; of a "
+        "mesh in --units (its diagonal)",
     )
     parser.add_argument(
         "--encircled",
         type=_radii,
         metavar="RADIUS,...",
-        help="print the flux within these radii, in m, of the centre and of the brightest point",
+        help="print the flux within these radii, in m, of the centre and of the brightest point; "
+        "of a mesh in --units, and of the axis too",
     )
     parser.add_argument(
         "--plot",
@@ -295,7 +302,19 @@ def _add_irradiance(parser: argparse.ArgumentParser) -> None:
     _add_sampler(parser)
     _add_settings(parser)
     _add_exposure(parser)
+    add_caster_options(parser)
     _add_common(parser)
+
+
+def _add_check(parser: argparse.ArgumentParser) -> None:
+    add_scene(parser)
+    parser.add_argument(
+        "--repair",
+        type=Path,
+        metavar="FILE.glb",
+        help="write the scene with meshes of glass welded, closed and wound outwards, as far as "
+        "that can be done",
+    )
 
 
 def _add_info(parser: argparse.ArgumentParser) -> None:
@@ -303,13 +322,13 @@ def _add_info(parser: argparse.ArgumentParser) -> None:
 
 
 COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
-    "render": ("render a built-in scene to an EXR file, and a PNG preview beside it", _add_render),
-    "plan": ("print what light a render of a built-in scene models, and why", _add_plan),
-    "trace": ("trace the photons of a built-in scene into a photon map", _add_trace),
+    "render": ("render a scene to an EXR file, and a PNG preview beside it", _add_render),
+    "plan": ("print what light a render models, and why", _add_plan),
+    "trace": ("trace the photons of a scene into a photon map", _add_trace),
     "relax": ("relax the photons of a photon map", _add_relax),
     "compare": ("compare methods on the same photons: table, images, HTML page", _add_compare),
     "irradiance": (
-        "map the irradiance on a flat object to an EXR file, and a PNG preview beside it",
+        "map the irradiance on a flat object, or behind a mesh, to an EXR file and a PNG preview",
         _add_irradiance,
     ),
     "animate": (
@@ -317,13 +336,9 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
         _add_animate,
     ),
     "list": ("list the built-in scenes and photon patterns", lambda parser: None),
+    "check": ("list what is wrong with a scene, without rendering it", _add_check),
     "info": ("describe an EXR file or a photon map", _add_info),
 }
-
-
-def _add_scene(parser: argparse.ArgumentParser, *others: str) -> None:
-    names = (*gallery.names(), *others)
-    parser.add_argument("scene", choices=names, metavar="SCENE", help=", ".join(names))
 
 
 def _add_output(parser: argparse.ArgumentParser, metavar: str) -> None:

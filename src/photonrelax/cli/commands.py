@@ -31,8 +31,10 @@ from .arguments import (
     STDOUT,
     parser,
 )
+from .casters import axis_point, complete_options, gather_radius, map_size, unit_of
 from .interrupts import Interrupts
 from .progress_bar import ProgressBars
+from .scenes import scene_of
 from .streams import complain, escaping_streams, write_lines
 
 # Import lazily, so that Ctrl-C during an import reaches `main`.
@@ -50,13 +52,13 @@ Result = TypeVar("Result")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
-    0 for success, 1 for an error, 2 for wrong usage (raised as SystemExit); 130 for Ctrl-C, 143
-    for SIGTERM and 129 for SIGHUP.
+    0 for success, 1 for an error or a scene that `check` finds wrong, 2 for wrong usage (raised as
+    SystemExit); 130 for Ctrl-C, 143 for SIGTERM and 129 for SIGHUP.
     """
     with escaping_streams(), Interrupts() as interrupts:
         try:
             options = parser(_COMMANDS).parse_args(arguments)
-            options.command(options, interrupts)
+            code: int | None = options.command(options, interrupts)
         except KeyboardInterrupt:
             return _interrupted(interrupts)
         except Exception as error:
@@ -67,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise
             complain(f"error: {str(error) or 'out of memory'}")
             return 1
-    return 0
+    return code or 0
 
 
 def _interrupted(interrupts: Interrupts) -> int:
@@ -148,7 +150,7 @@ def _render_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Im
         with ExitStack() as files:
             _place(files, image, options)
 
-    scene = resized(gallery.scene(options.scene), options.width, options.height)
+    scene = resized(scene_of(options.scene, options), options.width, options.height)
     with ProgressBars(options.quiet, interrupts) as bars:
         return pr.render_progressive(
             scene,
@@ -174,7 +176,7 @@ def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Imag
 
     settings = _render_settings(options)
     photons = None if options.photon_map is None else pr.PhotonMap.load(options.photon_map)
-    scene = resized(gallery.scene(options.scene), options.width, options.height)
+    scene = resized(scene_of(options.scene, options), options.width, options.height)
     with ProgressBars(options.quiet, interrupts) as bars:
         return pr.render(
             scene,
@@ -211,7 +213,7 @@ def _plan(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ..rendering.simplifications import simplifications
     from .reports import cost_table, plan_table, simplification_table
 
-    scene = gallery.scene(options.scene)
+    scene = scene_of(options.scene, options)
     found = pr.plan(
         scene,
         n_emitted=_photons(options),
@@ -228,7 +230,7 @@ def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from .reports import stage_table
 
     output = output_path(options.output, ".npz")
-    scene = gallery.scene(options.scene)
+    scene = scene_of(options.scene, options)
     with ProgressBars(options.quiet, interrupts) as bars:
         photons, seconds = _timed(
             lambda: pr.trace_photons(
@@ -253,7 +255,7 @@ def _relax(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
     output = output_path(options.output, ".npz")
     photons = pr.PhotonMap.load(options.photon_map)
-    scene = None if options.scene is None else gallery.scene(options.scene)
+    scene = None if options.scene is None else scene_of(options.scene, options)
     settings = Settings()
     if options.iterations is not None:
         default = method_named(options.method).default("relax")
@@ -348,14 +350,17 @@ def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ..rendering.object_map import ObjectMap
     from .reports import encircled_table
 
+    complete_options(options)
     output = output_path(options.output, ".exr")
     preview = output_path(output.with_suffix(".png"))
     plot = None if options.plot is None else output_path(options.plot, ".png")
     check_distinct({"the map": output, "the preview": preview, "--plot": plot})
     if plot is not None:
         irradiance_plot.check_installed()
-    field, scene, photons = _field_of_scene(options, interrupts)
-    found = ObjectMap(field, scene, options.on, options.texels, size=options.size, photons=photons)
+    scene = scene_of(options.scene, options)
+    size = map_size(options, scene)
+    field, photons = _field_of_scene(options, interrupts, scene, gather_radius(options, size))
+    found = ObjectMap(field, scene, options.on, options.texels, size=size, photons=photons)
     with ExitStack() as files:
         _place(files, found.image, options)
         if plot is not None:
@@ -368,19 +373,25 @@ def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
         interrupts.check()
     texts = [f"wrote {output} and {preview}" + ("" if plot is None else f" and {plot}")]
     if options.encircled is not None:
-        texts.insert(0, encircled_table(found, options.encircled))
+        axis = axis_point(options, scene)
+        texts.insert(0, encircled_table(found, options.encircled, unit_of(options), axis))
     _report(options, *texts)
 
 
 def _field_of_scene(
-    options: argparse.Namespace, interrupts: Interrupts
-) -> tuple[Field, pr.Scene, pr.PhotonMap]:
-    from ..estimation.methods import MethodInput, method_named, prepare
+    options: argparse.Namespace, interrupts: Interrupts, scene: pr.Scene, radius: float | None
+) -> tuple[Field, pr.PhotonMap]:
+    """Field on the object to map, photons gathered within a radius unless settings have one."""
+    from ..estimation.methods import MethodInput, Settings, method_named, prepare
     from ..rendering.object_map import object_named, photons_of_surface
     from .settings import settings_from_options
 
     settings = settings_from_options(options, (options.method,))
-    scene = gallery.scene(options.scene)
+    gather = settings.of("gather")
+    reads = "gather" in method_named(options.method).stages
+    if radius is not None and reads and gather.gather_radius is None:
+        gather = replace(gather, gather_radius=radius)
+        settings = Settings(**settings.given | {"gather": gather})
     object_id = object_named(scene, options.on)
     with ProgressBars(options.quiet, interrupts) as bars:
         photons = pr.trace_photons(
@@ -394,7 +405,21 @@ def _field_of_scene(
         )
         there = photons_of_surface(photons, scene, object_id)
         inputs = MethodInput(there, settings, scene, options.threads, bars)
-        return prepare(options.method, inputs), scene, there
+        return prepare(options.method, inputs), there
+
+
+def _check(options: argparse.Namespace, interrupts: Interrupts) -> int:
+    from .scenes import findings_of
+
+    repaired = None if options.repair is None else output_path(options.repair, ".glb")
+    findings, scene = findings_of(options.scene, options)
+    lines = [f"{'error' if each.spoils else 'note'}: {each.text}" for each in findings]
+    if repaired is not None and scene is not None:
+        pr.save_scene(scene, repaired)
+        lines.append(f"wrote {repaired}")
+    write_lines(*(lines or ["no findings"]))
+    is_mended = repaired is not None and scene is not None
+    return int(any(each.spoils and not (is_mended and each.mended) for each in findings))
 
 
 def _list(options: argparse.Namespace, interrupts: Interrupts) -> None:
@@ -456,6 +481,7 @@ _COMMANDS = {
     "compare": _compare,
     "irradiance": _irradiance,
     "animate": animate,
+    "check": _check,
     "list": _list,
     "info": _info,
 }

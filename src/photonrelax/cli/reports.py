@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from .._util.validation import Floats
 from ..imaging.image import Image
 from ..photons.energy_ledger import EnergyLedger
 from ..photons.photon_map import PhotonMap
@@ -80,13 +81,25 @@ def cost_table(costs: Mapping[str, Cost]) -> str:
     return "\n".join(lines)
 
 
-def encircled_table(found: ObjectMap, radii: Sequence[float]) -> str:
-    """Flux within radii of the centre of a map and of its brightest point, a line each."""
+def encircled_table(
+    found: ObjectMap,
+    radii: Sequence[float],
+    unit: tuple[str, float] = ("m", 1.0),
+    axis: Floats | None = None,
+) -> str:
+    """Flux within radii of the centre of a map, of its brightest point and of an axis, a line each.
+
+    Radii are in a unit, which has a name and a length, m.
+    """
     lines = []
-    for name, point in (("centre", found.centre), ("brightest point", found.brightest)):
-        lines.append(f"within a radius of the {name}, {_numbers(point)} m:")
-        flux = found.encircled_flux(point, radii)
-        lines += [f"  {r:g} m  {_watts(some)}" for r, some in zip(radii, flux, strict=True)]
+    name, metres = unit
+    points = {"axis": axis, "centre": found.centre, "brightest point": found.brightest}
+    for label, point in points.items():
+        if point is None:
+            continue
+        lines.append(f"within a radius of the {label}, {_numbers(point / metres)} {name}:")
+        flux = found.encircled_flux(point, [metres * r for r in radii])
+        lines += [f"  {r:g} {name}  {_watts(some)}" for r, some in zip(radii, flux, strict=True)]
     return "\n".join(lines)
 
 

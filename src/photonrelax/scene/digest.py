@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .scene import Scene, SceneObject
+from .textures import face_texture
 
 
 def scene_digests(scene: Scene) -> dict[str, str]:
@@ -61,3 +62,6 @@ def _mesh_arrays(item: SceneObject) -> Iterable[NDArray]:
     # With these arrays and `smooth`, they determine the corner that each belongs to.
     if item.smooth:
         yield item.shading_normals.normal
+    texture = face_texture(item)
+    if texture is not None:
+        yield texture.uv

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._util.frozen import frozen, set_field
 from .._util.validation import Floats, count, positive, rgb
+from .textures import FaceTexture, Texture
 
 MAX_PRIORITY = 2**31 - 1
 """Ceiling of priorities, and of their negatives."""
@@ -37,6 +38,8 @@ class MaterialRow:
         Of the medium inside, where others overlap it.
     tint : (3,)
         Factor on light that is refracted.
+    schlick : bool
+        The reflectance rises to 1 at grazing angles.
     """
 
     kind: str
@@ -46,6 +49,7 @@ class MaterialRow:
     absorption: ArrayLike = (0.0, 0.0, 0.0)
     priority: int = 0
     tint: ArrayLike = (1.0, 1.0, 1.0)
+    schlick: bool = False
 
 
 class Material(ABC):
@@ -65,6 +69,11 @@ class Material(ABC):
     has_inside: ClassVar[bool] = False
     is_sensor: ClassVar[bool] = False
 
+    @property
+    def texture(self) -> Texture | None:
+        """Texture of the albedo; None for one albedo all over."""
+        return None
+
     @abstractmethod
     def row(self) -> MaterialRow:
         """The material as kernels read it."""
@@ -76,19 +85,25 @@ class Diffuse(Material):
 
     Parameters
     ----------
-    albedo : (3,) or float
+    albedo : (3,), float or Texture
         Reflected fraction of the light per channel, in [0, 1].
     """
 
     is_specular: ClassVar[bool] = False
 
-    albedo: ArrayLike = (0.8, 0.8, 0.8)
+    albedo: ArrayLike | Texture = (0.8, 0.8, 0.8)
 
     def __post_init__(self) -> None:
-        set_field(self, "albedo", frozen(rgb(self.albedo, "albedo", high=1.0)))
+        if not isinstance(self.albedo, Texture):
+            set_field(self, "albedo", frozen(rgb(self.albedo, "albedo", high=1.0)))
+
+    @property
+    def texture(self) -> Texture | None:
+        return self.albedo if isinstance(self.albedo, Texture) else None
 
     def row(self) -> MaterialRow:
-        return MaterialRow("diffuse", reflectance=self.albedo)
+        albedo = self.albedo.mean if isinstance(self.albedo, Texture) else self.albedo
+        return MaterialRow("diffuse", reflectance=albedo)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,16 +113,21 @@ class Mirror(Material):
     Parameters
     ----------
     reflectance : (3,) or float
-        Reflected fraction of the light per channel, in [0, 1].
+        Reflected fraction R of the light per channel, in [0, 1].
+    schlick : bool
+        True: R is that of light along the normal, and rises to 1 at grazing angles as Schlick's
+        approximation of metals has it, R + (1 - R) (1 - cos θ)⁵. False: the same at all angles.
     """
 
     reflectance: ArrayLike = (1.0, 1.0, 1.0)
+    schlick: bool = False
 
     def __post_init__(self) -> None:
         set_field(self, "reflectance", frozen(rgb(self.reflectance, "reflectance", high=1.0)))
+        set_field(self, "schlick", bool(self.schlick))
 
     def row(self) -> MaterialRow:
-        return MaterialRow("mirror", reflectance=self.reflectance)
+        return MaterialRow("mirror", reflectance=self.reflectance, schlick=self.schlick)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +225,10 @@ class MaterialTable:
         Of dielectrics, where they overlap; 0 for other materials.
     tint : (n, 3)
         Factor on light that dielectrics refract; 1 for other materials.
+    schlick : (n,) bool
+        The reflectance rises to 1 at grazing angles.
+    textures : (n,) FaceTexture or None
+        Of diffuse objects, whose `reflectance` is the mean; empty if there are none.
     """
 
     kind: tuple[str, ...]
@@ -214,6 +238,8 @@ class MaterialTable:
     absorption: Floats
     priority: NDArray[np.int64]
     tint: Floats
+    schlick: NDArray[np.bool_]
+    textures: tuple[FaceTexture | None, ...] = ()
 
     @classmethod
     def of(cls, materials: Iterable[Material]) -> MaterialTable:
@@ -228,4 +254,5 @@ class MaterialTable:
             absorption=np.array([row.absorption for row in rows], dtype=np.float64),
             priority=np.array([row.priority for row in rows], dtype=np.int64),
             tint=np.array([row.tint for row in rows], dtype=np.float64),
+            schlick=np.array([row.schlick for row in rows], dtype=bool),
         )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -25,6 +25,7 @@ from .materials import Material, MaterialTable
 from .meshes import check_mesh, nondegenerate_triangles, nondegenerate_vertices
 from .resolution import Resolution
 from .shading import ShadingNormals, check_smooth, shading_normals
+from .textures import FaceTexture, face_texture
 from .winding import EdgeDefects, check_surface
 
 if TYPE_CHECKING:
@@ -89,6 +90,8 @@ class SceneObject:
             )
         check_mesh(self.mesh)
         set_field(self, "smooth", check_smooth(self.smooth))
+        # Checks texture coordinates.
+        face_texture(self)
         if self.material.has_inside:
             set_field(self, "edge_defects", check_surface(self.mesh))
 
@@ -239,7 +242,13 @@ class Scene:
 
     def material_table(self) -> MaterialTable:
         """The materials of all surfaces as arrays."""
-        return MaterialTable.of(item.material for item in self.surfaces)
+        table = MaterialTable.of(item.material for item in self.surfaces)
+        return replace(table, textures=self.textures) if any(self.textures) else table
+
+    @cached_property
+    def textures(self) -> tuple[FaceTexture | None, ...]:
+        """The textures of all surfaces; None for those of one colour."""
+        return tuple(face_texture(item) for item in self.surfaces)
 
     @cached_property
     def _vertices(self) -> tuple[Floats, ...]:

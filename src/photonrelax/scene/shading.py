@@ -81,13 +81,13 @@ def shading_normals(mesh: trimesh.Trimesh, smooth: bool | float) -> ShadingNorma
     """
     if smooth is not True:
         return _creased(mesh, float(smooth))
-    given = _given_normals(mesh)
+    given = given_normals(mesh)
     if given is not None:
         return ShadingNormals(np.arange(len(given)), given, np.asarray(mesh.faces))
     return _ply_normals(mesh) or _creased(mesh, _DEFAULT_CREASE)
 
 
-def _given_normals(mesh: trimesh.Trimesh) -> Floats | None:
+def given_normals(mesh: trimesh.Trimesh) -> Floats | None:
     """Return the vertex normals (v, 3) that came with a mesh, or None.
 
     trimesh caches given and computed normals alike; computed ones are recognised by their values,

@@ -282,12 +282,30 @@ def hit_points_of(
     """Hit points of the columns of some batches, with what materials and emitters say of them."""
     columns = {name: np.concatenate([some[name] for some in batches]) for name in batches[0]}
     surface, from_behind = columns.pop("object_id"), columns.pop("from_behind")
+    albedo = _albedo(scene, materials, surface, columns.pop("face_id"), columns)
     return HitPoints(
         **columns,
-        albedo=materials.table.reflectance[surface],
+        albedo=albedo,
         object_id=scene.ids_of(surface),
         emission=_emission(scene, surface, from_behind),
     )
+
+
+def _albedo(
+    scene: Scene,
+    materials: Materials,
+    surface: NDArray,
+    face: NDArray,
+    columns: dict[str, NDArray],
+) -> Floats:
+    """Albedo (m, 3) at points on faces of surfaces, of textures the mean over the footprint."""
+    albedo: Floats = materials.table.reflectance[surface]
+    for number, texture in enumerate(scene.textures):
+        if texture is not None:
+            rows = np.flatnonzero(surface == number)
+            at = columns["position"][rows], columns["footprint"][rows]
+            albedo[rows] = texture.at(scene.surfaces[number], face[rows], *at)
+    return albedo
 
 
 def _emission(scene: Scene, surface: NDArray, from_behind: NDArray[np.bool_]) -> Floats | None:

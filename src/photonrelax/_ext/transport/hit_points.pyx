@@ -15,8 +15,8 @@ from ..common.vec3 cimport copy, dot, orthonormal_frame
 from .curvature cimport change_along, normal_derivative
 from .live_rays cimport LiveRays, Passage
 from .materials cimport (
-    OVERFLOWED, Arrival, Interface, Materials, add_fault, counted_media_at, interface_at,
-    is_absorbing, is_diffuse, transmittance,
+    OVERFLOWED, Arrival, Interface, Materials, add_fault, cosine_at, counted_media_at, interface_at,
+    is_absorbing, is_diffuse, reflectance_at, transmittance,
 )
 from .optics cimport reflection_change, refraction_change
 from .raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
@@ -27,7 +27,8 @@ cdef struct SeenPoint:
     double[3] weight
     double[2][3] footprint
     int64_t pixel
-    int32_t object_id
+    # Object, and face of its mesh where that has a texture.
+    int32_t object_id, face_id
     bint from_behind
 
 
@@ -252,6 +253,7 @@ cdef class CameraPaths(LiveRays):
         cdef Py_ssize_t i, m = self.n_seen
         cdef int64_t[::1] pixel = np.empty(m, np.int64)
         cdef int32_t[::1] object_id = np.empty(m, np.int32)
+        cdef int32_t[::1] face_id = np.empty(m, np.int32)
         cdef uint8_t[::1] from_behind = np.empty(m, np.uint8)
         cdef double[:, ::1] position = np.empty((m, 3)), normal = np.empty((m, 3))
         cdef double[:, ::1] weight = np.empty((m, 3))
@@ -260,6 +262,7 @@ cdef class CameraPaths(LiveRays):
             for i in range(m):
                 pixel[i], object_id[i] = self.seen[i].pixel, self.seen[i].object_id
                 from_behind[i] = self.seen[i].from_behind
+                face_id[i] = self.seen[i].face_id
                 copy(&position[i, 0], self.seen[i].position)
                 copy(&normal[i, 0], self.seen[i].normal)
                 copy(&weight[i, 0], self.seen[i].weight)
@@ -271,6 +274,7 @@ cdef class CameraPaths(LiveRays):
             "normal": normal.base,
             "weight": weight.base,
             "object_id": object_id.base,
+            "face_id": face_id.base,
             "from_behind": from_behind.base.view(np.bool_),
             "footprint": footprint.base,
         }
@@ -355,7 +359,7 @@ cdef class CameraPaths(LiveRays):
         """Record a ray that hits nothing: pixel, weight, and its direction for a normal."""
         cdef SeenPoint* point = &self.seen[self.n_seen]
         self.n_seen += 1
-        point[0] = SeenPoint(pixel=ray.pixel, object_id=-1)
+        point[0] = SeenPoint(pixel=ray.pixel, object_id=-1, face_id=-1)
         copy(point.weight, ray.weight)
         copy(point.normal, ray.direction)
 
@@ -365,6 +369,9 @@ cdef class CameraPaths(LiveRays):
         self.n_seen += 1
         point.pixel = at.ray.pixel
         point.object_id = at.hit.object_id
+        point.face_id = -1
+        if self.materials.is_textured[at.hit.object_id]:
+            point.face_id = self.triangles.face_id[at.triangle]
         point.from_behind = at.inside
         copy(point.position, at.hit.position)
         seen_normal(point.normal, at.ray.direction, &at.hit)
@@ -390,15 +397,14 @@ cdef class CameraPaths(LiveRays):
         )
         cdef Interface to
         cdef double[2][3] normal_change
-        cdef double[3] weight
+        cdef double[3] weight, reflectance
         cdef int32_t i = at.hit.object_id
         cdef int c
         interface_at(&to, self.materials, &arrival)
+        reflectance_at(reflectance, self.materials, i, cosine_at(&to, &arrival))
         self.change_normal(normal_change, at, to.to.is_shading)
         for c in range(3):
-            weight[c] = (
-                at.ray.weight[c] * to.reflected * self.materials.reflectance[i, c]
-            )
+            weight[c] = at.ray.weight[c] * to.reflected * reflectance[c]
         if self.is_followed(weight):
             self.follow(at, target, to.to.reflection, weight, at.ray.media)
             for c in range(2):

@@ -8,6 +8,7 @@ from libc.math cimport exp, isnan
 from libc.stdint cimport int32_t, int64_t, uint8_t, uint64_t
 
 from ..common.vec3 cimport dot
+from ..scene.textures cimport TextureView
 from .media cimport current, entered, is_full, left
 from .optics cimport Directions, deflect, fresnel_reflectance
 
@@ -57,11 +58,17 @@ cdef class Materials:
     cdef readonly bint has_hidden
     cdef const int32_t[::1] kind, surface_rank, rank
     cdef const double[:, ::1] reflectance, tint
-    cdef const uint8_t[::1] is_tinted
+    cdef const uint8_t[::1] is_tinted, is_schlick
     cdef const uint64_t[::1] medium
     cdef const double[::1] exterior_ior, medium_ior
     cdef const double[:, ::1] absorption
     cdef const uint8_t[::1] is_absorbing
+    # Views of the textures of `is_textured` objects (objects, sizeof(TextureView)); `arrays` owns
+    # what they point to.
+    cdef const uint8_t[::1] is_textured
+    cdef unsigned char[::1] view_memory
+    cdef const TextureView* view
+    cdef object arrays
 
 
 cdef class Faults:
@@ -82,6 +89,18 @@ cdef inline bint is_diffuse(Materials materials, int32_t object_id) noexcept nog
 cdef inline bint is_absorbing_surface(Materials materials, int32_t object_id) noexcept nogil:
     """True for specular surfaces that reflect less than they receive, by their reflectance."""
     return materials.kind[object_id] == MIRROR
+
+
+cdef inline void reflectance_at(
+    double* out, Materials materials, int32_t object_id, double cosine
+) noexcept nogil:
+    """Reflectance of a mirror by the cosine of the angle of incidence; 1 for dielectrics."""
+    cdef double rise = (1.0 - cosine) ** 5 if materials.is_schlick[object_id] else 0.0
+    cdef double along_normal
+    cdef int c
+    for c in range(3):
+        along_normal = materials.reflectance[object_id, c]
+        out[c] = along_normal + (1.0 - along_normal) * rise
 
 
 cdef inline uint64_t media_at(
@@ -155,9 +174,12 @@ cdef inline void interface_at(
         set_media(out, materials, medium, at)
     deflect(&out.to, at.direction, at.geometric, at.shading, out.n1, out.n2)
     if medium:
-        out.reflected = fresnel_reflectance(
-            min(-dot(at.direction, out.to.normal), 1.0), out.n1, out.n2
-        )
+        out.reflected = fresnel_reflectance(cosine_at(out, at), out.n1, out.n2)
+
+
+cdef inline double cosine_at(const Interface* interface, const Arrival* at) noexcept nogil:
+    """Cosine of the angle of incidence on an interface."""
+    return min(-dot(at.direction, interface.to.normal), 1.0)
 
 
 cdef inline void set_media(

@@ -16,12 +16,13 @@ from .media cimport current
 # The kinds of `scene.materials.MaterialTable`.
 KINDS = {"diffuse": DIFFUSE, "mirror": MIRROR, "dielectric": DIELECTRIC, "sensor": SENSOR}
 
-Interfaces = namedtuple("Interfaces", "normal is_shading n1 n2 reflected beyond")
+Interfaces = namedtuple("Interfaces", "normal is_shading n1 n2 reflected rising beyond")
 Interfaces.__doc__ = """Specular surfaces that m rays meet.
 
 normal (m, 3) faces the rays; is_shading (m,) flags where it is the interpolated one. n1, n2 (m,)
 are the indices of refraction on the side of the ray and beyond, `reflected` (m,) the shares of the
-light that are reflected, and `beyond` (m,) the media that refracted rays are in.
+light that are reflected by dielectrics, 1 for mirrors; `rising` (m, 3) the reflectances of those
+that rise at grazing angles, 1 for others; and `beyond` (m,) the media that refracted rays are in.
 """
 
 
@@ -38,6 +39,7 @@ cdef class Materials:
         self.reflectance, self.exterior_ior = table.reflectance, table.exterior_ior
         self.tint = table.tint
         self.is_tinted = (table.tint != 1.0).any(axis=1).astype(np.uint8)
+        self.is_schlick = table.schlick.astype(np.uint8)
         dielectrics = self.dielectrics
         numbers = np.zeros(len(table.kind), np.uint64)
         numbers[dielectrics] = 1 + np.arange(len(dielectrics))
@@ -47,7 +49,38 @@ cdef class Materials:
         self.medium_ior = np.concatenate([[1.0], table.ior[dielectrics]])
         self.absorption = absorption
         self.is_absorbing = absorption.any(axis=1).astype(np.uint8)
+        self.set_textures(table.textures or (None,) * len(table.kind))
         self.set_ranks(table.priority[dielectrics], dielectrics)
+
+    def set_textures(self, textures):
+        """Point to the textures of objects, each a `FaceTexture` or None."""
+        cdef TextureView* view
+        cdef const uint8_t[:, :, ::1] bytes
+        cdef const float[:, :, ::1] floats
+        cdef const double[::1] meaning
+        cdef const double[:, :, ::1] uv
+        cdef Py_ssize_t i
+        cdef int c
+        self.is_textured = np.array([each is not None for each in textures], np.uint8)
+        self.view_memory = np.zeros(max(len(textures), 1) * sizeof(TextureView), np.uint8)
+        view = <TextureView*> &self.view_memory[0]
+        self.view, self.arrays = view, []
+        for i, each in enumerate(textures):
+            if each is None:
+                continue
+            image, meaning, uv = each.texture.image, each.texture.meaning, each.uv
+            self.arrays.append((image, meaning.base, uv.base))
+            if image.dtype == np.uint8:
+                bytes = image
+                view[i].bytes = &bytes[0, 0, 0]
+            else:
+                floats = image
+                view[i].floats = &floats[0, 0, 0]
+            view[i].height, view[i].width = image.shape[:2]
+            view[i].meaning, view[i].uv = &meaning[0], &uv[0, 0, 0]
+            view[i].wrap_u, view[i].wrap_v = each.texture.wraps
+            for c in range(3):
+                view[i].factor[c] = each.texture.factor[c]
 
     def set_ranks(self, priority, dielectrics):
         """Set the ranks of media and of surfaces by the priorities (m,) of the dielectrics.
@@ -131,6 +164,7 @@ cdef class Materials:
         cdef double[:, ::1] normal = np.empty((m, 3))
         cdef uint8_t[::1] is_shading = np.empty(m, np.uint8)
         cdef double[:, ::1] numbers = np.empty((3, m))
+        cdef double[:, ::1] rising = np.ones((m, 3))
         cdef uint64_t[::1] beyond = np.empty(m, np.uint64)
         cdef Arrival at
         cdef Interface out
@@ -145,8 +179,10 @@ cdef class Materials:
                 normal[i, 0], normal[i, 1], normal[i, 2] = out.to.normal
                 is_shading[i], beyond[i] = out.to.is_shading, out.beyond
                 numbers[0, i], numbers[1, i], numbers[2, i] = out.n1, out.n2, out.reflected
+                if self.is_schlick[object_id[i]]:
+                    reflectance_at(&rising[i, 0], self, object_id[i], cosine_at(&out, &at))
         return Interfaces(
-            normal.base, is_shading.base.view(np.bool_), *numbers.base, beyond.base
+            normal.base, is_shading.base.view(np.bool_), *numbers.base, rising.base, beyond.base
         )
 
 

@@ -7,17 +7,16 @@ of their node and path.
 """
 
 cimport cython
-from libc.math cimport isfinite
 from libc.stdint cimport int16_t, int32_t, uint8_t, uint64_t
 
 import numpy as np
 
 from ..common.rng cimport mix, uniform
 from ..common.vec3 cimport copy, dot
-from .hidden cimport Passage, pass_surface
+from .live_rays cimport LiveRays, Passage
 from .materials cimport (
-    OVERFLOWED, Arrival, Faults, Interface, Materials, add_fault, counted_media_at, interface_at,
-    is_absorbing, is_diffuse, transmittance,
+    OVERFLOWED, Arrival, Interface, Materials, add_fault, cosine_at, counted_media_at, interface_at,
+    is_absorbing, is_diffuse, reflectance_at, transmittance,
 )
 from .raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
 
@@ -61,7 +60,7 @@ cdef struct Meeting:
 
 
 @cython.final
-cdef class SplitPaths:
+cdef class SplitPaths(LiveRays):
     """Live rays of a batch, and the light that has arrived so far.
 
     Parameters
@@ -74,9 +73,6 @@ cdef class SplitPaths:
         Events after which a ray ends.
     """
 
-    cdef Materials materials
-    cdef EmbreeFrame frame
-    cdef Triangles triangles
     cdef double least_throughput
     cdef int max_bounces
     cdef unsigned char[::1] memory, next_memory, arrived_memory
@@ -84,24 +80,15 @@ cdef class SplitPaths:
     cdef SplitRay* next_ray
     cdef Arrived* arrived
     cdef Py_ssize_t n_arrived
-    cdef object origin_array, direction_array
-    cdef float[:, ::1] origins, directions
-    cdef bint finite
-    cdef readonly Py_ssize_t n_live
-    # False if rays meet all surfaces that they hit.
-    cdef readonly bint has_hidden
-    cdef readonly Faults faults
 
     def __init__(
         self, Materials materials, EmbreeFrame frame, Triangles triangles, *,
         double least_throughput, int max_bounces,
     ):
-        self.materials, self.frame, self.triangles = materials, frame, triangles
+        LiveRays.__init__(self, materials, frame, triangles)
         self.least_throughput, self.max_bounces = least_throughput, max_bounces
-        self.has_hidden = materials.has_hidden
         self.memory = self.next_memory = self.arrived_memory = np.empty(0, np.uint8)
         self.origins = np.empty((0, 3), np.float32)
-        self.faults = Faults(len(materials.kind))
 
     def start(
         self, const double[:, ::1] origin, const double[:, ::1] direction, const uint64_t[::1] key,
@@ -131,11 +118,6 @@ cdef class SplitPaths:
         self.n_live = n
         self.check_finite()
 
-    @property
-    def rays(self):
-        """Origins and directions (n_live, 3) of the live rays in embree's frame."""
-        return self.origin_array[: self.n_live], self.direction_array[: self.n_live]
-
     def live_rays(self):
         """Nodes (n_live,), origins and directions (n_live, 3) of the live rays."""
         cdef Py_ssize_t i
@@ -147,38 +129,6 @@ cdef class SplitPaths:
             copy(&origin[i, 0], self.ray[i].origin)
             copy(&direction[i, 0], self.ray[i].direction)
         return node.base, origin.base, direction.base
-
-    def pass_hidden(self, EmbreeHits found):
-        """Take live rays on from surfaces that they hit and that are not there.
-
-        Returns
-        -------
-        (k,) intp, (k, 3), (k, 3)
-            Rows of these rays among the live ones, where they hit the surfaces, and directions.
-        """
-        cdef Py_ssize_t i, c, k = 0, n = self.n_live
-        cdef Py_ssize_t[::1] rows = np.empty(n, np.intp)
-        cdef double[:, ::1] position = np.empty((n, 3)), direction = np.empty((n, 3))
-        cdef double[3] offset
-        cdef Passage passage
-        cdef Hit hit
-        with nogil:
-            for i in range(n):
-                passage = Passage(
-                    &self.ray[i].origin[0], &self.ray[i].direction[0], &self.ray[i].media
-                )
-                if not pass_surface(
-                    &hit, &passage, self.materials, self.triangles, found, i, self.faults
-                ):
-                    continue
-                copy(&position[k, 0], hit.position)
-                copy(&direction[k, 0], self.ray[i].direction)
-                for c in range(3):
-                    offset[c] = hit.step * hit.geometric[c]
-                self.to_embree(i, hit.position, self.ray[i].direction, offset)
-                rows[k] = i
-                k += 1
-        return rows.base[:k], position.base[:k], direction.base[:k]
 
     def advance(self, EmbreeHits found):
         """Process the hit of every live ray; return the number of their continuations."""
@@ -244,14 +194,9 @@ cdef class SplitPaths:
             self.arrived_memory = larger
             self.arrived = <Arrived*> &self.arrived_memory[0]
 
-    cdef void to_embree(
-        self, Py_ssize_t row, const double* origin, const double* direction, const double* offset
-    ) noexcept nogil:
-        cdef double skipped = self.frame.ray_to_embree(
-            origin, direction, offset, &self.origins[row, 0], &self.directions[row, 0]
-        )
-        if not isfinite(skipped):
-            self.finite = False
+    cdef Passage passage(self, Py_ssize_t row) noexcept nogil:
+        cdef SplitRay* ray = &self.ray[row]
+        return Passage(&ray.origin[0], &ray.direction[0], &ray.media)
 
     cdef Py_ssize_t process(
         self, EmbreeHits found, Py_ssize_t row, Py_ssize_t target
@@ -301,11 +246,12 @@ cdef class SplitPaths:
             at.inside, at.ray.media,
         )
         cdef Interface to
-        cdef double[3] throughput
+        cdef double[3] throughput, reflectance
         cdef int32_t i = at.hit.object_id
         cdef double reflected, refracted
         cdef int c
         interface_at(&to, self.materials, &arrival)
+        reflectance_at(reflectance, self.materials, i, cosine_at(&to, &arrival))
         reflected, refracted = to.reflected, 1.0 - to.reflected
         if at.ray.is_single:
             # A single photon takes all of one branch.
@@ -313,9 +259,7 @@ cdef class SplitPaths:
             refracted = 1.0 - reflected
         if reflected > 0.0:
             for c in range(3):
-                throughput[c] = (
-                    at.ray.throughput[c] * reflected * self.materials.reflectance[i, c]
-                )
+                throughput[c] = at.ray.throughput[c] * reflected * reflectance[c]
             target += self.follow(at, target, &to, throughput, REFLECTED)
         if refracted > 0.0:
             if to.overflows:

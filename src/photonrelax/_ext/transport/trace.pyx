@@ -14,12 +14,13 @@ import numpy as np
 
 from ..common.rng cimport mix, uniform
 from ..common.vec3 cimport copy, dot, orthonormal_frame
+from ..scene.textures cimport colour_at
 from .deposits cimport Deposit, Deposits
 from .emission cimport Emission
 from .live_rays cimport LiveRays, Passage
 from .materials cimport (
-    OVERFLOWED, Arrival, Interface, Materials, add_fault, counted_media_at, interface_at,
-    is_absorbing, is_absorbing_surface, is_diffuse, media_at, transmittance,
+    OVERFLOWED, Arrival, Interface, Materials, add_fault, cosine_at, counted_media_at, interface_at,
+    is_absorbing, is_absorbing_surface, is_diffuse, media_at, reflectance_at, transmittance,
 )
 from .raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
 from .sampling cimport disk_point, hemisphere_direction
@@ -93,6 +94,9 @@ cdef struct Event:
     bint inside
     double[3] facing
     uint64_t counter
+    # Barycentric coordinates of the second and third corner of the triangle.
+    int32_t triangle
+    double u, v
 
 
 cdef struct Crossing:
@@ -430,6 +434,8 @@ cdef class Paths(LiveRays):
         cdef double[3] out
         if not self.triangles.refine_hit(found, row, ray.origin, ray.direction, &event.hit):
             return self.terminate(ray, ESCAPED)
+        event.triangle = found.triangle[row]
+        event.u, event.v = found.u[row], found.v[row]
         event.ray = ray
         event.counter = event_counter(ray)
         orient(&event)
@@ -478,16 +484,17 @@ cdef class Paths(LiveRays):
         cdef int kind = REFLECTED
         cdef Arrival arrival
         cdef Interface at
+        cdef double[3] reflectance
         self.n_met_specular += ray.n_specular == 0 and ray.n_diffuse == 0
-        if is_absorbing_surface(self.materials, i) and not self.roulette(
-            &self.materials.reflectance[i, 0], event, OF_SURFACE, ABSORBED
-        ):
-            return False
         arrival = Arrival(
             &ray.direction[0], &event.hit.geometric[0], &event.hit.shading[0], i, event.inside,
             ray.media,
         )
         interface_at(&at, self.materials, &arrival)
+        if is_absorbing_surface(self.materials, i):
+            reflectance_at(reflectance, self.materials, i, cosine_at(&at, &arrival))
+            if not self.roulette(reflectance, event, OF_SURFACE, ABSORBED):
+                return False
         if at.reflected == 1.0 or random(event, OF_SURFACE) < at.reflected:
             copy(out, at.to.reflection)
         else:
@@ -516,11 +523,18 @@ cdef class Paths(LiveRays):
         cdef Ray* ray = event.ray
         cdef bint stored = self.is_stored(ray)
         cdef int outcome = STORED if stored else FILTERED
+        cdef double[3] albedo
         if stored:
             self.deposit(event)
-        if self.path_filter == CAUSTIC or not self.roulette(
-            &self.materials.reflectance[i, 0], event, OF_SURFACE, outcome
-        ):
+        if self.path_filter == CAUSTIC:
+            return self.terminate(ray, outcome)
+        copy(albedo, &self.materials.reflectance[i, 0])
+        if self.materials.is_textured[i]:
+            colour_at(
+                albedo, &self.materials.view[i], self.triangles.face_id[event.triangle],
+                event.u, event.v,
+            )
+        if not self.roulette(albedo, event, OF_SURFACE, outcome):
             return self.terminate(ray, outcome)
         sample_cosine(out, event)
         ray.n_diffuse += 1

@@ -43,7 +43,7 @@ class ParaxialRays:
     origin_offset : (n, 3)
         `Intersections.offset` of where the ray starts, NaN in free space.
     throughput : (n, 3)
-        Transmitted share of the light, without the reflectances of mirrors and tints, which are the
+        Transmitted share of the light, without tints and the reflectances of mirrors that are the
         same for all rays of a path.
     media : (n,) uint64
         Stack of the media that the ray is in.
@@ -112,7 +112,7 @@ class ParaxialOptics:
             incidence.across(direction),
             operator @ incidence.operator,
             hits.offset,
-            share[:, np.newaxis] * rays.throughput,
+            share[:, np.newaxis] * at.rising * rays.throughput,
             np.where(reflected, rays.media, at.beyond),
         )
 

@@ -57,7 +57,7 @@ class ReplayHits:
     operator : (n, 4, 4)
         From the frequencies of the light as it left the emitter to those along `axes`.
     throughput : (n, 3)
-        Transmitted share of the light, without the reflectances of mirrors and tints.
+        Transmitted share of the light, without tints and reflectances that do not rise.
     """
 
     position: Floats
