@@ -134,7 +134,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print the table."""
+    """Print a table of each scene."""
     titles = ["scene", "patch", *COMPONENTS, "irradiance, W/m²", "doubt, %", "render less it, %"]
-    table = [row for name in options.scenes.split(",") for row in rows(name, options)]
-    print(markdown_table(titles, table), flush=True)
+    for name in options.scenes.split(","):
+        print(f"{markdown_table(titles, rows(name, options))}\n", flush=True)
