@@ -10,6 +10,7 @@ python -m bench figure9           SJ13's Fig. 9: rings at three numbers of photo
 python -m bench progressive       convergence of progressive photon mapping to analytic irradiance
 python -m bench shapes            SSO08's Fig. 4: shapes in twelve ways, as an image and as figures
 python -m bench equal-error       SSO08's Table 1: photons for the error of diffusion
+python -m bench flicker           changes between frames of `pool`, over those of references
 python -m bench frequency         frequency-driven and progressive photon mapping, on `reflector`
 python -m bench methods           errors and times of every method on the same photons
 python -m bench refinements       refinements of standard estimates compared with relaxations
@@ -34,6 +35,7 @@ from bench.studies import (
     error_times,
     figure7,
     figure9,
+    flicker,
     frequency,
     gallery_light,
     initial_radius,
@@ -62,6 +64,7 @@ _COMMANDS = {
     "progressive": progressive,
     "shapes": shapes,
     "equal-error": equal_error,
+    "flicker": flicker,
     "frequency": frequency,
     "refinements": refinements,
     "initial-radius": initial_radius,

@@ -28,12 +28,13 @@ _STEP = 3e-6
 
 
 class Patch(NamedTuple):
-    """Part of an object within a box, of an area, m²."""
+    """Part of an object within a box, of an area, m², and the normal on its lit side."""
 
     object_id: int
     low: Floats
     high: Floats
     area: float
+    normal: Floats
 
 
 class Rays(NamedTuple):
@@ -142,6 +143,7 @@ class Tracer:
         is_diffuse = self.kind[hits.owner] == "diffuse"
         for number, patch in enumerate(self.patches):
             there = is_diffuse & (hits.owner == patch.object_id)
+            there &= rays.direction @ patch.normal < 0.0
             there &= (hits.position >= patch.low).all(axis=1)
             there &= (hits.position <= patch.high).all(axis=1)
             for each in range(len(COMPONENTS)):

@@ -68,11 +68,12 @@ def tracer(name: str) -> Tracer:
 
 
 def _patch(scene: pr.Scene, patch: tuple[Any, ...]) -> Patch:
-    name, axis, _, low, high = patch
-    thickness = 1e-4 * np.eye(3)[axis]
+    name, axis, side, low, high = patch
+    normal = side * np.eye(3)[axis]
+    thickness = 1e-4 * np.abs(normal)
     sides = np.delete(np.subtract(high, low), axis)
     number = [item.name for item in scene.objects].index(name)
-    return Patch(number, low - thickness, high + thickness, float(sides.prod()))
+    return Patch(number, low - thickness, high + thickness, float(sides.prod()), normal)
 
 
 def found(name: str, n: int, cells: int, seed: int) -> Floats:
@@ -134,7 +135,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print the table."""
+    """Print a table of each scene."""
     titles = ["scene", "patch", *COMPONENTS, "irradiance, W/m²", "doubt, %", "render less it, %"]
-    table = [row for name in options.scenes.split(",") for row in rows(name, options)]
-    print(markdown_table(titles, table), flush=True)
+    for name in options.scenes.split(","):
+        print(f"{markdown_table(titles, rows(name, options))}\n", flush=True)

@@ -1,5 +1,7 @@
 """Animations: photons leave alike in all frames, and what does not move does not change."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -8,6 +10,7 @@ import photonrelax as pr
 from photonrelax.imaging.metrics import flip_map
 from photonrelax.rendering.animation import Animation
 from photonrelax.scene.casters import common_targets
+from photonrelax.scene.digest import scene_digest
 from photonrelax.transport.emission import emit, plan_emission
 
 
@@ -56,6 +59,11 @@ def test_photons_have_the_same_emitter_coordinates_in_all_frames(animation):
         for rays in others:
             np.testing.assert_array_equal(rays.emitter_coords, first.emitter_coords)
             np.testing.assert_array_equal(rays.direction, first.direction)
+
+
+def test_the_digest_of_a_scene_knows_what_is_aimed_at(animation):
+    assert scene_digest(animation.scene(0)) != scene_digest(moving(0.0))
+    assert scene_digest(replace(animation.scene(0), aim=None)) == scene_digest(moving(0.0))
 
 
 def test_all_frames_have_their_flux(animation):

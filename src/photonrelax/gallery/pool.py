@@ -81,7 +81,7 @@ def pool(
     return Scene(
         [
             SceneObject(_basin(size, depth, freeboard), Diffuse(_TILES), "basin"),
-            SceneObject(_deck(size, freeboard), Diffuse(_STONE), "deck"),
+            SceneObject(_ground(size, depth, freeboard), Diffuse(_STONE), "ground"),
             SceneObject(_ball(size, depth), Diffuse(_BALL), "ball", smooth=True),
             SceneObject(body, Dielectric(1.33, absorption=_WATER), "water", smooth=True),
         ],
@@ -169,13 +169,25 @@ def _ball(size: float, depth: float) -> trimesh.Trimesh:
     return ball((0.22 * size, 0.19 * size, radius + 1e-3 - depth), radius, 5)
 
 
-def _deck(size: float, height: float, width: float = 0.6) -> trimesh.Trimesh:
-    """Ground around the pool, a rim of some width, m."""
+def _ground(size: float, depth: float, height: float, width: float = 0.6) -> trimesh.Trimesh:
+    """Deck around the pool, a rim of some width, m, and the earth's outside below it.
+
+    That keeps light of the surroundings from the underside of the pool.
+    """
     inner = 0.5 * size * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    corners = np.concatenate([inner, (1.0 + 2.0 * width / size) * inner])
-    faces = [
-        face
-        for i, j in ((0, 1), (1, 2), (2, 3), (3, 0))
-        for face in ((i, i + 4, j), (j, i + 4, j + 4))
+    outer = (1.0 + 2.0 * width / size) * inner
+    levels = (height, height, -1.1 * depth)
+    corners = [
+        np.column_stack([square, np.full(4, level)])
+        for square, level in zip((inner, outer, outer), levels, strict=True)
     ]
-    return make_mesh(np.column_stack([corners, np.full(8, height)]), np.array(faces))
+    sides = [
+        face
+        for first in (0, 4)
+        for i, j in ((0, 1), (1, 2), (2, 3), (3, 0))
+        for face in (
+            (first + i, first + i + 4, first + j),
+            (first + j, first + i + 4, first + j + 4),
+        )
+    ]
+    return make_mesh(np.concatenate(corners), np.array([*sides, (8, 10, 9), (8, 11, 10)]))
