@@ -387,11 +387,12 @@ def _field_of_scene(
     from .settings import settings_from_options
 
     settings = settings_from_options(options, (options.method,))
-    gather = settings.of("gather")
-    reads = "gather" in method_named(options.method).stages
-    if radius is not None and reads and gather.gather_radius is None:
-        gather = replace(gather, gather_radius=radius)
-        settings = Settings(**settings.given | {"gather": gather})
+    method = method_named(options.method)
+    if radius is not None and "gather" in method.stages:
+        gather = settings.given.get("gather", method.default("gather"))
+        if gather.gather_radius is None:
+            gather = replace(gather, gather_radius=radius)
+            settings = Settings(**settings.given | {"gather": gather})
     object_id = object_named(scene, options.on)
     with ProgressBars(options.quiet, interrupts) as bars:
         photons = pr.trace_photons(
@@ -399,7 +400,7 @@ def _field_of_scene(
             _photons(options),
             seed=options.seed or 0,
             sampler=options.sampler or SAMPLER,
-            frequency_share=method_named(options.method).frequency_share(settings),
+            frequency_share=method.frequency_share(settings),
             n_threads=options.threads,
             progress=bars,
         )

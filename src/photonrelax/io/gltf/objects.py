@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from ..._util.validation import Floats
 from ...scene.area_emitter import AreaEmitter
 from ...scene.emitters import Emitter
 from ...scene.materials import Dielectric, Diffuse, Material
@@ -71,27 +72,35 @@ class ObjectBuilder:
             for i, primitive in enumerate(primitives):
                 name = node.name if len(primitives) == 1 else f"{node.name}[{i}]"
                 self._add_ignored(primitive, name)
-                surface = self._surface(primitive)
-                uv_set = None if surface.texture is None else surface.texture.uv_set
-                key = index, i, uv_set
-                if key not in self._triangles:
-                    self._triangles[key] = triangles_of(self._file, primitive, uv_set)
-                triangles = self._triangles[key]
-                if triangles is None:
-                    self._substitutions.add(name, "points or lines", "nothing of them")
-                else:
-                    placed = triangles.placed(node.to_world)
-                    self._add(built, name, placed, surface)
+                try:
+                    self._add(built, name, (index, i), primitive, node.to_world)
+                except ValueError as error:
+                    raise ValueError(f"{self._file.path}: object {name!r}: {error}") from None
         return built
 
-    def _add(self, built: Built, name: str, triangles: Triangles, surface: Surface) -> None:
-        try:
-            if surface.radiance.any():
-                built.emitters.append(_lamp(triangles, surface))
-            else:
-                built.objects.append(self._object(name, triangles, surface))
-        except ValueError as error:
-            raise ValueError(f"{self._file.path}: object {name!r}: {error}") from None
+    def _add(
+        self,
+        built: Built,
+        name: str,
+        number: tuple[int, int],
+        primitive: JsonEntry,
+        to_world: Floats,
+    ) -> None:
+        """Add a primitive, by the numbers of its mesh and of itself, at a place."""
+        surface = self._surface(primitive)
+        uv_set = None if surface.texture is None else surface.texture.uv_set
+        key = (*number, uv_set)
+        if key not in self._triangles:
+            self._triangles[key] = triangles_of(self._file, primitive, uv_set)
+        triangles = self._triangles[key]
+        if triangles is None:
+            self._substitutions.add(name, "points or lines", "nothing of them")
+            return
+        placed = triangles.placed(to_world)
+        if surface.radiance.any():
+            built.emitters.append(_lamp(placed, surface))
+        else:
+            built.objects.append(self._object(name, placed, surface))
 
     def _object(self, name: str, triangles: Triangles, surface: Surface) -> SceneObject:
         mesh, smooth = triangles.mesh()
