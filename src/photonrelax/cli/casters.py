@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 import photonrelax as pr
 
 from .scenes import is_file
+
+# Import lazily, so that Ctrl-C during an import reaches `main`.
+if TYPE_CHECKING:
+    from .._util.validation import Floats
 
 # Light that is sparse is blurred over no more than this share of the map: photons in the dark
 # around a focus would otherwise be averaged with all of the focus.
@@ -110,9 +112,9 @@ def gather_radius(options: argparse.Namespace, size: float | None) -> float | No
     return _GATHER_SHARE * size if is_mesh(options.scene) and size is not None else None
 
 
-def axis_point(options: argparse.Namespace, scene: pr.Scene) -> np.ndarray | None:
+def axis_point(options: argparse.Namespace, scene: pr.Scene) -> Floats | None:
     """Where a ray along the light through the middle of a mesh meets its screen, (3,)."""
     if not is_mesh(options.scene):
         return None
-    middle: np.ndarray = np.asarray(scene.objects[-1].mesh.vertices).mean(axis=0)
+    middle: Floats = scene.objects[-1].mesh.vertices.mean(axis=0)
     return middle

@@ -228,7 +228,8 @@ class MaterialTable:
     schlick : (n,) bool
         The reflectance rises to 1 at grazing angles.
     textures : (n,) FaceTexture or None
-        Of diffuse objects, whose `reflectance` is the mean; empty if there are none.
+        Of diffuse objects, whose `reflectance` is the mean; None for those of one albedo, and for
+        all where no meshes are known.
     """
 
     kind: tuple[str, ...]
@@ -239,7 +240,7 @@ class MaterialTable:
     priority: NDArray[np.int64]
     tint: Floats
     schlick: NDArray[np.bool_]
-    textures: tuple[FaceTexture | None, ...] = ()
+    textures: tuple[FaceTexture | None, ...]
 
     @classmethod
     def of(cls, materials: Iterable[Material]) -> MaterialTable:
@@ -255,4 +256,5 @@ class MaterialTable:
             priority=np.array([row.priority for row in rows], dtype=np.int64),
             tint=np.array([row.tint for row in rows], dtype=np.float64),
             schlick=np.array([row.schlick for row in rows], dtype=bool),
+            textures=(None,) * len(rows),
         )

@@ -243,7 +243,7 @@ class Scene:
     def material_table(self) -> MaterialTable:
         """The materials of all surfaces as arrays."""
         table = MaterialTable.of(item.material for item in self.surfaces)
-        return replace(table, textures=self.textures) if any(self.textures) else table
+        return replace(table, textures=self.textures)
 
     @cached_property
     def textures(self) -> tuple[FaceTexture | None, ...]:

@@ -49,7 +49,7 @@ cdef class Materials:
         self.medium_ior = np.concatenate([[1.0], table.ior[dielectrics]])
         self.absorption = absorption
         self.is_absorbing = absorption.any(axis=1).astype(np.uint8)
-        self.set_textures(table.textures or (None,) * len(table.kind))
+        self.set_textures(table.textures)
         self.set_ranks(table.priority[dielectrics], dielectrics)
 
     def set_textures(self, textures):
