@@ -27,7 +27,7 @@ from bench.studies import (
 
 import photonrelax as pr
 from photonrelax import gallery
-from photonrelax.estimation.methods import METHODS
+from photonrelax.estimation.methods import PHOTON_METHODS
 from photonrelax.evaluation import gallery_subject
 from photonrelax.evaluation.reference import ReferenceSettings
 
@@ -419,7 +419,7 @@ def test_means_over_texels_have_a_row_for_every_method():
     )
     lines = pixel_means.markdown(study).splitlines()
     names = [line.split("|")[2].strip() for line in lines[2:] if line.startswith("|")]
-    assert names == ["reference", *METHODS, "differential-checking", "bias-compensation"]
+    assert names == ["reference", *PHOTON_METHODS, "differential-checking", "bias-compensation"]
 
 
 def test_slopes_have_a_row_for_each_map_and_keep_references(tmp_path, monkeypatch):

@@ -14,7 +14,7 @@ import photonrelax as pr
 from bench.arguments import numbers
 from bench.markdown import markdown_table
 from photonrelax import gallery
-from photonrelax.estimation.methods import METHODS
+from photonrelax.estimation.methods import METHODS, PHOTON_METHODS
 from photonrelax.estimation.refinement import REFINEMENTS as ALL_REFINEMENTS
 from photonrelax.rendering.view import Band, View, resized
 from photonrelax.transport.raycast import RayCaster
@@ -40,7 +40,7 @@ class Study:
 
     scenes: tuple[str, ...] = SCENES
     photons: tuple[int, ...] = (300_000, 1_000_000, 3_000_000)
-    methods: tuple[str, ...] = (*METHODS, *REFINEMENTS)
+    methods: tuple[str, ...] = (*PHOTON_METHODS, *REFINEMENTS)
     texels: int = 350
     pixels: int = 300
     k: int = 15

@@ -63,7 +63,7 @@ def test_list_names_every_scene(capsys):
     ("arguments", "complaint"),
     [
         ([], "required"),
-        (["render", "teapot", "-o", "a.exr"], "should be one of prism"),
+        (["render", "teapot", "-o", "a.exr"], "toruses or a file named *.py"),
         (["render", "ring"], "-o/--output"),
         (["render", "ring", "-o", "a.exr", "--method", "magic"], "invalid choice: 'magic'"),
         (["render", "ring", "-o", "a.exr", "--photons", "many"], "a whole number, but is 'many'"),

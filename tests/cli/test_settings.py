@@ -10,7 +10,14 @@ import pytest
 import photonrelax as pr
 from photonrelax import gallery
 from photonrelax.cli import commands, settings
-from photonrelax.estimation.methods import METHODS, SETTINGS_CLASSES, MethodInput, Settings, prepare
+from photonrelax.estimation.methods import (
+    METHODS,
+    PHOTON_METHODS,
+    SETTINGS_CLASSES,
+    MethodInput,
+    Settings,
+    prepare,
+)
 from photonrelax.imaging.image import read_exr
 from photonrelax.rendering.view import resized
 
@@ -65,7 +72,7 @@ def test_text_that_is_no_setting_is_refused_with_the_reason(text, complaint, cap
     assert complaint in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", PHOTON_METHODS)
 def test_every_method_says_what_it_reads(method):
     """Settings that are not read are not among those reported as used."""
     photons = pr.trace_photons(gallery.scene("ring"), 2000, frequency_share=0.02)

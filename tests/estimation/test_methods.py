@@ -14,7 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import photonrelax as pr
-from photonrelax.estimation.methods import METHODS, MethodInput, Settings, relaxed_photons
+from photonrelax.estimation.methods import PHOTON_METHODS, MethodInput, Settings, relaxed_photons
 from tests.helpers.photon_maps import flat_map, plane, uniform_map, unit_square
 
 
@@ -54,7 +54,7 @@ CASES = {
     ),
     **{name: Case("standard", lambda unit, name=name: refined(name)) for name in REFINEMENTS},
 }
-NAMES = (*METHODS, *REFINEMENTS, "diffusion, k > n")
+NAMES = (*PHOTON_METHODS, *REFINEMENTS, "diffusion, k > n")
 
 
 def field(name, photons, unit=1.0, **others):
@@ -281,7 +281,7 @@ def test_methods_that_do_not_relax_have_no_relaxed_photons():
 def test_arguments_that_are_none_are_named_with_those_that_would_do():
     expected = (
         "irradiance_field has no argument gatherr, n_thread; settings are structure, gradient, "
-        "rest_density, relax, gather, diffusion, progressive, frequency"
+        "rest_density, relax, gather, diffusion, progressive, frequency, envelope"
     )
     with pytest.raises(TypeError) as caught:
         pr.irradiance_field(uniform_map(100, "halton"), gatherr=pr.GatherSettings(), n_thread=1)

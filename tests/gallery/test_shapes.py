@@ -6,7 +6,7 @@ from bench.studies import shapes as figure4
 
 import photonrelax as pr
 from photonrelax import gallery
-from photonrelax.estimation.methods import METHODS
+from photonrelax.estimation.methods import PHOTON_METHODS
 
 
 @pytest.fixture(scope="module", params=["random", "halton"])
@@ -99,7 +99,7 @@ def test_every_method_takes_its_photons():
     """All but the one that needs spectra, which only traced photons have."""
     shapes = gallery.pattern("shapes", n=2000)
     points, normals = shapes.samples(9, 9)
-    for method in set(METHODS) - {"frequency"}:
+    for method in set(PHOTON_METHODS) - {"frequency"}:
         field = pr.irradiance_field(shapes.photons, method=method)
         assert np.isfinite(field(points, normals)).all()
 

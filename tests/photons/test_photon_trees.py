@@ -5,7 +5,7 @@ import pytest
 
 import photonrelax as pr
 from photonrelax.estimation.kernels import automatic_gather_radius
-from photonrelax.estimation.methods import METHODS
+from photonrelax.estimation.methods import PHOTON_METHODS
 from photonrelax.photons.photon_trees import PhotonTrees
 
 SLANTED = np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0)
@@ -108,7 +108,7 @@ def test_same_bytes_for_every_number_of_threads_and_in_parts(scene):
 
 
 @pytest.mark.parametrize("roundings", [4e-16, 1e-13])
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", PHOTON_METHODS)
 def test_one_normal_of_many_roundings_faces_one_way(method, roundings):
     rng = np.random.default_rng(6)
     position, normal = on_face(rng, SLANTED, 2000)

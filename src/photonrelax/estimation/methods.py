@@ -407,6 +407,9 @@ _RECORDS = (
 METHODS = {method.name: method for method in _RECORDS}
 """All methods by name."""
 
+PHOTON_METHODS = tuple(method.name for method in _RECORDS if method.needs_photons)
+"""Names of the methods that estimate from photon maps."""
+
 
 def register(method: Method, **settings: type) -> None:
     """Add a method, and the settings classes of those of its stages that are new, by stage.

@@ -175,8 +175,12 @@ def rest_density(
 
 
 def _limit_without(n: int) -> float:
-    """Limit of n photons of a group that have no map."""
-    return min(_LIMIT_OF_THOUSAND * np.sqrt(n / 1000.0), _LIMIT_OF_MANY)
+    """Limit of n photons of a group that have no map.
+
+    In steps: what moves in one corner of a scene should not move photons in another.
+    """
+    number = 2.0 ** np.floor(np.log2(max(n, 1)))
+    return min(_LIMIT_OF_THOUSAND * float(np.sqrt(number / 1000.0)), _LIMIT_OF_MANY)
 
 
 def _of_group(
