@@ -166,9 +166,13 @@ def test_photons_stay_on_their_floor():
 
 
 def hardly_moves(photons):
-    """True if none has a map, and all stay within 0.1 √(n/1000), at most 0.3, radii of 16."""
+    """True if none has a map, and all stay within 0.1 √(n/1000), at most 0.3, radii of 16.
+
+    n is rounded down to a power of two.
+    """
     rest, found = pr.rest_density(photons), pr.detect_structure(photons)
-    limit = min(0.1 * np.sqrt(len(photons) / 1000), 0.3)
+    n = 2 ** (max(len(photons), 1).bit_length() - 1)
+    limit = min(0.1 * np.sqrt(n / 1000), 0.3)
     moved = pr.relax(photons, found, pr.RelaxSettings((5, 5), step=2.0), rest=rest).position
     gone = np.linalg.norm(moved - photons.position, axis=1)
     within = gone <= limit * found.radius * np.sqrt(16 / found.n_found) * (1 + 1e-9)
