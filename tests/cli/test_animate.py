@@ -5,6 +5,7 @@ from PIL import Image
 
 from photonrelax import gallery
 from photonrelax.cli import main
+from photonrelax.imaging.image import read_exr
 
 
 @pytest.fixture
@@ -26,6 +27,21 @@ def test_frames_and_a_movie(animate, tmp_path):
         assert (movie.n_frames, movie.size) == (3, (8, 8))
 
 
+def test_a_script_gets_the_time_of_each_frame(animate, tmp_path):
+    script = tmp_path / "waves.py"
+    script.write_text(
+        "from photonrelax import gallery\n"
+        "def scene(time, n=16):\n"
+        "    return gallery.scene('pool', time=time)\n"
+    )
+    arguments = ("waves.py", "--arg", "n=8", "--frames", "2", "--fps", "10", "-o", "b.%d.exr")
+    assert animate(*arguments) == 0
+    assert animate("pool", "--frames", "2", "--fps", "10", "-o", "a.%d.exr") == 0
+    for number in range(2):
+        made, known = (read_exr(f"{name}.{number}.exr").layers["radiance"] for name in "ba")
+        assert made.tobytes() == known.tobytes()
+
+
 def test_frames_that_are_there_are_kept(animate, tmp_path):
     arguments = ("pool", "--frames", "2", "-o", "a.%d.exr")
     assert animate(*arguments) == 0
@@ -44,6 +60,7 @@ def test_frames_that_are_there_are_kept(animate, tmp_path):
             ("ring", "--frames", "2", "-o", "a.%d.exr"),
             "ring does not move: it has no argument time",
         ),
+        (("a.glb", "--frames", "2", "-o", "a.%d.exr"), "should be a script, but is a.glb"),
         (
             ("pool", "--frames", "2", "-o", "a.exr"),
             "one place for numbers, as in %04d, but is a.exr",

@@ -12,6 +12,7 @@ from .._util.files import check_distinct, output_path, whole_file
 from .arguments import PHOTONS, SAMPLER
 from .interrupts import Interrupts
 from .progress_bar import ProgressBars
+from .scenes import is_file, scene_of
 from .streams import write_lines
 
 # Import lazily, so that Ctrl-C during an import reaches `main`.
@@ -67,6 +68,12 @@ def _animation(options: argparse.Namespace, bars: ProgressBars) -> Animation:
 def _scene_at(options: argparse.Namespace) -> SceneAt:
     from ..rendering.view import resized
 
+    if is_file(options.scene):
+        if Path(options.scene).suffix != ".py":
+            raise ValueError(f"a scene that moves should be a script, but is {options.scene}")
+        return lambda time: resized(
+            scene_of(options.scene, options, time=time), options.width, options.height
+        )
     if not gallery.moves(options.scene):
         moving = ", ".join(name for name in gallery.names() if gallery.moves(name))
         raise ValueError(f"{options.scene} does not move: it has no argument time, as {moving} has")

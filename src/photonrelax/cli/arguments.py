@@ -99,8 +99,12 @@ def _add_animate(parser: argparse.ArgumentParser) -> None:
 
     moving = ", ".join(name for name in gallery.names() if gallery.moves(name))
     parser.add_argument(
-        "scene", choices=gallery.names(), metavar="SCENE", help=f"that moves: {moving}"
+        "scene",
+        type=lambda text: scene_name(text, gallery.names()),
+        metavar="SCENE|FILE.py",
+        help=f"that moves: {moving}, or a script that defines scene(time)",
     )
+    add_file_options(parser)
     _add_output(parser, "FILE.%04d.exr")
     parser.add_argument("--frames", type=positive, required=True, metavar="N", help="their number")
     parser.add_argument(

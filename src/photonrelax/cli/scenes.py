@@ -79,9 +79,12 @@ def is_file(name: str) -> bool:
     return name not in (*gallery.names(), *gallery.pattern_names())
 
 
-def scene_of(name: str, options: argparse.Namespace) -> pr.Scene:
-    """Scene of a name, with the options of files; warnings about a file are printed."""
-    arguments = dict(options.arg or ())
+def scene_of(name: str, options: argparse.Namespace, **others: float) -> pr.Scene:
+    """Scene of a name, with the options of files; warnings about a file are printed.
+
+    `others` are arguments of a script besides those that the user gives.
+    """
+    arguments = dict(options.arg or ()) | others
     if not is_file(name):
         for option in ("arg", "camera"):
             if getattr(options, option):
