@@ -468,7 +468,7 @@ def test_estimates_are_divided_by_no_less_than_a_sixteenth():
     np.testing.assert_array_equal(shares, [1 / 16, 1.0])
 
 
-def test_a_footprint_far_beyond_its_surface_is_finite():
+def test_a_footprint_far_beyond_its_surface_is_its_mean():
     """As of walls seen at grazing angles, where the edges of others may leave nothing of it."""
     rng = np.random.default_rng(0)
     on_wall = np.column_stack([np.full(4000, 0.9), rng.random((4000, 2)) * [3.0, 2.2] - [1.8, 0.0]])
@@ -478,5 +478,8 @@ def test_a_footprint_far_beyond_its_surface_is_finite():
     boxes[0].apply_translation((1.15, -0.3, 1.101))
     boxes[1].apply_translation((0.0, 1.05, 1.101))
     field = pr.irradiance_field(photons, method="standard", scene=scene_of(*boxes))
-    edges = np.array([[[0.0, 6.8, 0.0], [0.0, 0.0, 0.0092]]])
-    assert np.isfinite(field([[0.9, 0.865, 0.0236]], normals[:1], footprint=edges)).all()
+    edges = np.tile([[0.0, 6.8, 0.0], [0.0, 0.0, 0.0092]], (2, 1, 1))
+    points = [[0.9, 0.865, 0.0236], [0.9, 0.0, 1.0]]
+    # Those of the parallel face 2 cm away are none of the wall.
+    found = field(points, normals[:2], footprint=edges)
+    np.testing.assert_allclose(found, 1 / (3.0 * 2.2), rtol=0.1)

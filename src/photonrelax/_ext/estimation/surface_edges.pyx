@@ -26,9 +26,11 @@ cdef double AT_MOST = 1e-3
 cdef double NO_DIRECTION = 0.1
 # Part along edges of the step that points on them are moved by: where edges meet it is along none.
 cdef double SLANT = 0.05
-# Height of an edge over a footprint's plane, in distances from the footprint's middle, up to which
-# it is one of the same surface.
+# Height of an edge over a footprint's plane, in distances from its middle, up to which it is one of
+# the same surface: where that turns by an angle, no more than its tangent and a little, as edges of
+# another face that is parallel are not.
 cdef double SLOPE = 0.5
+cdef double LITTLE = 0.01
 # Cosine between normals of the footprint and of a surface that counts, cos 60°, at least.
 cdef double MIN_COSINE = 0.5
 
@@ -151,10 +153,15 @@ cdef void add_edge(
         height[place] = dot(offset, &rectangle.axes[6])
     distance = distance_of(ends, &along)
     across = fabs(height[0] + along * (height[1] - height[0]))
-    if across > SLOPE * distance + rectangle.half[2] + on_edge:
+    if across > fmin(SLOPE, LITTLE + tangent(cosine)) * distance + on_edge:
         return
     near.n += 1
     nearest.distance = fmin(nearest.distance, distance)
+
+
+cdef inline double tangent(double cosine) noexcept nogil:
+    """Tangent of the acute angle of a cosine, at most that of `MIN_COSINE`."""
+    return sqrt(fmax(1.0 - cosine * cosine, 0.0)) / fmax(fabs(cosine), MIN_COSINE)
 
 
 cdef inline double distance_of(const double* ends, double* along) noexcept nogil:
