@@ -9,6 +9,7 @@ python -m bench figure7           SJ13's Fig. 7: λ₂ of uniform photons, and t
 python -m bench figure9           SJ13's Fig. 9: rings at three numbers of photons, and a reference
 python -m bench progressive       convergence of progressive photon mapping to analytic irradiance
 python -m bench shapes            SSO08's Fig. 4: shapes in twelve ways, as an image and as figures
+python -m bench envelope          errors of envelopes and of relaxed photons, by time
 python -m bench equal-error       SSO08's Table 1: photons for the error of diffusion
 python -m bench flicker           changes between frames of `pool`, over those of references
 python -m bench frequency         frequency-driven and progressive photon mapping, on `reflector`
@@ -31,6 +32,7 @@ import sys
 
 from bench.speed import contention, memory, memory_stage, side_by_side, simd, versions
 from bench.studies import (
+    envelope,
     equal_error,
     error_times,
     figure7,
@@ -73,6 +75,7 @@ _COMMANDS = {
     "pixel-means": pixel_means,
     "error-times": error_times,
     "resolution": resolution,
+    "envelope": envelope,
     "slopes": slopes,
     "tessellation": tessellation,
     # The processes that `compare` and `memory` start.

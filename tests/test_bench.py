@@ -12,6 +12,7 @@ from bench.speed import contention, inputs, peers, plot, report, stages, version
 from bench.speed.checks import assert_nearest, assert_nearest_in_range
 from bench.speed.timing import Case, Timing, interleave
 from bench.studies import (
+    envelope,
     equal_error,
     figure7,
     frequency,
@@ -437,6 +438,15 @@ def test_slopes_have_a_row_for_each_map_and_keep_references(tmp_path, monkeypatc
     assert [line[2].strip() for line in lines] == ["reference", "2,000", "2,000"]
     assert len(list(tmp_path.iterdir())) == 1
     assert slopes.markdown(study) == table
+
+
+def test_envelopes_and_relaxed_photons_have_a_row_each(monkeypatch):
+    monkeypatch.setattr(slopes, "water", partial(slopes.water, resolution=8))
+    references = slopes.Study(texels=8, reference_passes=2, photons_per_pass=5_000)
+    study = envelope.Study(("water",), (0.5,), (2_000,), references)
+    lines = [line.split("|") for line in envelope.markdown(study).splitlines()[2:]]
+    names = [line[2].strip() for line in lines if len(line) > 1]
+    assert names == ["reference", "envelope, error 0.5", "mapped, k = 8"]
 
 
 def test_errors_of_resolution_are_small_where_there_is_no_warning():

@@ -1,0 +1,138 @@
+"""Means over texels of envelopes, and of relaxed photons, by the time they take."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+import photonrelax as pr
+from bench.arguments import numbers
+from bench.markdown import markdown_table
+from bench.studies import slopes
+from bench.studies.pixel_means import Errors
+
+# Texels beyond so many means are cut off in the clipped error.
+_CLIP = 5.0
+
+
+@dataclass(frozen=True)
+class Study:
+    """Scenes, rays of envelopes, photons emitted, and the references of `slopes`.
+
+    Attributes
+    ----------
+    errors : tuple of float
+        Shares of light that envelopes may misplace.
+    """
+
+    scenes: tuple[str, ...] = ("ring", "ripples", "prism", "sphere", "water")
+    errors: tuple[float, ...] = (0.05, 0.01)
+    photons: tuple[int, ...] = (300_000, 1_000_000)
+    references: slopes.Study = slopes.Study()
+
+
+@dataclass(frozen=True)
+class Found:
+    """Means over texels and the seconds of tracing and preparation, and of the map."""
+
+    name: str
+    rays: str
+    seconds: tuple[float, float]
+    means: NDArray
+    told: float | None = None
+
+
+def envelopes(study: Study, subject: slopes.Subject) -> Iterator[Found]:
+    """Yield the map of each envelope."""
+    side = subject.floor.side / study.references.texels
+    for error in study.errors:
+        started = perf_counter()
+        envelope = pr.trace_envelope(subject.scene, error=error, footprint=side)
+        field = pr.irradiance_field(envelope, method="envelope")
+        traced = perf_counter()
+        means = subject.floor.means(field)
+        seconds = traced - started, perf_counter() - traced
+        rays = f"{envelope.n_rays:,} / {envelope.n_segments:,}"
+        yield Found(f"envelope, error {error:g}", rays, seconds, means, envelope.error)
+
+
+def relaxed(study: Study, subject: slopes.Subject) -> Iterator[Found]:
+    """Yield the map of each number of photons, by the default method."""
+    for n in study.photons:
+        started = perf_counter()
+        photons = pr.trace_photons(subject.scene, n, caster=subject.caster)
+        field = pr.irradiance_field(photons, scene=subject.scene, gather=pr.GatherSettings(k=8))
+        traced = perf_counter()
+        means = subject.floor.means(field)
+        seconds = traced - started, perf_counter() - traced
+        yield Found("mapped, k = 8", f"{n:,} photons", seconds, means)
+
+
+def rows(study: Study) -> Iterator[list[str]]:
+    """Yield the rows of the table."""
+    for name in study.scenes:
+        subject = slopes.Subject.of(study.references, name)
+        exact = subject.halves.mean(axis=0)
+        doubt = subject.doubt
+        yield [name, "reference", "", "", f"{doubt.rms:.3f} {doubt.l1:.4f}", "", ""]
+        for found in (*envelopes(study, subject), *relaxed(study, subject)):
+            errors = Errors.of(found.means, exact)
+            mean = exact.mean()
+            cut = (np.minimum(each, _CLIP * mean) for each in (found.means, exact))
+            clipped = np.abs(np.subtract(*cut)).mean() / mean
+            yield [
+                name,
+                found.name,
+                found.rays,
+                f"{found.seconds[0]:.2f} + {found.seconds[1]:.2f}",
+                f"{errors.rms:.3f} {errors.l1:.4f}",
+                f"{clipped:.4f}",
+                "" if found.told is None else f"{found.told:.4f}",
+            ]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the scenes, the errors and the numbers of photons, and the references."""
+    default = Study()
+    parser.add_argument("--scenes", default=",".join(default.scenes))
+    parser.add_argument("--errors", default=",".join(map(str, default.errors)))
+    parser.add_argument("--photons", type=numbers, default=list(default.photons))
+    references = default.references
+    parser.add_argument("--reference-passes", type=int, default=references.reference_passes)
+    parser.add_argument("--photons-per-pass", type=int, default=references.photons_per_pass)
+    parser.add_argument("--cache", type=Path, help="folder that references are kept in")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the table."""
+    references = slopes.Study(
+        reference_passes=options.reference_passes,
+        photons_per_pass=options.photons_per_pass,
+        cache=options.cache,
+    )
+    study = Study(
+        tuple(options.scenes.split(",")),
+        tuple(float(each) for each in options.errors.split(",")),
+        tuple(options.photons),
+        references,
+    )
+    print(markdown(study))
+
+
+def markdown(study: Study) -> str:
+    """Table of the study."""
+    titles = ["scene", "", "rays / segments", "seconds", "rms, L1", "L1, clipped", "told"]
+    references = study.references
+    return (
+        f"{markdown_table(titles, rows(study))}\n\nRoot mean square error over the mean and relative "
+        f"L1 of means over {references.texels} x {references.texels} texels of the floor, against "
+        f"{references.reference_passes} counted passes of {references.photons_per_pass:,} photons, "
+        f"whose noise is in the rows of references; L1 with texels cut off at {_CLIP:g} means; the "
+        "error that the envelope tells. Seconds of tracing and preparation, and of the map.\n"
+    )
