@@ -53,7 +53,7 @@ def test_its_focus_is_as_small_as_that_of_exact_rays(capsys, tmp_path):
         assert flux == pytest.approx(expected, rel=0.02)
 
 
-@pytest.mark.parametrize("distance", [150.0, 188.0, 196.5])
+@pytest.mark.parametrize("distance", [150.0, 196.5])
 def test_light_on_its_flat_side_lands_as_exact_rays_do(capsys, tmp_path, distance):
     found = lens_flux(capsys, tmp_path, "0,0,1", distance, "1")
     expected = IRRADIANCE * PlanoConvex().flux_within_from_below(1.0, distance)

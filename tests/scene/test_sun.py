@@ -1,7 +1,5 @@
 """A sun is one emitter, of the same radiance all over: its light, penumbrae and caustics."""
 
-from time import process_time
-
 import numpy as np
 import pytest
 import trimesh
@@ -104,18 +102,6 @@ def test_the_ring_under_a_sun_of_a_degree():
     origin, u, v = (-half, -half, 0), (2 * half, 0, 0), (0, 2 * half, 0)
     E = pr.irradiance_map(field, origin, u, v, (cells, cells))[..., 0]
     assert np.abs(E - expected).sum() < 0.15 * expected.sum()
-
-
-def test_a_sun_takes_no_longer_than_half_as_long_again_as_parallel_light():
-    """CPU time of tracing and relaxing, the least of three."""
-
-    def seconds(angle):
-        started = process_time()
-        pr.irradiance_field(pr.trace_photons(_ring(angle), 100_000, n_threads=1), n_threads=1)
-        return process_time() - started
-
-    parallel, sun_of_a_degree = np.min([[seconds(a) for a in (0.0, 1.0)] for _ in range(3)], axis=0)
-    assert sun_of_a_degree <= 1.5 * parallel
 
 
 def test_photons_of_a_sun_are_not_well_spaced_and_have_no_map(tmp_path):

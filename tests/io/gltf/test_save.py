@@ -53,9 +53,17 @@ def test_it_is_the_same_scene(saved):
     assert [item.name for item in loaded.objects] == [item.name for item in SCENE.objects]
 
 
-@pytest.mark.parametrize("name", ["ring", "prism", "ripples", "reflector"])
-def test_built_in_scenes_keep_their_digest(tmp_path, name):
-    scene = pr.gallery.scene(name)
+@pytest.mark.parametrize(
+    ("name", "sizes"),
+    [
+        ("ring", {}),
+        ("prism", {"subdivisions": 3}),
+        ("ripples", {"resolution": 32}),
+        ("reflector", {}),
+    ],
+)
+def test_built_in_scenes_keep_their_digest(tmp_path, name, sizes):
+    scene = pr.gallery.scene(name, **sizes)
     pr.save_scene(scene, tmp_path / "a.glb")
     assert scene_digest(pr.load_scene(tmp_path / "a.glb")) == scene_digest(scene)
 
