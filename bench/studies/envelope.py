@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
 
@@ -34,7 +34,7 @@ class Study:
     scenes: tuple[str, ...] = ("ring", "ripples", "prism", "sphere", "water")
     errors: tuple[float, ...] = (0.05, 0.01)
     photons: tuple[int, ...] = (300_000, 1_000_000)
-    references: slopes.Study = slopes.Study()
+    references: slopes.Study = field(default_factory=slopes.Study)
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,9 @@ def envelopes(study: Study, subject: slopes.Subject) -> Iterator[Found]:
     for error in study.errors:
         started = perf_counter()
         envelope = pr.trace_envelope(subject.scene, error=error, footprint=side)
-        field = pr.irradiance_field(envelope, method="envelope")
+        light = pr.irradiance_field(envelope, method="envelope")
         traced = perf_counter()
-        means = subject.floor.means(field)
+        means = subject.floor.means(light)
         seconds = traced - started, perf_counter() - traced
         rays = f"{envelope.n_rays:,} / {envelope.n_segments:,}"
         yield Found(f"envelope, error {error:g}", rays, seconds, means, envelope.error)
@@ -67,9 +67,9 @@ def relaxed(study: Study, subject: slopes.Subject) -> Iterator[Found]:
     for n in study.photons:
         started = perf_counter()
         photons = pr.trace_photons(subject.scene, n, caster=subject.caster)
-        field = pr.irradiance_field(photons, scene=subject.scene, gather=pr.GatherSettings(k=8))
+        light = pr.irradiance_field(photons, scene=subject.scene, gather=pr.GatherSettings(k=8))
         traced = perf_counter()
-        means = subject.floor.means(field)
+        means = subject.floor.means(light)
         seconds = traced - started, perf_counter() - traced
         yield Found("mapped, k = 8", f"{n:,} photons", seconds, means)
 
@@ -130,8 +130,8 @@ def markdown(study: Study) -> str:
     titles = ["scene", "", "rays / segments", "seconds", "rms, L1", "L1, clipped", "told"]
     references = study.references
     return (
-        f"{markdown_table(titles, rows(study))}\n\nRoot mean square error over the mean and relative "
-        f"L1 of means over {references.texels} x {references.texels} texels of the floor, against "
+        f"{markdown_table(titles, rows(study))}\n\nRoot mean square error over the mean and "
+        f"relative L1 of means over {references.texels} x {references.texels} texels of the floor, against "
         f"{references.reference_passes} counted passes of {references.photons_per_pass:,} photons, "
         f"whose noise is in the rows of references; L1 with texels cut off at {_CLIP:g} means; the "
         "error that the envelope tells. Seconds of tracing and preparation, and of the map.\n"
