@@ -132,7 +132,8 @@ def markdown(study: Study) -> str:
     return (
         f"{markdown_table(titles, rows(study))}\n\nRoot mean square error over the mean and "
         f"relative L1 of means over {references.texels} x {references.texels} texels of the floor, "
-        f"against {references.reference_passes} counted passes of {references.photons_per_pass:,} photons, "
-        f"whose noise is in the rows of references; L1 with texels cut off at {_CLIP:g} means; the "
-        "error that the envelope tells. Seconds of tracing and preparation, and of the map.\n"
+        f"against {references.reference_passes} counted passes of "
+        f"{references.photons_per_pass:,} photons, whose noise is in the rows of references; L1 "
+        f"with texels cut off at {_CLIP:g} means; the error that the envelope tells. Seconds of "
+        "tracing and preparation, and of the map.\n"
     )
