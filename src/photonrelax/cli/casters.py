@@ -113,7 +113,7 @@ def gather_radius(options: argparse.Namespace, size: float | None) -> float | No
 
 
 def axis_point(options: argparse.Namespace, scene: pr.Scene) -> Floats | None:
-    """Where a ray along the light through the middle of a mesh meets its screen, (3,)."""
+    """Point (3,) of a mesh's screen on the ray along the light through its middle."""
     if not is_mesh(options.scene):
         return None
     middle: Floats = scene.objects[-1].mesh.vertices.mean(axis=0)

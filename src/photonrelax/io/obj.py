@@ -54,7 +54,7 @@ class _Group:
 
 
 class _Obj:
-    """What the lines of an OBJ file have so far."""
+    """Vertices, faces and materials of the lines of an OBJ file read so far."""
 
     def __init__(self, path: Path, substitutions: Substitutions) -> None:
         self._path, self._substitutions = path, substitutions

@@ -1,4 +1,4 @@
-"""What a file holds and a scene cannot, in one table."""
+"""Table of what stands for things that a file holds and a scene cannot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a render leaves out of its kernels because of the scene, and why or why not."""
+"""Work that a scene spares the kernels of a render, with the reasons."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Simplification(NamedTuple):
 
 
 def simplifications(scene: Scene) -> tuple[Simplification, ...]:
-    """Return what a render of a scene leaves out, and what it does not."""
+    """Work that a scene spares a render, and work that it does not."""
     materials = Materials(scene.material_table())
     return (
         _emitters(len(scene.emitters)),

@@ -24,7 +24,7 @@ SAVING = 0.8
 
 
 class Targets(NamedTuple):
-    """What emitters aim at.
+    """Spheres that emitters aim at.
 
     Attributes
     ----------

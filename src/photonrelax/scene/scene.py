@@ -228,7 +228,7 @@ class Scene:
 
     @cached_property
     def targets(self) -> Targets:
-        """What emitters aim at."""
+        """Spheres that emitters aim at."""
         if self.aim is not None:
             return self.aim
         casters = self.bounding_sphere(self.specular_objects) if self.specular_objects else None

@@ -41,7 +41,7 @@ _LEFT = 0.5
 
 @dataclass(frozen=True)
 class EnvelopeSettings:
-    """What ends the division of elements, and what images are resolved to.
+    """Limits of the division of elements, and the length that images are resolved to.
 
     Attributes
     ----------

@@ -32,7 +32,7 @@ _CREASE = 30.0
 
 @dataclass
 class Built:
-    """What the nodes of a file become."""
+    """Objects and emitters made of the nodes of a file."""
 
     objects: list[SceneObject] = field(default_factory=list)
     emitters: list[Emitter] = field(default_factory=list)
