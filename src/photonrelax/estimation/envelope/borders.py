@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,10 @@ from .lattice import Ids, Lattice, sheets_of
 STEPS = 5
 
 
-@dataclass(frozen=True, eq=False)
-class Ends:
+Columns = TypeVar("Columns", bound=tuple[Floats, ...])
+
+
+class Ends(NamedTuple):
     """Last light of a sheet on sides of elements from which it is seen at one end only.
 
     Attributes
@@ -34,8 +37,7 @@ class Ends:
     light: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class Pieces:
+class Pieces(NamedTuple):
     """Images of triangles of a chart that are straight.
 
     Attributes
@@ -52,8 +54,10 @@ class Pieces:
     normal: Floats
     flux: Floats
 
-    def __len__(self) -> int:
-        return len(self.flux)
+
+def joined(kind: Callable[..., Columns], parts: list[Columns]) -> Columns:
+    """Columns of all parts of a kind, in their order."""
+    return kind(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def cut(lattice: Lattice, leaves: Elements, torn: Patches) -> Pieces:
@@ -73,9 +77,7 @@ def cut(lattice: Lattice, leaves: Elements, torn: Patches) -> Pieces:
         turned = (lone[:, np.newaxis] + np.arange(3)) % 3
         at = rows[:, np.newaxis], turned
         pieces.append(_cut(lattice, places[at], arrival[at], sheet[rows], n))
-    return Pieces(
-        *(np.concatenate([getattr(p, name) for p in pieces]) for name in Pieces.__annotations__)
-    )
+    return joined(Pieces, pieces)
 
 
 def _whole(lattice: Lattice, places: Floats, arrival: Ids) -> Pieces:
@@ -122,9 +124,7 @@ def _cut(
         return _pieces(lattice, *columns)
     # Corners 1 and 2, and the ends on the sides from them.
     halves = [_pieces(lattice, *(c[:, rows] for c in columns)) for rows in ([0, 1, 3], [0, 3, 2])]
-    return Pieces(
-        *(np.concatenate([getattr(p, name) for p in halves]) for name in Pieces.__annotations__)
-    )
+    return joined(Pieces, halves)
 
 
 def _ends(
@@ -148,7 +148,7 @@ def _ends(
         light[rows] = found.throughput[at] * power[found.node[at]]
     ends = Ends(0.5 * (inside + outside), position, normal, light)
     inverse = inverse.ravel()
-    return Ends(*(getattr(ends, name)[inverse] for name in Ends.__annotations__))
+    return Ends(*(column[inverse] for column in ends))
 
 
 def _traced(lattice: Lattice, places: Floats) -> tuple[Ids, Arrivals, Floats]:

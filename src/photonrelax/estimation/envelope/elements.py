@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..._util.validation import Floats
 from ...transport.aim import LUMINANCE
-from .lattice import _UNIT, Ids, Lattice, Places
+from .lattice import UNIT, Ids, Lattice, Places
 
 # Corners, then the nodes in the middle of the sides opposite to them.
 _SIDES = ((1, 2), (0, 2), (0, 1))
@@ -114,12 +114,9 @@ class Elements:
 def first_corners(lattice: Lattice) -> Places:
     """Corners (n, 3, 2) of the two triangles of each cell of the first grid."""
     nx, ny = lattice.cells
-    i, j = (grid.ravel() * _UNIT for grid in np.meshgrid(np.arange(nx), np.arange(ny)))
+    i, j = (grid.ravel() * UNIT for grid in np.meshgrid(np.arange(nx), np.arange(ny)))
     square = np.stack(
-        [
-            np.column_stack([i + a, j + b])
-            for a, b in ((0, 0), (_UNIT, 0), (_UNIT, _UNIT), (0, _UNIT))
-        ],
+        [np.column_stack([i + a, j + b]) for a, b in ((0, 0), (UNIT, 0), (UNIT, UNIT), (0, UNIT))],
         axis=1,
     )
     return square[:, [[0, 1, 3], [2, 3, 1]]].reshape(-1, 3, 2)

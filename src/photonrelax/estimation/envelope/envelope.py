@@ -21,6 +21,7 @@ from ..._util.validation import Floats
 from ...scene.scene import Scene
 from ...spatial.box_tree import BoxTree
 from ...transport.splitting import SplittingTracer
+from .borders import joined
 from .charts import charts_of
 from .elements import areas, first_corners, luminances, six_places
 from .lattice import Lattice
@@ -183,10 +184,10 @@ def laid_envelope(
     _refine(refinements, settings, started)
     traced = perf_counter()
     found = [laid(each) for each in refinements]
-    scattered = Points.joined([points for _, points in found])
+    scattered = joined(Points, [points for _, points in found])
     around = squares(scattered, footprint)
     return Envelope(
-        *Laid.joined([*(images for images, _ in found), around]),
+        *joined(Laid, [*(images for images, _ in found), around]),
         emitted=np.sum([_emitted(each) for each in refinements], axis=0),
         torn=scattered.flux.sum(axis=0),
         settings=settings,

@@ -12,6 +12,7 @@ from ..._util.validation import Floats
 from ..field import Densities, Field, Points
 from .elements import luminances
 from .envelope import Envelope
+from .laying import square_edges
 
 # Distance from the plane of a footprint, over its size, of light that still counts in it.
 _THICKNESS = 1.0
@@ -65,7 +66,7 @@ class EnvelopeField(Field):
         if edges is None:
             edges = np.full(len(points.queries), envelope.settings.footprint)
         if edges.ndim == 1:
-            edges = _squares(points.normals, edges)
+            edges = square_edges(points.normals, edges)
         _kernel.means(
             envelope.tree.kernel,
             envelope.position,
@@ -79,11 +80,3 @@ class EnvelopeField(Field):
             out=out,
             n_threads=self._n_threads,
         )
-
-
-def _squares(normals: Floats, side: Floats) -> Floats:
-    """Edges (m, 2, 3) of squares in the tangent planes."""
-    u = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
-    u *= (side / np.linalg.norm(u, axis=1))[:, np.newaxis]
-    v = np.cross(normals, u) / np.linalg.norm(normals, axis=1)[:, np.newaxis]
-    return np.stack([u, v], axis=1)

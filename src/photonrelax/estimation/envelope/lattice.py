@@ -15,7 +15,7 @@ Places = NDArray[np.int64]
 # Bits of the places of nodes within a cell of the first grid, and levels of elements.
 DEPTH = 14
 MAX_LEVEL = DEPTH - 1
-_UNIT = 1 << DEPTH
+UNIT = 1 << DEPTH
 
 
 class Lattice:
@@ -57,7 +57,7 @@ class Lattice:
 
     def in_unit(self, places: Floats | Places) -> Floats:
         """Places (n, 2) as points of the chart's unit square."""
-        unit: Floats = places / (_UNIT * self.cells)
+        unit: Floats = places / (UNIT * self.cells)
         return unit
 
     def nodes(self, places: Places) -> Ids:

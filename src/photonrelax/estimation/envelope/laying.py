@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..._util.validation import Floats
 from ...spatial.kdtree import KDTree
-from .borders import cut
+from .borders import cut, joined
 from .elements import areas, bends, luminances, shape_functions
 from .refinement import Refinement
 
@@ -33,11 +33,6 @@ class Laid(NamedTuple):
     flux: Floats
     misplaced: Floats
 
-    @classmethod
-    def joined(cls, parts: list[Laid]) -> Laid:
-        """All of them, in the order of the parts."""
-        return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-
 
 class Points(NamedTuple):
     """Positions (n, 3), m, normals (n, 3) and fluxes (n, 3), W, of light that has no image."""
@@ -45,11 +40,6 @@ class Points(NamedTuple):
     position: Floats
     normal: Floats
     flux: Floats
-
-    @classmethod
-    def joined(cls, parts: list[Points]) -> Points:
-        """All of them, in the order of the parts."""
-        return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def laid(refinement: Refinement) -> tuple[Laid, Points]:
@@ -64,8 +54,8 @@ def laid(refinement: Refinement) -> tuple[Laid, Points]:
     if lost.sum() > 0.0:
         lost *= min(total / lost.sum(), 1.0)
     borders = Laid(pieces.position, _unit(pieces.normal), pieces.flux, lost)
-    points = Points.joined([_of_images(refinement, ~(smooth | torn)), _singles(refinement)])
-    return Laid.joined([_curved(refinement, np.flatnonzero(smooth)), borders]), points
+    points = joined(Points, [_of_images(refinement, ~(smooth | torn)), _singles(refinement)])
+    return joined(Laid, [_curved(refinement, np.flatnonzero(smooth)), borders]), points
 
 
 def squares(points: Points, footprint: float) -> Laid:
@@ -77,9 +67,7 @@ def squares(points: Points, footprint: float) -> Laid:
     if n > _NEIGHBOURS:
         distance = KDTree(points.position).query_self(_NEIGHBOURS).distance
         side = np.maximum(distance[:, -1] * np.sqrt(np.pi), footprint)
-    u = np.cross(points.normal, np.eye(3)[np.abs(points.normal).argmin(axis=1)])
-    u *= (0.5 * side / np.linalg.norm(u, axis=1))[:, np.newaxis]
-    v = np.cross(points.normal, u)
+    u, v = 0.5 * square_edges(points.normal, side).transpose(1, 0, 2)
     at = points.position
     corners = np.stack([at - u - v, at + u - v, at + u + v, at - u + v], axis=1)
     return Laid(
@@ -88,6 +76,14 @@ def squares(points: Points, footprint: float) -> Laid:
         np.repeat(0.5 * points.flux, 2, axis=0),
         np.repeat(0.5 * luminances(points.flux), 2),
     )
+
+
+def square_edges(normals: Floats, side: Floats) -> Floats:
+    """Edges (n, 2, 3) of squares of sides (n,) in the tangent planes of normals of any length."""
+    u = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+    u *= (side / np.linalg.norm(u, axis=1))[:, np.newaxis]
+    v = np.cross(normals, u) / np.linalg.norm(normals, axis=1)[:, np.newaxis]
+    return np.stack([u, v], axis=1)
 
 
 def _of_images(refinement: Refinement, rows: NDArray[np.bool_]) -> Points:
@@ -150,7 +146,7 @@ def _curved(refinement: Refinement, rows: NDArray[np.intp]) -> Laid:
         )
     if not parts:
         return squares(Points(*np.empty((3, 0, 3))), refinement.footprint)
-    return Laid.joined(parts)
+    return joined(Laid, parts)
 
 
 def _grid(n: int) -> tuple[Floats, Floats]:
