@@ -63,8 +63,11 @@ class MetalRing:
             Samples over the whole wall.
         """
         landed, flux = self.deposits(n_samples)
-        binned = np.histogram2d(landed[:, 0], landed[:, 1], bins=(edges, edges), weights=flux)[0]
-        return binned / np.outer(np.diff(edges), np.diff(edges))
+        n, side = len(edges) - 1, edges[1] - edges[0]
+        column, row = np.floor((landed.T - edges[0]) / side).astype(np.intp)
+        inside = (column >= 0) & (column < n) & (row >= 0) & (row < n)
+        pixel = column[inside] * n + row[inside]
+        return np.bincount(pixel, flux[inside], n * n).reshape(n, n) / side**2
 
     def irradiance_at(self, points: Floats, n_azimuths: int = 40_001) -> Floats:
         """Return the irradiance at points (m, 2) of the floor, W/m².

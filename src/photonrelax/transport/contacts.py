@@ -24,7 +24,6 @@ from ..scene.meshes import (
     vertices_of,
 )
 from ..scene.resolution import ROUNDING, Resolution
-from ..spatial.kdtree import KDTree
 
 # Width of the gap over what rays resolve.
 _GAP = 2.0
@@ -32,6 +31,8 @@ _GAP = 2.0
 _MIN_THICKNESS = 2.0
 # Normals of faces at one vertex that differ by less are those of one plane.
 _SAME_NORMAL = 1e-6
+# Planes nearer than this share of the gap are one.
+_SAME_PLANE = 1e-3
 
 
 def open_contacts(
@@ -156,13 +157,21 @@ def _gap(vertices: Floats, faces: NDArray, resolution: Resolution) -> Floats:
 
 def _in_planes(vertices: Floats, inner: NDArray, outer: NDArray, gap: Floats) -> NDArray[np.bool_]:
     """True for inner faces nearer than their gaps to the planes of outer ones that face alike."""
+    from scipy.spatial import cKDTree
+
     size = float(np.ptp(vertices[inner], axis=(0, 1)).max())
     origin = vertices[inner[0, 0]]
     own, planes = (
         _planes(face_normals(corners), corners - origin, size)
         for corners in (vertices[inner], vertices[outer])
     )
-    return KDTree(planes, planes.shape[1]).query(own, 1).distance[:, 0] < gap[:, 0]
+    # Faces of one plane, of which there may be very many, are one point of the tree.
+    cells = np.round(planes / (_SAME_PLANE * gap.min()))
+    _, first = np.unique(cells, axis=0, return_index=True)
+    reach = np.nextafter(gap.max(), np.inf)
+    distance, _ = cKDTree(planes[first]).query(own, 1, distance_upper_bound=reach)
+    within: NDArray[np.bool_] = distance < gap[:, 0]
+    return within
 
 
 def _overlapping(
