@@ -32,7 +32,7 @@ def encircled(output):
 def lens_flux(capsys, tmp_path, direction, distance, radii):
     command = ["irradiance", str(LENS), "--material", "glass", "--ior", "1.5", "--units", "mm"]
     light = ["--direction", direction, "--distance", str(distance)]
-    quick = ["--method", "standard", "--texels", "64"]
+    quick = ["--method", "standard", "--texels", "64", "--photons", "4e5"]
     output = ["-o", str(tmp_path / "spot.exr"), "--encircled", radii]
     assert cli.main([*command, *light, *quick, *output]) == 0
     return encircled(capsys.readouterr().out)

@@ -17,8 +17,8 @@ NOISE = RNG.uniform(0.0, 1.0, (23, 31, 3))
 DOWN = pr.CollimatedEmitter((0, 0, -1), np.pi)
 
 
-def colours(texture, u, v):
-    """Colours (n, 3) at texture coordinates, by the definition of texels and wrapping."""
+def texels(texture, u, v):
+    """Numbers of the texels at texture coordinates, by the definition of texels and wrapping."""
     height, width = np.shape(texture.image)[:2]
     index = []
     for at, n, mode in zip((u, 1.0 - v), (width, height), texture.wrap, strict=True):
@@ -31,13 +31,23 @@ def colours(texture, u, v):
             texel = texel % (2 * n)
             texel = np.where(texel < n, texel, 2 * n - 1 - texel)
         index.append(texel)
-    return np.asarray(texture.image, dtype=float)[index[1], index[0]] * texture.factor
+    return index[1] * width + index[0]
+
+
+def of_texels(texture):
+    return np.asarray(texture.image, dtype=float).reshape(-1, 3) * texture.factor
+
+
+def colours(texture, u, v):
+    return of_texels(texture)[texels(texture, u, v)]
 
 
 def brute_mean(texture, uv, edges, n=1500):
     along, across = np.meshgrid(*[(np.arange(n) + 0.5) / n - 0.5] * 2)
     at = uv + along[..., None] * edges[0] + across[..., None] * edges[1]
-    return colours(texture, at[..., 0].ravel(), at[..., 1].ravel()).mean(axis=0)
+    number = texels(texture, at[..., 0].ravel(), at[..., 1].ravel())
+    every = of_texels(texture)
+    return np.bincount(number, minlength=len(every)) @ every / n**2
 
 
 @pytest.mark.parametrize("wrap", ["repeat", "mirror", "clamp", ("clamp", "mirror")])

@@ -95,18 +95,14 @@ def bundle_at(region, places):
 @pytest.mark.parametrize("name", SCENES)
 def test_spectra_depend_on_no_thread_and_no_batch_and_change_no_photon(name, paths):
     scene = SCENES[name]
-    plain = pr.trace_photons(scene, 4_000, paths=paths, max_bounces=8)
-    one = pr.trace_photons(
-        scene, 4_000, paths=paths, max_bounces=8, frequency_share=0.1, n_threads=1
-    )
-    other = pr.trace_photons(
-        scene,
-        4_000,
-        paths=paths,
-        max_bounces=8,
-        frequency_share=0.1,
-        n_threads=3,
-        batch_size=1024,
+    given = {"paths": paths, "max_bounces": 8}
+    plain, one, other = (
+        pr.trace_photons(scene, 2_500, **given, **more)
+        for more in (
+            {},
+            {"frequency_share": 0.1, "n_threads": 1},
+            {"frequency_share": 0.1, "n_threads": 3, "batch_size": 1024},
+        )
     )
     assert plain.spectrum is None
     assert one.spectrum.tobytes() == other.spectrum.tobytes()
