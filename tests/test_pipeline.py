@@ -52,8 +52,8 @@ def test_relaxed_ring_equals_the_reflection_map():
 def test_relaxed_prism_comes_closer_to_a_much_larger_run():
     """SJ13 Fig. 6: the same photons, relaxed or not, against ten times as many."""
     scene = gallery.scene("prism", subdivisions=6)
-    few = pr.trace_photons(scene, 120_000, sampler="random")
-    many = pr.trace_photons(scene, 1_200_000, seed=1)
+    few = pr.trace_photons(scene, 250_000, sampler="random")
+    many = pr.trace_photons(scene, 2_500_000, seed=1)
     points, normals = plane(np.random.default_rng(0).uniform([0.8, 0.3], [1.8, 1.2], (20_000, 2)))
     expected = pr.estimate_irradiance(many, points, normals, pr.GatherSettings(k=50))
     standard, relaxed = (
