@@ -49,6 +49,9 @@ if TYPE_CHECKING:
     from .rendering.render import render as render
     from .scene.area_emitter import AreaEmitter as AreaEmitter
     from .scene.camera import Camera as Camera
+    from .scene.dispersion import Abbe as Abbe
+    from .scene.dispersion import Cauchy as Cauchy
+    from .scene.dispersion import Sellmeier as Sellmeier
     from .scene.emitters import CollimatedEmitter as CollimatedEmitter
     from .scene.emitters import LambertianEmitter as LambertianEmitter
     from .scene.emitters import PointEmitter as PointEmitter
@@ -71,8 +74,10 @@ if TYPE_CHECKING:
 
 
 _MODULE_OF = {
+    "Abbe": "scene.dispersion",
     "AreaEmitter": "scene.area_emitter",
     "Camera": "scene.camera",
+    "Cauchy": "scene.dispersion",
     "Checkpoints": "rendering.progressive_render",
     "CollimatedEmitter": "scene.emitters",
     "Dielectric": "scene.materials",
@@ -105,6 +110,7 @@ _MODULE_OF = {
     "RestDensitySettings": "relaxation.rest_density",
     "Scene": "scene.scene",
     "SceneObject": "scene.scene",
+    "Sellmeier": "scene.dispersion",
     "Sensor": "scene.materials",
     "Sphere": "scene.shapes",
     "SpotEmitter": "scene.emitters",

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._util.frozen import frozen, set_field
 from .._util.validation import Floats, count, positive, rgb
+from .dispersion import Dispersion
 from .textures import FaceTexture, Texture
 
 MAX_PRIORITY = 2**31 - 1
@@ -29,7 +30,9 @@ class MaterialRow:
     reflectance : (3,)
         Albedo or reflectance.
     ior : float
-        Index of refraction inside.
+        Index of refraction inside, at the d line.
+    dispersion : Dispersion, optional
+        Index over wavelength; None for one index.
     exterior_ior : float, optional
         Index of refraction outside; None for that of the medium around.
     absorption : (3,)
@@ -45,6 +48,7 @@ class MaterialRow:
     kind: str
     reflectance: ArrayLike = (1.0, 1.0, 1.0)
     ior: float = 1.0
+    dispersion: Dispersion | None = None
     exterior_ior: float | None = 1.0
     absorption: ArrayLike = (0.0, 0.0, 0.0)
     priority: int = 0
@@ -141,8 +145,9 @@ class Dielectric(Material):
 
     Parameters
     ----------
-    ior : float
-        Index of refraction inside the mesh.
+    ior : float or Dispersion
+        Index of refraction inside the mesh: a number, or one over wavelength, of
+        which that at the d line is used.
     exterior_ior : float, optional
         Index of refraction outside of it. None, the default, is that of the dielectric around, or
         1 in none. A number holds for this surface alone, whatever is around it: the surface is
@@ -161,14 +166,15 @@ class Dielectric(Material):
 
     has_inside: ClassVar[bool] = True
 
-    ior: float = 1.5
+    ior: float | Dispersion = 1.5
     exterior_ior: float | None = None
     absorption: ArrayLike = (0.0, 0.0, 0.0)
     priority: int = 0
     tint: ArrayLike = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
-        set_field(self, "ior", positive(self.ior, "ior"))
+        if not isinstance(self.ior, Dispersion):
+            set_field(self, "ior", positive(self.ior, "ior"))
         if self.exterior_ior is not None:
             set_field(self, "exterior_ior", positive(self.exterior_ior, "exterior_ior"))
         set_field(self, "absorption", frozen(rgb(self.absorption, "absorption")))
@@ -177,9 +183,13 @@ class Dielectric(Material):
         set_field(self, "tint", frozen(rgb(self.tint, "tint", high=1.0)))
 
     def row(self) -> MaterialRow:
+        ior, dispersion = self.ior, None
+        if isinstance(ior, Dispersion):
+            ior, dispersion = ior.index_d, ior
         return MaterialRow(
             "dielectric",
-            ior=self.ior,
+            ior=ior,
+            dispersion=dispersion,
             exterior_ior=self.exterior_ior,
             absorption=self.absorption,
             priority=self.priority,
@@ -215,7 +225,9 @@ class MaterialTable:
     reflectance : (n, 3)
         Albedo or reflectance; 1 for dielectrics and sensors.
     ior : (n,)
-        Index of refraction inside dielectrics; 1 for other materials.
+        Index of refraction inside dielectrics, at the d line; 1 for other materials.
+    dispersion : (n,) Dispersion or None
+        Index over wavelength; None for one index.
     exterior_ior : (n,)
         Index of refraction outside; NaN where it is that of the medium around, 1 for other
         materials.
@@ -235,6 +247,7 @@ class MaterialTable:
     kind: tuple[str, ...]
     reflectance: Floats
     ior: Floats
+    dispersion: tuple[Dispersion | None, ...]
     exterior_ior: Floats
     absorption: Floats
     priority: NDArray[np.int64]
@@ -250,6 +263,7 @@ class MaterialTable:
             kind=tuple(row.kind for row in rows),
             reflectance=np.array([row.reflectance for row in rows], dtype=np.float64),
             ior=np.array([row.ior for row in rows], dtype=np.float64),
+            dispersion=tuple(row.dispersion for row in rows),
             # None becomes NaN.
             exterior_ior=np.array([row.exterior_ior for row in rows], dtype=np.float64),
             absorption=np.array([row.absorption for row in rows], dtype=np.float64),

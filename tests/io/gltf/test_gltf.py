@@ -176,6 +176,19 @@ def test_glass_has_index_absorption_and_tint(tmp_path):
     assert material_of(of_mesh(BOX, glass()), tmp_path).ior == 1.5
 
 
+@pytest.mark.filterwarnings("ignore:.*can be read in two ways")
+def test_glass_has_the_abbe_number_of_its_dispersion(tmp_path):
+    """The extension holds 20 over it."""
+    extensions = {
+        "KHR_materials_ior": {"ior": 1.7},
+        "KHR_materials_dispersion": {"dispersion": 0.625},
+    }
+    index = material_of(of_mesh(BOX, glass(**extensions)), tmp_path).ior
+    assert (index.index_d, index.abbe_number) == pytest.approx((1.7, 32.0))
+    extensions["KHR_materials_dispersion"]["dispersion"] = 0
+    assert material_of(of_mesh(BOX, glass(**extensions)), tmp_path).ior == 1.7
+
+
 def test_glass_of_an_open_mesh_is_a_plate(tmp_path):
     parts = of_mesh(PANE, glass((0.9, 0.9, 0.9)))
     assert "stuff thin wall, as thing is open a plate 0.00141 m thick" in table_of(parts, tmp_path)

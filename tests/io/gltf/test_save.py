@@ -21,11 +21,13 @@ TILTED /= np.linalg.norm(TILTED, axis=1, keepdims=True)
 LEANING = trimesh.Trimesh(BALL.vertices / 3, BALL.faces, vertex_normals=TILTED, process=False)
 FLAT = trimesh.creation.box((1, 1, 0.0))
 GLASS = pr.Dielectric(1.5, absorption=(0.1, 0.2, 3.0), priority=2, tint=(0.9, 0.8, 0.7))
+FLINT = pr.Sellmeier((1.0, 0.25), (0.006, 0.02))
 OBJECTS = [
     pr.SceneObject(FLOOR, pr.Diffuse((0.1, 0.2, 0.3)), "floor"),
     pr.SceneObject(BALL, GLASS, "ball", smooth=30.0),
     pr.SceneObject(LEANING, pr.Mirror((0.9, 0.5, 0.3), schlick=True), "leaning", smooth=True),
     pr.SceneObject(FLAT, pr.Sensor()),
+    pr.SceneObject(BALL, pr.Dielectric(FLINT)),
 ]
 EMITTERS = [
     pr.CollimatedEmitter((0.3, 0.1, -1.0), (3.0, 2.0, 1.0), 0.266),
@@ -97,12 +99,14 @@ def of_other_program(path):
 @pytest.mark.filterwarnings("ignore:.*holds what a scene cannot")
 def test_other_programs_find_what_gltf_can_hold(saved):
     loaded = pr.load_scene(of_other_program(saved))
-    floor, ball, leaning, _ = loaded.objects
+    floor, ball, leaning, _, flint = loaded.objects
     np.testing.assert_allclose(floor.mesh.bounds, FLOOR.bounds, rtol=1e-6)
     np.testing.assert_allclose(floor.material.albedo, [0.1, 0.2, 0.3])
     for name in ("ior", "absorption", "tint"):
         np.testing.assert_allclose(getattr(ball.material, name), getattr(GLASS, name))
     assert ball.edge_defects == (0, 0)
+    assert flint.material.ior.index_d == pytest.approx(FLINT.index_d)
+    assert flint.material.ior.abbe_number == pytest.approx(FLINT.abbe_number)
     np.testing.assert_allclose(leaning.material.reflectance, [0.9, 0.5, 0.3])
     normals = leaning.shading_normals
     distance = np.linalg.norm(
@@ -124,7 +128,7 @@ def test_other_programs_find_what_gltf_can_hold(saved):
 
 
 def test_trimesh_reads_it(saved):
-    assert len(trimesh.load_scene(saved).geometry) == 6
+    assert len(trimesh.load_scene(saved).geometry) == 7
 
 
 class Velvet(Material):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..._version import __version__
 from ...scene.area_emitter import AreaEmitter
 from ...scene.camera import Camera
+from ...scene.dispersion import Abbe, Cauchy, Sellmeier
 from ...scene.emitters import CollimatedEmitter, LambertianEmitter, PointEmitter, SpotEmitter
 from ...scene.environment import EnvironmentEmitter
 from ...scene.materials import Dielectric, Diffuse, Mirror, Sensor
@@ -43,6 +44,9 @@ _CLASSES: dict[str, type] = {
         Mirror,
         Dielectric,
         Sensor,
+        Cauchy,
+        Sellmeier,
+        Abbe,
         CollimatedEmitter,
         PointEmitter,
         LambertianEmitter,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..._util.validation import Floats
+from ...scene.dispersion import Abbe
 from ...scene.materials import Dielectric, Diffuse, Material, Mirror
 from ..json_entry import JsonEntry
 from ..substitutions import Substitutions
@@ -16,6 +17,8 @@ from .textures import TextureReader, TextureUse
 
 # Metal that is rougher is diffuse.
 _MIRROR_ROUGHNESS = 0.3
+# The factor of KHR_materials_dispersion times the Abbe number.
+DISPERSION_TIMES_ABBE = 20.0
 # Of a share of metal or glass, the larger part counts.
 _HALF = 0.5
 # Colours of media are no darker, for their absorption to be finite.
@@ -31,7 +34,6 @@ _IGNORED = {
     "KHR_materials_anisotropy": "none",
     "KHR_materials_clearcoat": "no coat",
     "KHR_materials_diffuse_transmission": "an opaque surface",
-    "KHR_materials_dispersion": "one index for all colours",
     "KHR_materials_iridescence": "no film",
     "KHR_materials_pbrSpecularGlossiness": "the metal and roughness of the standard",
     "KHR_materials_sheen": "no sheen",
@@ -39,6 +41,7 @@ _IGNORED = {
 }
 MATERIAL_EXTENSIONS = (
     *_IGNORED,
+    "KHR_materials_dispersion",
     "KHR_materials_emissive_strength",
     "KHR_materials_ior",
     "KHR_materials_specular",
@@ -142,8 +145,9 @@ class MaterialReader:
 
     def _glass(self, entry: JsonEntry, colour: Floats) -> Dielectric:
         ior = _extension(entry, "ior").number("ior", 1.5, low=1.0)
+        dispersion = _extension(entry, "dispersion").number("dispersion", 0.0, low=0.0)
         return Dielectric(
-            ior,
+            Abbe(ior, DISPERSION_TIMES_ABBE / dispersion) if dispersion > 0.0 else ior,
             absorption=_absorption(_extension(entry, "volume")),
             tint=np.sqrt(colour) if self._from_blender else colour,
         )

@@ -15,6 +15,7 @@ from ..._util.files import output_path, whole_file
 from ..._util.validation import Floats
 from ...scene.area_emitter import AreaEmitter
 from ...scene.camera import Camera
+from ...scene.dispersion import Dispersion
 from ...scene.emitters import CollimatedEmitter, Emitter, PointEmitter, SpotEmitter
 from ...scene.materials import Dielectric, Diffuse, Material, Mirror
 from ...scene.scene import Scene, SceneObject
@@ -23,6 +24,7 @@ from .exact import GENERATOR, KEY, encoded
 from .file import MAGIC
 from .lights import EXTENSION as LIGHTS
 from .lights import LUMENS_PER_WATT, spot_solid_angle
+from .materials import DISPERSION_TIMES_ABBE
 
 _FLOAT, _UNSIGNED = 5126, 5125
 _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3"}
@@ -176,8 +178,11 @@ class _Writer:
     def _glass(self, material: Dielectric) -> dict[str, Any]:
         extensions: dict[str, Any] = {
             "KHR_materials_transmission": {"transmissionFactor": 1.0},
-            "KHR_materials_ior": {"ior": material.ior},
+            "KHR_materials_ior": {"ior": material.row().ior},
         }
+        if isinstance(material.ior, Dispersion):
+            dispersion = DISPERSION_TIMES_ABBE / material.ior.abbe_number
+            extensions["KHR_materials_dispersion"] = {"dispersion": max(dispersion, 0.0)}
         absorption = np.asarray(material.absorption)
         colour = np.exp(-_ATTENUATION_DISTANCE * absorption).tolist()
         extensions["KHR_materials_volume"] = {
