@@ -29,6 +29,8 @@ def full_map(n=5):
         path_length=rng.random(n),
         object_id=np.arange(n),
         spectrum=np.where(np.arange(n)[:, None] % 2, np.nan, rng.random((n, 3))),
+        wavelength=np.linspace(0.0, 700.0, n),
+        n_wavelengths=8,
         n_emitted=3 * n,
         well_spaced=True,
         ledger=ledger(),
@@ -48,6 +50,7 @@ ARRAYS = [
     "path_length",
     "object_id",
     "spectrum",
+    "wavelength",
 ]
 
 
@@ -113,6 +116,7 @@ def test_a_saved_map_comes_back_bit_for_bit(tmp_path, name):
         assert mine.dtype == loaded.dtype
         np.testing.assert_array_equal(mine, loaded)
     assert back.n_emitted == photons.n_emitted
+    assert back.n_wavelengths == 8
     assert back.well_spaced
     assert back.ledger.to_dict() == photons.ledger.to_dict()
 
@@ -123,6 +127,16 @@ def test_a_minimal_map_comes_back_minimal(tmp_path):
     back = PhotonMap.load(tmp_path / "map.npz")
     assert back.wi is back.ledger is back.n_emitted is None
     assert not back.well_spaced
+
+
+@pytest.mark.parametrize(("wavelength", "version"), [(None, 1), ([500.0, 0.0], 2)])
+def test_files_without_wavelengths_are_of_the_first_version(tmp_path, wavelength, version):
+    flux = [[-1.0, 1.0, 1.0], [1.0, 1.0, 1.0]] if wavelength else np.ones(2)
+    photons = PhotonMap(np.zeros((2, 3)), np.ones((2, 3)), flux, wavelength=wavelength)
+    photons.save(tmp_path / "map.npz")
+    with np.load(tmp_path / "map.npz") as arrays:
+        assert arrays["photonmap_version"] == version
+    np.testing.assert_array_equal(PhotonMap.load(tmp_path / "map.npz").flux, photons.flux)
 
 
 def test_a_failing_save_leaves_the_old_file_and_no_other(tmp_path, monkeypatch):
@@ -224,6 +238,9 @@ def test_a_truncated_map_is_no_photon_map(tmp_path):
         ({"normal": np.zeros((5, 3))}, "vector 0 is zero"),
         ({"normal": np.ones((4, 3))}, r"normal should have shape \(5, 3\)"),
         ({"flux": -np.ones(5)}, "flux should not be negative"),
+        ({"flux": -np.ones(5), "wavelength": None}, "flux should not be negative"),
+        ({"wavelength": -np.ones(5)}, "wavelength should not be negative"),
+        ({"n_wavelengths": 0}, "n_wavelengths should be at least 1"),
         ({"flux": np.ones(4)}, r"flux should have shape \(5, 3\), but has \(4, 3\)"),
         ({"emitter_coords": np.ones((5, 4))}, "2 or 3 columns, but has 4"),
         ({"emitter_density": np.ones((5, 1))}, r"emitter_density should have shape \(5\)"),

@@ -45,9 +45,11 @@ class EnergyLedger:
     cut : (n_emitters, 3) float64
         Flux of paths that were cut after `max_bounces` events.
     discarded : (n_emitters, 3) float64
-        Flux that stayed on a diffuse surface as light of a kind that is not stored.
+        Flux that stayed on a diffuse surface as light of a kind that is not stored; and what white
+        light had more than its wavelengths together, where it was dispersed.
     ends : mapping of str to (n_emitters,) int64
-        Number of paths that ended as stored, absorbed, escaped, cut and discarded.
+        Number of paths that ended as stored, absorbed, escaped, cut and discarded; those that were
+        dispersed by the end of their shortest wavelength.
     """
 
     emitted: Floats

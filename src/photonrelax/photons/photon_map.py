@@ -29,6 +29,9 @@ from .._util.validation import (
 from .energy_ledger import LEDGER_NAMES, EnergyLedger, ledger_arrays, ledger_from
 
 FORMAT_VERSION = 1
+"""Version of files of white light."""
+DISPERSED_VERSION = 2
+"""Version of files of photons with wavelengths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +63,9 @@ class PhotonMap:
     spectrum : (n, 3) array_like, optional
         (e, b, c) of the local frequency spectrum of the light, in cycles²/m², cycles²/rad² and
         cycles²/(m rad), see `photonrelax.transport.frequency.operators`; rows of NaN for none.
+    wavelength : (n,) array_like, optional
+        nm, zero of white light. Where it is not zero, flux has the colour of the wavelength, of
+        which a component may be negative.
     n_emitted : int, optional
         Paths started to make this map.
     well_spaced : bool
@@ -74,12 +80,15 @@ class PhotonMap:
     extended_ids : (m,) array_like of int, optional
         Those of the emitters that are extended, ascending: many of their rays have the same
         emitter coordinates.
+    n_wavelengths : int, optional
+        Wavelengths into which a path is dispersed, each with a photon in the mean; 1 by default.
 
     Raises
     ------
     TypeError, ValueError
-        If an array has the wrong type or shape, is not finite, a direction is zero, flux, density,
-        length or number of bounces is negative, or position, flux or coordinates exceed 1e150.
+        If an array has the wrong type or shape, is not finite, a direction is zero, flux (of white
+        light), density, length, wavelength or number of bounces is negative, or position, flux or
+        coordinates exceed 1e150.
     """
 
     position: Floats
@@ -94,6 +103,7 @@ class PhotonMap:
     path_length: Floats | None = None
     object_id: NDArray[np.int32] | None = None
     spectrum: Floats | None = None
+    wavelength: Floats | None = None
     n_emitted: int | None = None
     well_spaced: bool = False
     ledger: EnergyLedger | None = None
@@ -102,6 +112,7 @@ class PhotonMap:
     paths: str | None = None
     sensor_ids: NDArray[np.int32] | None = None
     extended_ids: NDArray[np.int32] | None = None
+    n_wavelengths: int | None = None
 
     if TYPE_CHECKING:
         # What may be given is wider than what the fields then hold.
@@ -120,6 +131,7 @@ class PhotonMap:
             path_length: ArrayLike | None = None,
             object_id: ArrayLike | None = None,
             spectrum: ArrayLike | None = None,
+            wavelength: ArrayLike | None = None,
             n_emitted: int | None = None,
             well_spaced: bool = False,
             ledger: EnergyLedger | None = None,
@@ -128,6 +140,7 @@ class PhotonMap:
             paths: str | None = None,
             sensor_ids: ArrayLike | None = None,
             extended_ids: ArrayLike | None = None,
+            n_wavelengths: int | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -136,7 +149,9 @@ class PhotonMap:
         n = len(position)
         set_field(self, "position", frozen(position))
         set_field(self, "normal", _directions(self.normal, "normal", n))
-        set_field(self, "flux", _flux(self.flux, n))
+        if self.wavelength is not None:
+            set_field(self, "wavelength", frozen(not_negative(self.wavelength, "wavelength", (n,))))
+        set_field(self, "flux", _flux(self.flux, self.wavelength, n))
         if self.wi is not None:
             set_field(self, "wi", _directions(self.wi, "wi", n))
         if self.emitter_coords is not None:
@@ -158,8 +173,9 @@ class PhotonMap:
             if getattr(self, name) is not None:
                 ids = int_array(getattr(self, name), name, (None,), np.int32)
                 set_field(self, name, frozen(np.unique(ids)))
-        if self.n_emitted is not None:
-            set_field(self, "n_emitted", count(self.n_emitted, "n_emitted", low=0))
+        for name, low in (("n_emitted", 0), ("n_wavelengths", 1)):
+            if getattr(self, name) is not None:
+                set_field(self, name, count(getattr(self, name), name, low=low))
         set_field(self, "well_spaced", bool(self.well_spaced))
         if self.seed is not None:
             set_field(self, "seed", check_seed(self.seed))
@@ -210,7 +226,8 @@ class PhotonMap:
         arrays: dict[str, Any] = {
             name: getattr(self, name) for name in _ARRAY_FIELDS if getattr(self, name) is not None
         }
-        arrays["photonmap_version"] = FORMAT_VERSION
+        white = self.wavelength is None
+        arrays["photonmap_version"] = FORMAT_VERSION if white else DISPERSED_VERSION
         for name in (*_SCALARS, *_ID_LISTS):
             if getattr(self, name) is not None:
                 arrays[name] = getattr(self, name)
@@ -254,7 +271,14 @@ _INTEGER_FIELDS: dict[str, type] = {
     "object_id": np.int32,
 }
 # Fields with one value, and the kinds of dtype it is saved with.
-_SCALARS = {"n_emitted": "iu", "well_spaced": "b", "seed": "iu", "sampler": "U", "paths": "U"}
+_SCALARS = {
+    "n_emitted": "iu",
+    "n_wavelengths": "iu",
+    "well_spaced": "b",
+    "seed": "iu",
+    "sampler": "U",
+    "paths": "U",
+}
 # Fields that list objects or emitters.
 _ID_LISTS = ("sensor_ids", "extended_ids")
 _ARRAY_FIELDS = tuple(
@@ -292,11 +316,13 @@ def _directions(value: ArrayLike, name: str, n: int) -> Floats:
     return frozen(array)
 
 
-def _flux(value: ArrayLike, n: int) -> Floats:
+def _flux(value: ArrayLike, wavelength: Floats | None, n: int) -> Floats:
     array = np.asarray(value)
     if array.ndim == 1:
         array = np.repeat(array[:, np.newaxis], 3, axis=1)
-    return frozen(check_magnitude(not_negative(array, "flux", (n, 3)), "flux"))
+    flux = float_array(array, "flux", (n, 3))
+    not_negative(flux if wavelength is None else flux[wavelength == 0.0], "flux", (None, 3))
+    return frozen(check_magnitude(flux, "flux"))
 
 
 def _emitter_coords(value: ArrayLike, n: int) -> Floats:
@@ -322,13 +348,13 @@ def _read_arrays(path: Path) -> dict[str, NDArray]:
         arrays = read_npz(path, _NAMES)
         check_names(arrays, ["photonmap_version"])
         version = scalar(arrays, "photonmap_version", "iu")
-        if version == FORMAT_VERSION:
+        if version in (FORMAT_VERSION, DISPERSED_VERSION):
             check_names(arrays, ["position", "normal", "flux"])
     except ValueError as error:
         raise _no_photon_map(path, error) from None
-    if version != FORMAT_VERSION:
+    if version not in (FORMAT_VERSION, DISPERSED_VERSION):
         raise ValueError(
-            f"{path} should be a photon map of version {FORMAT_VERSION}, "
+            f"{path} should be a photon map of version {FORMAT_VERSION} or {DISPERSED_VERSION}, "
             f"but is of version {version}: save it again with this package"
         )
     return arrays

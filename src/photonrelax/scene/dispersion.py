@@ -10,15 +10,14 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._ext.scene import dispersion as _kernel
 from .._util.frozen import frozen, read_only, set_field
 from .._util.validation import Floats, float_array, positive
 
-SHORTEST, LONGEST = 380.0, 720.0
+SHORTEST, LONGEST = _kernel.RANGE
 """Wavelengths of the light that is dispersed, nm."""
 N_WAVELENGTHS = 8
 """Wavelengths into which a path of white light is dispersed."""
-N_NODES = 1025
-"""Wavelengths at which indices and colours are tabulated, evenly spaced, for kernels."""
 
 # Fraunhofer lines of indices and Abbe numbers: of helium, and of hydrogen, nm.
 D_LINE, F_LINE, C_LINE = 587.5618, 486.1327, 656.2725
@@ -158,13 +157,13 @@ class Abbe(Dispersion):
 
 @cache
 def table_wavelengths() -> Floats:
-    """Wavelengths (N_NODES,) of tables, nm."""
-    return read_only(np.linspace(SHORTEST, LONGEST, N_NODES))
+    """Wavelengths (nodes,) at which indices and colours are tabulated for kernels, nm."""
+    return read_only(np.linspace(SHORTEST, LONGEST, _kernel.NODES))
 
 
 @cache
 def colour_table() -> Floats:
-    """Linear sRGB (N_NODES, 3) of light of the wavelengths of tables.
+    """Linear sRGB (nodes, 3) of light of the wavelengths of tables.
 
     Interpolated, their mean over wavelengths is (1, 1, 1): white light is of the same power at all.
     Colours outside of sRGB have a negative component.

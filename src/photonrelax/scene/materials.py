@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._util.frozen import frozen, set_field
 from .._util.validation import Floats, count, positive, rgb
-from .dispersion import Dispersion
+from .dispersion import Dispersion, table_wavelengths
 from .textures import FaceTexture, Texture
 
 MAX_PRIORITY = 2**31 - 1
@@ -146,8 +146,8 @@ class Dielectric(Material):
     Parameters
     ----------
     ior : float or Dispersion
-        Index of refraction inside the mesh: a number, or one over wavelength, of
-        which that at the d line is used.
+        Index of refraction inside the mesh: a number, or one over wavelength, by
+        which white light is dispersed; cameras see by that at the d line.
     exterior_ior : float, optional
         Index of refraction outside of it. None, the default, is that of the dielectric around, or
         1 in none. A number holds for this surface alone, whatever is around it: the surface is
@@ -183,13 +183,11 @@ class Dielectric(Material):
         set_field(self, "tint", frozen(rgb(self.tint, "tint", high=1.0)))
 
     def row(self) -> MaterialRow:
-        ior, dispersion = self.ior, None
-        if isinstance(ior, Dispersion):
-            ior, dispersion = ior.index_d, ior
+        glass = self.ior
         return MaterialRow(
             "dielectric",
-            ior=ior,
-            dispersion=dispersion,
+            ior=glass.index_d if isinstance(glass, Dispersion) else glass,
+            dispersion=glass if isinstance(glass, Dispersion) else None,
             exterior_ior=self.exterior_ior,
             absorption=self.absorption,
             priority=self.priority,
@@ -226,8 +224,8 @@ class MaterialTable:
         Albedo or reflectance; 1 for dielectrics and sensors.
     ior : (n,)
         Index of refraction inside dielectrics, at the d line; 1 for other materials.
-    dispersion : (n,) Dispersion or None
-        Index over wavelength; None for one index.
+    dispersed_ior : (n,) array or None
+        Indices (nodes,) at the wavelengths of tables; None for one index.
     exterior_ior : (n,)
         Index of refraction outside; NaN where it is that of the medium around, 1 for other
         materials.
@@ -247,7 +245,7 @@ class MaterialTable:
     kind: tuple[str, ...]
     reflectance: Floats
     ior: Floats
-    dispersion: tuple[Dispersion | None, ...]
+    dispersed_ior: tuple[Floats | None, ...]
     exterior_ior: Floats
     absorption: Floats
     priority: NDArray[np.int64]
@@ -263,7 +261,10 @@ class MaterialTable:
             kind=tuple(row.kind for row in rows),
             reflectance=np.array([row.reflectance for row in rows], dtype=np.float64),
             ior=np.array([row.ior for row in rows], dtype=np.float64),
-            dispersion=tuple(row.dispersion for row in rows),
+            dispersed_ior=tuple(
+                None if row.dispersion is None else row.dispersion.index(table_wavelengths())
+                for row in rows
+            ),
             # None becomes NaN.
             exterior_ior=np.array([row.exterior_ior for row in rows], dtype=np.float64),
             absorption=np.array([row.absorption for row in rows], dtype=np.float64),

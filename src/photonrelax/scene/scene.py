@@ -245,6 +245,11 @@ class Scene:
         table = MaterialTable.of(item.material for item in self.surfaces)
         return replace(table, textures=self.textures)
 
+    @property
+    def has_dispersion(self) -> bool:
+        """Whether indices of refraction of surfaces depend on the wavelength."""
+        return any(item.material.row().dispersion is not None for item in self.surfaces)
+
     @cached_property
     def textures(self) -> tuple[FaceTexture | None, ...]:
         """The textures of all surfaces; None for those of one colour."""

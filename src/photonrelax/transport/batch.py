@@ -16,6 +16,7 @@ from .._ext.transport import trace as _kernel
 from .._ext.transport.materials import Materials
 from .._util.validation import Floats
 from ..photons.energy_ledger import PATH_OUTCOMES
+from ..scene.dispersion import N_WAVELENGTHS, colour_table
 from ..scene.scene import Scene
 from ..scene.sky_map import LUMINANCE
 from .emission import PATHS, EmissionPlan
@@ -132,6 +133,8 @@ class TraceContext:
             size,
             path_filter=PATHS.index(deposits),
             max_bounces=self.settings.max_bounces,
+            n_wavelengths=N_WAVELENGTHS,
+            colours=colour_table(),
         )
 
     def start(
@@ -189,7 +192,7 @@ def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
     candidates = context.plan.candidates_of(region_id, photons)
     paths = context.acquire_paths()
     energy, ends = context.start(paths, region_id, candidates)
-    while paths.n_live:
+    while paths.n_live or paths.disperse():
         found = context.caster.find_paths(paths)
         if context.sensors:
             store_crossings(context.sensors, paths, found)

@@ -105,6 +105,12 @@ class SplittingTracer:
         *,
         caster: RayCaster | None = None,
     ) -> None:
+        if scene.has_dispersion:
+            raise ValueError(
+                "scene should have no dispersion for method='envelope', whose rays have one index "
+                "of refraction: take a method of photons, 'mapped' say, or give dielectrics a "
+                "number as ior"
+            )
         self._materials = Materials(scene.material_table())
         self._caster = caster or RayCaster(scene.surfaces)
         self._media = MediaFinder(scene, self._caster, self._materials).at_emitters()

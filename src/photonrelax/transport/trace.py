@@ -9,6 +9,9 @@ absorbing media and, for paths that continue, diffuse surfaces end paths by Russ
 luminance. So all photons of an emitter carry the same luminance, and the same flux unless the path
 was coloured.
 
+White light that meets a dispersive surface is taken up there at eight wavelengths, which turn with
+the index of the photon: see `photonrelax.scene.dispersion`.
+
 A stored photon takes 148 bytes where all emitters are collimated, else 156, and 24 more where some
 carry spectra, each of which takes a fifth of a millisecond, as its neighbours are traced as well
 (see `photonrelax.estimation.frequency`). A path of the pending batches takes a few hundred bytes.
@@ -33,6 +36,7 @@ from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, check_choice, count, float_array
 from ..photons.energy_ledger import PATH_OUTCOMES, EnergyLedger
 from ..photons.photon_map import NothingStoredError, PhotonMap
+from ..scene.dispersion import N_WAVELENGTHS
 from ..scene.scene import Scene
 from .allotment import allotted_plan
 from .batch import BatchLedger, Job, TraceContext, TracedBatch, TraceSettings, trace_batch
@@ -130,6 +134,12 @@ def trace_photons(
         If an argument is invalid, nothing is stored, or the photons surely do not fit in memory.
     """
     settings = _checked_settings(paths, max_bounces, frequency_share, sensors=sensors)
+    if frequency_share and scene.has_dispersion:
+        raise ValueError(
+            "frequency_share should be 0 in a scene with dispersion: local frequency spectra are "
+            "of paths at one index of refraction; take another method than frequency, or give "
+            "dielectrics a number as ior"
+        )
     threads = thread_count(n_threads)
     numbers, caster = checked_numbers(n_emitted, scene), caster or RayCaster(scene.surfaces)
     _check_memory(scene, int(np.sum(numbers)), settings, caster, threads)
@@ -163,6 +173,8 @@ def _check_memory(
 ) -> None:
     """Raise MemoryError if photons surely do not fit in memory."""
     deposits = 1.0 if settings.paths == "caustic" else _most_scattered(scene, settings)
+    if scene.has_dispersion:
+        deposits *= N_WAVELENGTHS
     if settings.sensors:
         deposits += _CROSSINGS * len(scene.sensors) * (settings.max_bounces + 1)
     if _bytes(n_emitted, deposits * n_emitted) > available_memory():
@@ -205,7 +217,7 @@ def _trace_all(context: TraceContext, n_threads: int, progress: Progress | None)
     """Return the photons of all batches."""
     plan, settings = context.plan, context.settings
     report = Reporter(progress, "trace", int(plan.counts.sum()))
-    columns, ledgers, selected = _Columns(plan), [], []
+    columns, ledgers, selected = _Columns(plan, context.materials.has_dispersion), [], []
     with thread_executor(n_threads) as executor:
         work, jobs = partial(trace_batch, context), _jobs(plan, context.size)
         for batch in ordered_map(work, jobs, executor, max_pending=2 * n_threads):
@@ -264,10 +276,11 @@ def _spectra(
 class _Columns:
     """The columns of a photon map that grows batch by batch, in place."""
 
-    def __init__(self, plan: EmissionPlan) -> None:
+    def __init__(self, plan: EmissionPlan, has_wavelengths: bool) -> None:
         emitting = (region for region, n in zip(plan.regions, plan.counts, strict=True) if n)
         coords_width = 2 if all(region.is_plane for region in emitting) else 3
         self._widths = _WIDTHS | {"emitter_coords": coords_width}
+        self._dtypes = _DTYPES | ({"wavelength": np.float64} if has_wavelengths else {})
         self._arrays = self._empty(0)
         self._flux, self._emitter_ids = plan.flux_per_photon, plan.emitter_ids
         self._n_planned = int(plan.counts.sum())
@@ -296,6 +309,8 @@ class _Columns:
         """Return the columns of a scene's photons, ready to be frozen without a copy."""
         self._resize(self._n_stored)
         self._arrays["object_id"] = scene.ids_of(self._arrays["object_id"])
+        if not self._arrays.get("wavelength", np.ones(1)).any():
+            del self._arrays["wavelength"]
         for array in self._arrays.values():
             array.setflags(write=False)
         return self._arrays
@@ -310,8 +325,8 @@ class _Columns:
 
     def _empty(self, n: int) -> dict[str, NDArray]:
         widths = self._widths
-        shapes = {name: (n, widths[name]) if name in widths else (n,) for name in _DTYPES}
-        return {name: np.empty(shapes[name], dtype) for name, dtype in _DTYPES.items()}
+        shapes = {name: (n, widths[name]) if name in widths else (n,) for name in self._dtypes}
+        return {name: np.empty(shapes[name], dtype) for name, dtype in self._dtypes.items()}
 
 
 def _jobs(plan: EmissionPlan, size: int) -> Iterator[Job]:
@@ -333,6 +348,7 @@ def _photon_map(context: TraceContext, columns: _Columns, ledgers: list[BatchLed
         paths=settings.paths,
         sensor_ids=context.scene.sensors if context.sensors else None,
         extended_ids=plan.extended_ids,
+        n_wavelengths=N_WAVELENGTHS if context.materials.has_dispersion else None,
     )
     if not len(photons):
         raise NothingStoredError(_nothing_stored(context, ledger, ledgers), photons)

@@ -11,6 +11,8 @@ cdef struct Deposit:
     double[3] wi
     double[3] throughput
     double path_length
+    # nm; 0 of white light.
+    double wavelength
     int64_t path_signature
     int32_t path, n_bounces, object_id
 

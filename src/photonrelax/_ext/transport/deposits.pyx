@@ -12,6 +12,7 @@ DEPOSIT = np.dtype(
         ("wi", np.float64, 3),
         ("throughput", np.float64, 3),
         ("path_length", np.float64),
+        ("wavelength", np.float64),
         ("path_signature", np.int64),
         ("path", np.int32),
         ("n_bounces", np.int32),
@@ -26,7 +27,8 @@ cdef class Columns:
     """The columns of a photon map, with rows for photons to come."""
 
     cdef double[:, ::1] position, normal, wi, flux, emitter_coords
-    cdef double[::1] emitter_density, path_length
+    # `wavelength` is None in maps of white light.
+    cdef double[::1] emitter_density, path_length, wavelength
     cdef int64_t[::1] path_signature
     cdef int32_t[::1] emitter_id, n_bounces, object_id
 
@@ -34,17 +36,19 @@ cdef class Columns:
         self, *, double[:, ::1] position, double[:, ::1] normal, double[:, ::1] wi,
         double[:, ::1] flux, double[:, ::1] emitter_coords, double[::1] emitter_density,
         int32_t[::1] emitter_id, int64_t[::1] path_signature, int32_t[::1] n_bounces,
-        double[::1] path_length, int32_t[::1] object_id,
+        double[::1] path_length, int32_t[::1] object_id, double[::1] wavelength=None,
     ):
         self.position, self.normal, self.wi, self.flux = position, normal, wi, flux
         self.emitter_coords, self.emitter_density = emitter_coords, emitter_density
         self.emitter_id, self.path_signature = emitter_id, path_signature
+        self.wavelength = wavelength
         self.n_bounces, self.path_length, self.object_id = n_bounces, path_length, object_id
         if not (
             position.shape[0] == normal.shape[0] == wi.shape[0] == flux.shape[0]
             == emitter_coords.shape[0] == emitter_density.shape[0] == emitter_id.shape[0]
             == path_signature.shape[0] == n_bounces.shape[0] == path_length.shape[0]
             == object_id.shape[0]
+            and (wavelength is None or wavelength.shape[0] == object_id.shape[0])
             and position.shape[1] == normal.shape[1] == wi.shape[1] == flux.shape[1] == 3
         ):
             raise ValueError("columns do not fit one another")
@@ -93,6 +97,8 @@ cdef class Columns:
         self.path_signature[row] = deposit.path_signature
         self.n_bounces[row] = deposit.n_bounces
         self.path_length[row] = deposit.path_length
+        if self.wavelength is not None:
+            self.wavelength[row] = deposit.wavelength
         self.object_id[row] = deposit.object_id
 
 

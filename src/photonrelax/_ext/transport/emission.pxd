@@ -51,6 +51,8 @@ cdef class Emission:
     # Numbers of a photon's ray, and their shifts.
     cdef int n_numbers
     cdef double[4] shift
+    # Shift of the numbers that turn wavelengths.
+    cdef double turned
     # Of earlier regions, and the clip of this one, whose square is negative: centre in emitter
     # coordinates and squared radius.
     cdef const double[:, ::1] outlines
@@ -59,6 +61,7 @@ cdef class Emission:
     cdef bint is_coloured
 
     cdef void colour(self, double* out, uint64_t index) noexcept nogil
+    cdef double turn(self, uint64_t index) noexcept nogil
     cdef uint64_t key(self, uint64_t index) noexcept nogil
     cdef bint accepts(self, uint64_t index) noexcept nogil
     cdef void point(self, uint64_t index, double* point) noexcept nogil

@@ -37,6 +37,7 @@ cdef enum:
     OF_SELECTION = 2
     OF_ANGLE = 1 << 30
     OF_SHARE = OF_ANGLE + 2
+    OF_TURN = OF_ANGLE + 3
 
 
 cdef double squared_distance(const double* centre, const double* point) noexcept nogil:
@@ -326,6 +327,7 @@ cdef class Emission:
         self.is_coloured = region.sky is not None
         self.n_numbers = 4 if region.kind == SUN or region.kind == AREA else 2
         self.halton = shift.shape[0] > 0
+        self.turned = uniform(hash_key(seed, stream, 0), OF_TURN)
         if self.halton and shift.shape[0] < self.n_numbers:
             raise ValueError(f"shift should have {self.n_numbers} numbers")
         for i in range(self.n_numbers if self.halton else 0):
@@ -367,6 +369,15 @@ cdef class Emission:
                         block[c] = 0.0
         close_watch(&watch)
         return [total[c] / found for c in range(3)] if found else [1.0, 1.0, 1.0]
+
+    cdef double turn(self, uint64_t index) noexcept nogil:
+        """Number in [0, 1) that turns the wavelengths of a photon's light.
+
+        With the numbers of its ray it is a Halton point, of the next base.
+        """
+        if self.halton:
+            return wrapped(radical_inverse(index, 5 if self.n_numbers == 2 else 11), self.turned)
+        return uniform(self.key(index), OF_TURN)
 
     cdef uint64_t key(self, uint64_t index) noexcept nogil:
         """Return the key of the random numbers of a photon."""

@@ -393,7 +393,7 @@ cdef class CameraPaths(LiveRays):
         """Write the reflection and the refraction of a ray, unless faint; return the end."""
         cdef Arrival arrival = Arrival(
             &at.ray.direction[0], &at.hit.geometric[0], &at.hit.shading[0], at.hit.object_id,
-            at.inside, at.ray.media,
+            at.inside, at.ray.media, 0.0,
         )
         cdef Interface to
         cdef double[2][3] normal_change

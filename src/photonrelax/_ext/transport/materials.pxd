@@ -8,6 +8,7 @@ from libc.math cimport exp, isnan
 from libc.stdint cimport int32_t, int64_t, uint8_t, uint64_t
 
 from ..common.vec3 cimport dot
+from ..scene.dispersion cimport at_wavelength
 from ..scene.textures cimport TextureView
 from .media cimport current, entered, is_full, left
 from .optics cimport Directions, deflect, fresnel_reflectance
@@ -37,6 +38,8 @@ cdef struct Arrival:
     int32_t object_id
     bint inside
     uint64_t media
+    # nm; 0 of white light and of cameras, which see by the index at the d line.
+    double wavelength
 
 
 cdef struct Interface:
@@ -55,12 +58,15 @@ cdef class Materials:
     # `has_hidden` is false if none is.
     cdef readonly object table
     cdef readonly int bits
-    cdef readonly bint has_hidden
+    cdef readonly bint has_hidden, has_dispersion
     cdef const int32_t[::1] kind, surface_rank, rank
     cdef const double[:, ::1] reflectance, tint
     cdef const uint8_t[::1] is_tinted, is_schlick
     cdef const uint64_t[::1] medium
     cdef const double[::1] exterior_ior, medium_ior
+    # Rows of media in `dispersed_ior` (curves, nodes), -1 for those of one index.
+    cdef const int32_t[::1] curve
+    cdef const double[:, ::1] dispersed_ior
     cdef const double[:, ::1] absorption
     cdef const uint8_t[::1] is_absorbing
     # Views of the textures of `is_textured` objects (objects, sizeof(TextureView)); `arrays` owns
@@ -182,6 +188,31 @@ cdef inline double cosine_at(const Interface* interface, const Arrival* at) noex
     return min(-dot(at.direction, interface.to.normal), 1.0)
 
 
+cdef inline double index_in(
+    Materials materials, uint64_t medium, double wavelength
+) noexcept nogil:
+    """Index of refraction of a medium for light of a wavelength; at the d line for 0."""
+    if wavelength == 0.0 or materials.curve[medium] < 0:
+        return materials.medium_ior[medium]
+    return at_wavelength(&materials.dispersed_ior[materials.curve[medium], 0], 1, wavelength)
+
+
+cdef inline bint is_dispersive(Materials materials, const Arrival* at) noexcept nogil:
+    """True for a surface whose indices, of one side or both, depend on the wavelength."""
+    cdef uint64_t medium = materials.medium[at.object_id]
+    cdef uint64_t outside = left(at.media, medium, materials.bits), inside = at.media
+    if not medium:
+        return False
+    if not isnan(materials.exterior_ior[at.object_id]):
+        return materials.curve[medium] >= 0
+    if not at.inside:
+        inside = entered(outside, medium, materials.bits, &materials.rank[0])
+    return (
+        materials.curve[current(inside, materials.bits)] >= 0
+        or materials.curve[current(outside, materials.bits)] >= 0
+    )
+
+
 cdef inline void set_media(
     Interface* out, Materials materials, uint64_t medium, const Arrival* at
 ) noexcept nogil:
@@ -196,11 +227,11 @@ cdef inline void set_media(
     cdef double inner, outer = materials.exterior_ior[at.object_id]
     if not at.inside:
         inside = entered(outside, medium, bits, &materials.rank[0])
-    inner = materials.medium_ior[current(inside, bits)]
     if isnan(outer):
-        outer = materials.medium_ior[current(outside, bits)]
+        inner = index_in(materials, current(inside, bits), at.wavelength)
+        outer = index_in(materials, current(outside, bits), at.wavelength)
     else:
-        inner = materials.medium_ior[medium]
+        inner = index_in(materials, medium, at.wavelength)
     out.n1 = inner if at.inside else outer
     out.n2 = outer if at.inside else inner
     out.beyond = outside if at.inside else inside

@@ -11,6 +11,7 @@ from libc.stdint cimport INT32_MAX, int32_t, uint8_t, uint64_t
 import numpy as np
 
 from ..common.vec3 cimport dot
+from ..scene.dispersion cimport N_NODES
 from .media cimport current
 
 # The kinds of `scene.materials.MaterialTable`.
@@ -48,9 +49,19 @@ cdef class Materials:
         absorption = np.concatenate([np.zeros((1, 3)), table.absorption[dielectrics]])
         self.medium_ior = np.concatenate([[1.0], table.ior[dielectrics]])
         self.absorption = absorption
+        self.set_dispersions([table.dispersed_ior[i] for i in dielectrics])
         self.is_absorbing = absorption.any(axis=1).astype(np.uint8)
         self.set_textures(table.textures)
         self.set_ranks(table.priority[dielectrics], dielectrics)
+
+    def set_dispersions(self, dispersions):
+        """Set the tables of the indices of media, each (nodes,) or None."""
+        curve = np.full(1 + len(dispersions), -1, np.int32)
+        tables = [(i, each) for i, each in enumerate(dispersions) if each is not None]
+        for row, (i, _) in enumerate(tables):
+            curve[1 + i] = row
+        self.curve, self.has_dispersion = curve, len(tables) > 0
+        self.dispersed_ior = np.array([each for _, each in tables]).reshape(-1, N_NODES)
 
     def set_textures(self, textures):
         """Point to the textures of objects, each a `FaceTexture` or None."""
@@ -173,7 +184,7 @@ cdef class Materials:
             for i in range(m):
                 at = Arrival(
                     &direction[i, 0], &geometric[i, 0], &shading[i, 0], object_id[i],
-                    dot(&direction[i, 0], &geometric[i, 0]) > 0.0, media[i],
+                    dot(&direction[i, 0], &geometric[i, 0]) > 0.0, media[i], 0.0,
                 )
                 interface_at(&out, self, &at)
                 normal[i, 0], normal[i, 1], normal[i, 2] = out.to.normal

@@ -243,7 +243,7 @@ cdef class SplitPaths(LiveRays):
         """Write the reflection and the refraction of a ray, or one of them; return the end."""
         cdef Arrival arrival = Arrival(
             &at.ray.direction[0], &at.hit.geometric[0], &at.hit.shading[0], at.hit.object_id,
-            at.inside, at.ray.media,
+            at.inside, at.ray.media, 0.0,
         )
         cdef Interface to
         cdef double[3] throughput, reflectance

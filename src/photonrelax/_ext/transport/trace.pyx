@@ -8,22 +8,26 @@ the order of the photons, however they are split into batches.
 
 cimport cython
 from libc.math cimport INFINITY, fabs
-from libc.stdint cimport int16_t, int32_t, int64_t, uint8_t, uint32_t, uint64_t
+from libc.stdint cimport int32_t, int64_t, uint8_t, uint32_t, uint64_t
 
 import numpy as np
 
-from ..common.rng cimport mix, uniform
-from ..common.vec3 cimport copy, dot, orthonormal_frame
+from ..common.vec3 cimport copy, dot
+from ..scene.dispersion cimport LONGEST, N_NODES, SHORTEST, at_wavelength
 from ..scene.textures cimport colour_at
 from .deposits cimport Deposit, Deposits
 from .emission cimport Emission
 from .live_rays cimport LiveRays, Passage
 from .materials cimport (
     OVERFLOWED, Arrival, Interface, Materials, add_fault, cosine_at, counted_media_at, interface_at,
-    is_absorbing, is_absorbing_surface, is_diffuse, media_at, reflectance_at, transmittance,
+    is_absorbing, is_absorbing_surface, is_diffuse, is_dispersive, media_at, reflectance_at,
+    transmittance,
 )
-from .raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
-from .sampling cimport disk_point, hemisphere_direction
+from .path_events cimport (
+    ENTERED, LEFT, OF_DIRECTION, OF_MEDIUM, OF_SURFACE, REFLECTED, SCATTERED, Crossing, Event, Ray,
+    append_signature, distance_along, event_counter, orient, random, sample_cosine,
+)
+from .raycast cimport EmbreeFrame, EmbreeHits, Triangles
 
 # Indices into photons.energy_ledger.PATH_OUTCOMES and transport.emission.PATHS.
 cdef enum:
@@ -36,20 +40,6 @@ cdef enum:
 
     CAUSTIC = 0
     GLOBAL = 1
-
-# Events that a path signature distinguishes.
-cdef enum:
-    REFLECTED = 0
-    ENTERED = 1
-    LEFT = 2
-    SCATTERED = 3
-
-# Random numbers of a path: the first few are those of its emission; each event then has four.
-cdef enum:
-    PER_EVENT = 4
-    OF_MEDIUM = 0
-    OF_SURFACE = 1
-    OF_DIRECTION = 2
 
 
 # Photons whose energies are summed in one row of the ledger. Batches hold whole blocks, so the sums
@@ -65,15 +55,11 @@ cdef enum:
     N_CODES = 1 << (2 * AXIS_BITS)
 
 
-cdef struct Ray:
-    # Next segment of a live path. `path` is its index in the batch; `media` is a stack.
-    double[3] origin
-    double[3] direction
-    double[3] throughput
-    double path_length
-    uint64_t key, signature, media
-    int32_t path
-    int16_t n_specular, n_diffuse
+cdef struct WhiteRay:
+    # A ray before a surface that disperses it, also in embree's frame.
+    Ray ray
+    float[3] origin
+    float[3] direction
 
 
 cdef struct Loss:
@@ -85,65 +71,6 @@ cdef struct Loss:
 # Losses of a ray in a pass, at most: in the medium, at the surface, and its end.
 cdef enum:
     MAX_LOSSES = 3
-
-
-cdef struct Event:
-    # One ray at one surface. `facing` is the geometric normal on the side of the ray.
-    Ray* ray
-    Hit hit
-    bint inside
-    double[3] facing
-    uint64_t counter
-    # Barycentric coordinates of the second and third corner of the triangle.
-    int32_t triangle
-    double u, v
-
-
-cdef struct Crossing:
-    # A ray at a sensor: position, normal by the winding of the face, distance that rays resolve.
-    const double* position
-    const double* normal
-    double step
-    int32_t object_id
-
-
-cdef double distance_along(const Ray* ray, const double* position) noexcept nogil:
-    cdef double[3] way
-    cdef int c
-    for c in range(3):
-        way[c] = position[c] - ray.origin[c]
-    return dot(way, ray.direction)
-
-
-cdef void orient(Event* event) noexcept nogil:
-    """Set the side of the face that the ray comes from."""
-    cdef int c
-    event.inside = dot(event.ray.direction, event.hit.geometric) > 0.0
-    for c in range(3):
-        event.facing[c] = -event.hit.geometric[c] if event.inside else event.hit.geometric[c]
-
-
-cdef uint64_t event_counter(const Ray* ray) noexcept nogil:
-    """Number of the first random number of a ray's next event."""
-    return PER_EVENT * (1 + ray.n_specular + ray.n_diffuse)
-
-
-cdef double random(const Event* event, int number) noexcept nogil:
-    return uniform(event.ray.key, event.counter + number)
-
-
-cdef void sample_cosine(double* out, const Event* event) noexcept nogil:
-    """Draw a direction with cosine density around the normal."""
-    cdef double[3] u
-    cdef double[3] v
-    cdef double[3] local
-    cdef double[2] disk
-    cdef int c
-    orthonormal_frame(u, v, event.facing)
-    disk_point(disk, random(event, OF_DIRECTION), random(event, OF_DIRECTION + 1))
-    hemisphere_direction(local, disk)
-    for c in range(3):
-        out[c] = local[0] * u[c] + local[1] * v[c] + local[2] * event.facing[c]
 
 
 cdef void write_codes(int32_t[::1] code, const double[:, ::1] coords) noexcept nogil:
@@ -177,11 +104,6 @@ cdef uint32_t spread_bits(uint32_t cell) noexcept nogil:
     return (cell | cell << 1) & 0x5555
 
 
-cdef void append_signature(Ray* ray, int32_t object_id, int kind) noexcept nogil:
-    cdef uint64_t step = 4 * <uint64_t>object_id + kind + 1
-    ray.signature = mix(ray.signature + step * <uint64_t>0x9E3779B97F4A7C15)
-
-
 @cython.final
 cdef class Paths(LiveRays):
     """State of a batch of up to `size` paths of one emitter; reused for one batch after another.
@@ -194,7 +116,7 @@ cdef class Paths(LiveRays):
     cdef Ray* ray
     cdef Ray* spare
     cdef Loss* loss
-    cdef Py_ssize_t n_losses
+    cdef Py_ssize_t n_losses, n_rays
     # Row of the first loss of each path in a pass; empty while rays are in the order of paths.
     cdef int32_t[::1] first_loss
     cdef Deposits deposits
@@ -203,21 +125,38 @@ cdef class Paths(LiveRays):
     cdef double[3] luminance
     cdef int path_filter, max_bounces
     cdef readonly Py_ssize_t size
+    # Rays to be dispersed, each into `n_wavelengths`, whose colours (nodes, 3) are tabulated; the
+    # photons of the paths, and their emission.
+    cdef unsigned char[::1] white_memory
+    cdef WhiteRay* white
+    cdef Py_ssize_t n_white
+    cdef int n_wavelengths
+    cdef const double[:, ::1] colours
+    cdef const int64_t[::1] photons
+    cdef Emission emission
     cdef readonly int64_t n_met_specular
 
     def __init__(
         self, Materials materials, EmbreeFrame frame, Triangles triangles, Py_ssize_t size, *,
-        int path_filter, int max_bounces,
+        int path_filter, int max_bounces, int n_wavelengths, const double[:, ::1] colours,
     ):
+        cdef Py_ssize_t n_rays = size
         super().__init__(materials, frame, triangles)
-        self.size = size
-        self.memory = np.empty(2 * size * sizeof(Ray), np.uint8)
+        if not (n_wavelengths > 0 and colours.shape[0] == N_NODES and colours.shape[1] == 3):
+            raise ValueError(f"colours should be of {N_NODES} wavelengths")
+        self.size, self.n_wavelengths, self.colours = size, n_wavelengths, colours
+        if materials.has_dispersion:
+            n_rays = size * n_wavelengths
+            self.white_memory = np.empty(size * sizeof(WhiteRay), np.uint8)
+            self.white = <WhiteRay*> &self.white_memory[0]
+        self.n_rays = n_rays
+        self.memory = np.empty(2 * n_rays * sizeof(Ray), np.uint8)
         self.ray = <Ray*> &self.memory[0]
-        self.spare = self.ray + size
-        self.loss_memory = np.empty(2 * MAX_LOSSES * size * sizeof(Loss), np.uint8)
+        self.spare = self.ray + n_rays
+        self.loss_memory = np.empty(2 * MAX_LOSSES * n_rays * sizeof(Loss), np.uint8)
         self.loss = <Loss*> &self.loss_memory[0]
-        self.origins = self.origin_array = np.empty((size, 3), np.float32)
-        self.directions = self.direction_array = np.empty((size, 3), np.float32)
+        self.origins = self.origin_array = np.empty((n_rays, 3), np.float32)
+        self.directions = self.direction_array = np.empty((n_rays, 3), np.float32)
         self.deposits = Deposits(0)
         self.path_filter, self.max_bounces = path_filter, max_bounces
 
@@ -240,7 +179,8 @@ cdef class Paths(LiveRays):
         ):
             raise ValueError("luminance, ledger and ends do not fit the photons")
         self.ledger, self.ends = ledger, ends
-        self.n_met_specular = 0
+        self.n_met_specular = self.n_white = 0
+        self.emission, self.photons = emission, photons
         self.faults.take()
         self.deposits = Deposits(n)
         for c in range(3):
@@ -260,6 +200,76 @@ cdef class Paths(LiveRays):
                 self.to_embree(i, self.ray[i].origin, self.ray[i].direction, NULL)
         self.n_live = n
         self.check_finite()
+
+    def disperse(self):
+        """Start the paths that met a surface that disperses them, at their wavelengths.
+
+        Each is taken up where it came from, with an even share of its light at each of wavelengths
+        that are evenly spaced and turn with the index of the photon. Returns the number of rays.
+        """
+        cdef Py_ssize_t i, row
+        cdef int order
+        cdef double turn
+        self.n_live = self.n_white * self.n_wavelengths
+        with nogil:
+            for i in range(self.n_white):
+                turn = self.emission.turn(self.photons[self.white[i].ray.path])
+                for order in range(self.n_wavelengths):
+                    row = i * self.n_wavelengths + order
+                    self.resume(row, &self.white[i], order, (order + turn) / self.n_wavelengths)
+                self.lose_colour(i)
+            self.settle()
+        self.n_white = 0
+        return self.n_live
+
+    cdef void resume(
+        self, Py_ssize_t row, const WhiteRay* white, int order, double share
+    ) noexcept nogil:
+        """Take up a white ray at one of its wavelengths, a share of the way to the longest."""
+        cdef Ray* ray = &self.ray[row]
+        cdef int c
+        ray[0] = white.ray
+        ray.order = order
+        ray.is_resumed = True
+        ray.wavelength = SHORTEST + share * (LONGEST - SHORTEST)
+        for c in range(3):
+            ray.throughput[c] /= self.n_wavelengths
+            self.origins[row, c] = white.origin[c]
+            self.directions[row, c] = white.direction[c]
+
+    cdef void lose_colour(self, Py_ssize_t i) noexcept nogil:
+        """Add what white light has more than its wavelengths together to the ledger."""
+        cdef const Ray* ray
+        cdef double[3] rest, coloured
+        cdef int c, order
+        copy(rest, self.white[i].ray.throughput)
+        for order in range(self.n_wavelengths):
+            ray = &self.ray[i * self.n_wavelengths + order]
+            copy(coloured, ray.throughput)
+            self.add_colour(coloured, ray.wavelength)
+            for c in range(3):
+                rest[c] -= coloured[c]
+        self.lose(self.white[i].ray.path, FILTERED, rest)
+
+    cdef bint disperses(self, const Event* event) noexcept nogil:
+        """True if the ray meets a surface whose indices depend on the wavelength."""
+        cdef Arrival arrival
+        cdef int32_t i = event.hit.object_id
+        if is_diffuse(self.materials, i):
+            return False
+        arrival.object_id, arrival.inside = i, event.inside
+        arrival.media = media_at(self.materials, i, event.inside, event.ray.media)
+        return is_dispersive(self.materials, &arrival)
+
+    cdef void keep_white(self, Py_ssize_t row) noexcept nogil:
+        """Put a ray aside, to be dispersed."""
+        cdef WhiteRay* white = &self.white[self.n_white]
+        cdef int c
+        self.n_white += 1
+        white.ray = self.ray[row]
+        for c in range(3):
+            white.origin[c] = self.origins[row, c]
+            white.direction[c] = self.directions[row, c]
 
     def take_deposits(self):
         """Arrays of the deposits of a finished batch, as of `Deposits.arrays`."""
@@ -345,6 +355,9 @@ cdef class Paths(LiveRays):
         cdef double distance = distance_along(&ray, at.position)
         cdef double[3] factor
         cdef Event event
+        if ray.is_resumed:
+            # White light that it was part of was stored.
+            return False
         event.ray, event.counter = &ray, event_counter(&ray)
         if self.triangles.refine_hit(found, row, ray.origin, ray.direction, &event.hit):
             # Light that arrives on a surface in the plane of the sensor crosses it.
@@ -373,7 +386,9 @@ cdef class Paths(LiveRays):
         ray.path = <int32_t>path
         ray.key = emission.key(index)
         ray.path_length = emission.region.start_distance
-        ray.n_specular = ray.n_diffuse = 0
+        ray.n_specular = ray.n_diffuse = ray.order = 0
+        ray.wavelength = 0.0
+        ray.is_resumed = False
         ray.signature = 0
         for c in range(3):
             # Channels in which the emitter is black stay out of every product.
@@ -439,6 +454,9 @@ cdef class Paths(LiveRays):
         event.ray = ray
         event.counter = event_counter(ray)
         orient(&event)
+        if self.materials.has_dispersion and ray.wavelength == 0.0 and self.disperses(&event):
+            self.keep_white(row)
+            return False
         ray.path_length += event.hit.distance
         if not self.survives_medium(&event):
             return self.terminate(ray, ABSORBED)
@@ -460,6 +478,7 @@ cdef class Paths(LiveRays):
         cdef int c
         if ray != event.ray:
             ray[0] = event.ray[0]
+        ray.is_resumed = False
         for c in range(3):
             ray.origin[c] = event.hit.position[c]
             ray.direction[c] = direction[c]
@@ -485,10 +504,10 @@ cdef class Paths(LiveRays):
         cdef Arrival arrival
         cdef Interface at
         cdef double[3] reflectance
-        self.n_met_specular += ray.n_specular == 0 and ray.n_diffuse == 0
+        self.n_met_specular += ray.n_specular == 0 and ray.n_diffuse == 0 and ray.order == 0
         arrival = Arrival(
             &ray.direction[0], &event.hit.geometric[0], &event.hit.shading[0], i, event.inside,
-            ray.media,
+            ray.media, ray.wavelength,
         )
         interface_at(&at, self.materials, &arrival)
         if is_absorbing_surface(self.materials, i):
@@ -561,6 +580,8 @@ cdef class Paths(LiveRays):
             deposit.normal[c] = event.facing[c]
             deposit.wi[c] = -ray.direction[c]
             deposit.throughput[c] = ray.throughput[c]
+        deposit.wavelength = ray.wavelength
+        self.add_colour(deposit.throughput, ray.wavelength)
 
     cdef bint roulette(
         self, const double* factor, const Event* event, int number, int outcome
@@ -576,6 +597,7 @@ cdef class Paths(LiveRays):
             return False
         for c in range(3):
             lost[c] -= event.ray.throughput[c]
+        self.add_colour(lost, event.ray.wavelength)
         self.lose(event.ray.path, outcome, lost)
         return True
 
@@ -600,9 +622,19 @@ cdef class Paths(LiveRays):
 
     cdef bint terminate(self, const Ray* ray, int outcome) noexcept nogil:
         """Add the throughput of a path to the ledger; always false: it does not continue."""
-        self.ends[outcome] += 1
-        self.lose(ray.path, outcome, ray.throughput)
+        cdef double[3] lost
+        copy(lost, ray.throughput)
+        self.add_colour(lost, ray.wavelength)
+        self.ends[outcome] += ray.order == 0
+        self.lose(ray.path, outcome, lost)
         return False
+
+    cdef void add_colour(self, double* flux, double wavelength) noexcept nogil:
+        """Multiply flux by the colour of its wavelength, which white light does not have."""
+        cdef int c
+        if wavelength > 0.0:
+            for c in range(3):
+                flux[c] *= at_wavelength(&self.colours[0, c], 3, wavelength)
 
     cdef void lose(self, int32_t path, int outcome, const double* amount) noexcept nogil:
         cdef Loss* loss = &self.loss[self.n_losses]
@@ -624,7 +656,7 @@ cdef class Paths(LiveRays):
 
     cdef const Loss* losses_by_path(self) noexcept nogil:
         """Sort losses by their paths; those of a path keep their order."""
-        cdef Loss* target = self.loss + MAX_LOSSES * self.size
+        cdef Loss* target = self.loss + MAX_LOSSES * self.n_rays
         cdef Py_ssize_t i
         cdef int32_t path
         self.first_loss[:] = 0
