@@ -26,6 +26,7 @@ COARSE = {
     "ring": {"sections": 64},
     "rings": {"sections": 64},
     "ripples": {"resolution": 40},
+    "spectrum": {},
     "sphere": {"subdivisions": 3},
     "toruses": {"sections": 64},
 }

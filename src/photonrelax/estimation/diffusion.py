@@ -299,7 +299,8 @@ class DiffusionField(TreeField):
         """Settings with the k and the largest bandwidth of the map, if that is left open."""
         if settings.k is None or not len(self.photons):
             return settings
-        tree, k = self._trees.whole(), settings.k
+        tree, k = self._trees.whole(), self.photons.counted(settings.k)
+        settings = replace(settings, k=k)
         if len(tree) < len(self.photons):
             k = self._places_of(k, len(tree))
             settings = replace(settings, k=k)

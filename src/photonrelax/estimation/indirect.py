@@ -68,7 +68,7 @@ class IndirectField:
         if len(photons) and not np.ptp(photons.position, axis=0).any():
             # From one point no radius follows, and such light is next to none.
             photons = photons.subset([])
-        settings = settings or default_settings(len(photons))
+        settings = settings or default_settings(round(len(photons) / photons.photons_per_path))
         field = IrradianceField(photons, settings, n_threads=n_threads)
         if scene is not None:
             lit = lit_objects(scene, photons)

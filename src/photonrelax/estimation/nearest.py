@@ -111,7 +111,8 @@ class IrradianceField(TreeField):
     Attributes
     ----------
     photons, settings, structure, seconds, used
-        As given; `settings.gather_radius` is the radius in use, None for an empty map.
+        As given; `settings.gather_radius` is the radius in use, None for an empty map, and k and
+        k_min count the photons of all wavelengths of a path.
 
     Raises
     ------
@@ -130,6 +131,9 @@ class IrradianceField(TreeField):
         n_threads: int | None = None,
     ) -> None:
         settings = settings or GatherSettings()
+        settings = replace(
+            settings, k=photons.counted(settings.k), k_min=photons.counted(settings.k_min)
+        )
         self.photons = photons
         self.structure = structure
         self.seconds = seconds or {}
@@ -287,8 +291,11 @@ class IrradianceField(TreeField):
     @property
     def _uniform_mean(self) -> float:
         """Mean estimate of a uniform field, over its value."""
-        settings = self.settings
-        return well_spaced_mean(settings.k, settings.kernel) if self.photons.well_spaced else 1.0
+        if not self.photons.well_spaced:
+            return 1.0
+        # The wavelengths of a path lie together, or are spaced by themselves.
+        k = max(round(self.settings.k / self.photons.photons_per_path), 2)
+        return well_spaced_mean(k, self.settings.kernel)
 
     @property
     def _refined(self) -> dict[str, Any]:

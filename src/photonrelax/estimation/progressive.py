@@ -394,6 +394,7 @@ class InitialRadius:
     ) -> None:
         self._settings = settings
         self._n_threads = n_threads
+        self._k = photons.counted(settings.k)
         self._trees = PhotonTrees(photons, n_threads) if trees is None else trees
         # Without photons any radius does.
         self.largest = 1.0 if settings.radius is None else settings.radius
@@ -407,7 +408,7 @@ class InitialRadius:
                 "point, from which no radius follows: give ProgressiveSettings(radius=…)"
             )
         tree = self._trees.whole()
-        return automatic_gather_radius(tree, self._settings.k, n_threads=self._n_threads)
+        return automatic_gather_radius(tree, self._k, n_threads=self._n_threads)
 
     def __call__(
         self,
@@ -424,7 +425,7 @@ class InitialRadius:
         if self._settings.radius is not None:
             return radius
         for part, queries, rows in self._trees.parts(positions, normals):
-            tree, k, threads = self._trees.tree(part)[0], self._settings.k, self._n_threads
+            tree, k, threads = self._trees.tree(part)[0], self._k, self._n_threads
             if footprint is None:
                 distance = kth_distance(
                     tree, queries, rows, k, radius=self.largest, n_threads=threads

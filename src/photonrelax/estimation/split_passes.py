@@ -16,6 +16,7 @@ from .._util import validation
 from .._util.parallel import thread_count
 from .._util.validation import Floats
 from ..photons.coincidence import first_equal_rows
+from ..photons.neighbourhoods import spectrum_parts
 from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees
 from .field import Densities, PhotonField, Points, Rows
@@ -28,8 +29,9 @@ def assign_passes(photons: PhotonMap, n_passes: int, k: int = 1) -> Rows:
     Photons are assigned to the passes in turn, in the order of their distance from their centroid.
     But for ties, that depends neither on the order of the map nor on position, rotation and scale.
     Every so many-th photon of the map itself would be the worst of choices: those of a Halton
-    sequence lie in one strip of the emitter. Photons at the same point are in the same pass. There
-    are at most as many passes as leave k points to each.
+    sequence lie in one strip of the emitter. Photons at the same point are in the same pass. Each
+    part of the spectrum is assigned by itself, so that passes have all colours. There are at most
+    as many passes as leave k points to each.
     """
     position = photons.position
     order, any_tied = _by_distance(position)
@@ -37,6 +39,9 @@ def assign_passes(photons: PhotonMap, n_passes: int, k: int = 1) -> Rows:
     if first is not None:
         rows = np.unique(first)
         order = rows[_by_distance(position[rows])[0]]
+    parts = spectrum_parts(photons)
+    if parts is not None:
+        order = order[np.argsort(parts[order], kind="stable")]
     n_passes = min(n_passes, max(len(order) // k, 1))
     number: Rows = np.empty(len(photons), dtype=np.intp)
     number[order] = np.arange(len(order)) % n_passes
@@ -83,7 +88,7 @@ class ProgressiveField(PhotonField):
         n_threads: int | None = None,
     ) -> None:
         settings = settings or ProgressiveSettings()
-        number = assign_passes(photons, settings.n_passes, settings.k)
+        number = assign_passes(photons, settings.n_passes, photons.counted(settings.k))
         settings = replace(settings, n_passes=int(number.max(initial=0)) + 1)
         self.photons = photons
         self.settings = settings

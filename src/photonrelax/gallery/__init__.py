@@ -24,6 +24,7 @@ _SCENES = {
     "ring": "metal ring in slanting sunlight: the nephroid",
     "ripples": "sunlight through a wavy slab of glass: the net of light below water",
     "rings": "rings and coins of gold and silver on a table",
+    "spectrum": "prism in a dark room: a rainbow on the wall",
     "sphere": "glass sphere over a plane in collimated light: bright spot and folds",
     "toruses": "a torus of glass and one of metal, linked",
 }

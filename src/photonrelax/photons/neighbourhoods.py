@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from .._ext.photons.normals import group_normals
 from .._util.validation import Floats, Rows
+from ..scene.dispersion import LONGEST, SHORTEST
 from .axes import MAX_FACES, within_chord
 from .emitter_pools import EmitterPools, emitter_pools
 from .photon_map import PhotonMap
@@ -42,18 +43,42 @@ def neighbour_groups(photons: PhotonMap, n_threads: int) -> list[Group]:
     """Groups of photons that may be neighbours, on faces of similar normals.
 
     Photons on a sensor are neighbours of no others: the same light crosses it and arrives on the
-    surface behind it.
+    surface behind it. Nor are those of different parts of the spectrum, which are sheets of their
+    own.
     """
-    on_sensor = photons.on_sensor
-    if photons.object_id is None or not on_sensor.any():
+    parts = _surface_numbers(photons), spectrum_parts(photons)
+    labels = [part for part in parts if part is not None]
+    if not labels:
         return _groups_on_surface(photons, n_threads)
-    surface = np.where(on_sensor, photons.object_id, -1)
-    all_rows = [np.flatnonzero(surface == one) for one in np.unique(surface)]
+    _, label = np.unique(np.column_stack(labels), axis=0, return_inverse=True)
+    all_rows = [np.flatnonzero(label == one) for one in range(int(label.max(initial=-1)) + 1)]
     return [
         _among_all(group, rows, len(photons))
         for rows in all_rows
         for group in _groups_on_surface(photons.subset(rows), n_threads)
     ]
+
+
+def _surface_numbers(photons: PhotonMap) -> NDArray[np.int64] | None:
+    """Number (n,) of each photon's sensor, -1 on others; None if all are."""
+    on_sensor = photons.on_sensor
+    if photons.object_id is None or not on_sensor.any():
+        return None
+    return np.where(on_sensor, photons.object_id, -1)
+
+
+def spectrum_parts(photons: PhotonMap) -> NDArray[np.int64] | None:
+    """Number (n,) of the part of the spectrum that each photon is of; None if all are white.
+
+    There are as many parts as wavelengths into which a path is dispersed: in each, photons are as
+    dense as those of white light would be. White light is part -1.
+    """
+    if photons.wavelength is None:
+        return None
+    n_parts = photons.n_wavelengths or 1
+    share = (photons.wavelength - SHORTEST) / (LONGEST - SHORTEST)
+    part = np.clip(np.floor(n_parts * share), 0, n_parts - 1).astype(np.int64)
+    return np.where(photons.wavelength > 0.0, part, -1)
 
 
 def _among_all(group: Group, rows: NDArray[np.intp], n: int) -> Group:

@@ -200,6 +200,19 @@ class PhotonMap:
             return np.zeros(len(self), dtype=bool)
         return np.isin(self.emitter_id, self.extended_ids)
 
+    @property
+    def photons_per_path(self) -> float:
+        """Photons that one of white light is dispersed into, in the mean over those of the map."""
+        if self.wavelength is None or self.n_wavelengths is None or not len(self):
+            return 1.0
+        n_dispersed = np.count_nonzero(self.wavelength)
+        n_paths = len(self) - n_dispersed + n_dispersed / self.n_wavelengths
+        return len(self) / n_paths
+
+    def counted(self, k: int) -> int:
+        """Number of photons that come of k of white light."""
+        return round(k * self.photons_per_path)
+
     def __repr__(self) -> str:
         given = [name for name in _ARRAY_FIELDS if getattr(self, name) is not None]
         return f"PhotonMap({len(self)} photons: {', '.join(given)}; n_emitted={self.n_emitted})"
