@@ -22,6 +22,7 @@ python -m bench pixel-means       errors of means over texels by photons, agains
 python -m bench error-times       errors of irradiance maps over the time they take
 python -m bench resolution        errors by gaps, thicknesses and widths that float32 tells apart
 python -m bench tessellation      changes of the caustic of `cognac` with twice the facets
+python -m bench dispersion        noise of colour behind plates, by how light is dispersed
 python -m bench slopes            light relaxed to the density its map prescribes, and to even one
 """
 
@@ -32,6 +33,7 @@ import sys
 
 from bench.speed import contention, memory, memory_stage, side_by_side, simd, versions
 from bench.studies import (
+    dispersion,
     envelope,
     equal_error,
     error_times,
@@ -76,6 +78,7 @@ _COMMANDS = {
     "error-times": error_times,
     "resolution": resolution,
     "envelope": envelope,
+    "dispersion": dispersion,
     "slopes": slopes,
     "tessellation": tessellation,
     # The processes that `compare` and `memory` start.

@@ -70,6 +70,8 @@ def spectrum(
     # Light of the d line enters in the middle of a face, and leaves in that of the next one.
     x, y = side / np.sqrt(12.0) * _unit(-0.5 * deviation - np.pi / 3)
     middle = y - (x + _LEFT) * along[1] / along[0]
+    # The light stays above the bottom of the prism, which would mirror it.
+    sill = _GAP + slope * (_LEFT / along[0] + 2.0 * side)
     across = (_WIDTH, 0.0, 0.0)
     table = sheet((-_LEFT, -_FRONT, 0.0), across, (0.0, _FRONT + _DEPTH, 0.0))
     wall = sheet((-_LEFT, _DEPTH, 0.0), across, (0.0, 0.0, _HEIGHT))
@@ -78,7 +80,7 @@ def spectrum(
         [
             SceneObject(table, Diffuse(0.6), "table"),
             SceneObject(wall, Diffuse(0.8), "wall"),
-            *_shutter(middle - 0.5 * slit, middle + 0.5 * slit, 0.9 * height),
+            *_shutter((middle - 0.5 * slit, middle + 0.5 * slit), (sill, 0.9 * height)),
             SceneObject(_prism(side, height, -0.5 * deviation), glass, "prism"),
         ],
         [CollimatedEmitter((*along, -slope), irradiance), PointEmitter(_LAMP, power)],
@@ -113,19 +115,21 @@ def _unit(angle: ArrayLike) -> Floats:
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
-def _shutter(low: float, high: float, top: float) -> list[SceneObject]:
-    """Wall at the left with a slit from the floor, between two places along y."""
+def _shutter(width: tuple[float, float], rise: tuple[float, float]) -> list[SceneObject]:
+    """Wall at the left, with a slit between two places along y and two heights."""
+    (low, high), (sill, lintel) = width, rise
     parts = {
-        "shutter before the slit": ((-_FRONT, low), 0.0),
-        "shutter behind the slit": ((high, _DEPTH), 0.0),
-        "shutter above the slit": ((low, high), top),
+        "before": ((-_FRONT, low), (0.0, _HEIGHT)),
+        "behind": ((high, _DEPTH), (0.0, _HEIGHT)),
+        "below": (width, (0.0, sill)),
+        "above": (width, (lintel, _HEIGHT)),
     }
     return [
-        SceneObject(_panel(*ends, bottom), Diffuse(0.5), name)
-        for name, (ends, bottom) in parts.items()
+        SceneObject(_panel(*ends), Diffuse(0.5), f"shutter {where} the slit")
+        for where, ends in parts.items()
     ]
 
 
-def _panel(low: float, high: float, bottom: float) -> trimesh.Trimesh:
-    corner: Floats = np.array([-_LEFT, low, bottom])
-    return sheet(corner, (0.0, high - low, 0.0), (0.0, 0.0, _HEIGHT - bottom))
+def _panel(along: tuple[float, float], up: tuple[float, float]) -> trimesh.Trimesh:
+    corner: Floats = np.array([-_LEFT, along[0], up[0]])
+    return sheet(corner, (0.0, along[1] - along[0], 0.0), (0.0, 0.0, up[1] - up[0]))

@@ -158,7 +158,8 @@ def _caustic(
     if _is_own_light(scene) and not stored_per_path(scene, "caustic", caster, n_threads):
         reason = "of a few thousand paths none returns to the Mirror or Dielectric that emits it"
         return Part("caustic", False, reason)
-    return Part("caustic", True, f"objects that are Mirror or Dielectric: {n}")
+    dispersed = "; light is dispersed" if scene.has_dispersion else ""
+    return Part("caustic", True, f"objects that are Mirror or Dielectric: {n}{dispersed}")
 
 
 def _indirect(scene: Scene, wanted: tuple[str, ...], n_global: int | None) -> Part:
