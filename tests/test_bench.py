@@ -12,6 +12,7 @@ from bench.speed import contention, inputs, peers, plot, report, stages, version
 from bench.speed.checks import assert_nearest, assert_nearest_in_range
 from bench.speed.timing import Case, Timing, interleave
 from bench.studies import (
+    dispersion,
     envelope,
     equal_error,
     figure7,
@@ -438,6 +439,17 @@ def test_slopes_have_a_row_for_each_map_and_keep_references(tmp_path, monkeypatc
     assert [line[2].strip() for line in lines] == ["reference", "2,000", "2,000"]
     assert len(list(tmp_path.iterdir())) == 1
     assert slopes.markdown(study) == table
+
+
+def test_dispersed_light_has_a_row_for_each_way(monkeypatch):
+    monkeypatch.setattr(dispersion, "PLATES", {"thin": dispersion.PLATES["thin crown"]})
+    lines = dispersion.markdown(2_000, ("standard",)).splitlines()[2:]
+    cells = [[cell.strip() for cell in line.split("|")] for line in lines]
+    assert [each[2] for each in cells] == [way.name for way in dispersion.WAYS]
+    of_colour = [float(each[5].strip("%")) for each in cells]
+    assert of_colour[0] < 1e-6
+    # One index, one wavelength a path, and eight.
+    assert of_colour[5] < 0.2 * of_colour[1]
 
 
 def test_envelopes_and_relaxed_photons_have_a_row_each(monkeypatch):

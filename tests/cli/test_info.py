@@ -24,6 +24,14 @@ def test_info_describes_a_photon_map(tmp_path, capsys):
     assert "flux: (1, 1, 1) W" in out
 
 
+def test_info_counts_dispersed_photons():
+    position, normal = np.zeros((4, 3)), np.tile([0.0, 0.0, 1.0], (4, 1))
+    photons = pr.PhotonMap(position, normal, np.ones(4), wavelength=[0.0, 700.0, 450.0, 0.0])
+    assert "dispersed: 2 photons, 450 to 700 nm" in describe_photons(photons).splitlines()
+    white = photons.replace(wavelength=np.zeros(4))
+    assert "dispersed" not in describe_photons(white)
+
+
 def test_info_counts_flux_on_sensors_apart():
     photons = pr.PhotonMap(
         position=np.zeros((6, 3)),

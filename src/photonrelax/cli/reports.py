@@ -121,7 +121,7 @@ def describe_photons(photons: PhotonMap) -> str:
     if len(photons):
         low, high = photons.position.min(axis=0), photons.position.max(axis=0)
         lines.append(f"box: {_numbers(low)} to {_numbers(high)} m")
-    if photons.wavelength is not None:
+    if photons.wavelength is not None and photons.wavelength.any():
         nm = photons.wavelength[photons.wavelength > 0.0]
         lines.append(f"dispersed: {len(nm):,} photons, {nm.min():.0f} to {nm.max():.0f} nm")
     if photons.emitter_coords is None:

@@ -98,7 +98,8 @@ def emitter_pools(photons: PhotonMap, n_threads: int) -> EmitterPools:
     weak = (n_photons < _K) | (sample.shares(emitter, n_emitters) < _LEAST_SHARE)
     if not weak.any():
         return EmitterPools(emitter, n_emitters, n_emitters)
-    flux = np.bincount(emitter, photons.flux.mean(axis=1)) / n_photons
+    # That of few photons of pure colours may be negative.
+    flux = np.abs(np.bincount(emitter, photons.flux.mean(axis=1))) / n_photons
     number = np.arange(n_emitters)
     number[weak] = n_emitters + _similar(flux[weak])
     n_numbers = number.max() + 1

@@ -17,6 +17,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from .._util.validation import Floats
+from ..scene.dispersion import N_WAVELENGTHS
 from ..scene.scene import Scene
 from ..scene.sky_map import LUMINANCE
 from .batch import TraceContext, TraceSettings, trace_batch
@@ -104,7 +105,9 @@ def _probe(scene: Scene, settings: TraceSettings, n_paths: int, caster: RayCaste
     for region_id, n in enumerate(plan.counts.tolist()):
         emitter = plan.emitter_ids[region_id]
         deposits = trace_batch(context, (region_id, range(n))).deposits
-        of_path = np.bincount(deposits["path"], minlength=n)
+        # The wavelengths of a path bring its light together.
+        share = np.where(deposits["wavelength"] > 0.0, 1.0 / N_WAVELENGTHS, 1.0)
+        of_path = np.bincount(deposits["path"], share, minlength=n)
         paths[emitter] += n
         stored[emitter] += of_path.sum()
         squares[emitter] += np.square(of_path).sum()

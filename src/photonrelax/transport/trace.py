@@ -12,9 +12,10 @@ was coloured.
 White light that meets a dispersive surface is taken up there at eight wavelengths, which turn with
 the index of the photon: see `photonrelax.scene.dispersion`.
 
-A stored photon takes 148 bytes where all emitters are collimated, else 156, and 24 more where some
-carry spectra, each of which takes a fifth of a millisecond, as its neighbours are traced as well
-(see `photonrelax.estimation.frequency`). A path of the pending batches takes a few hundred bytes.
+A stored photon takes 148 bytes where all emitters are collimated, else 156, 8 more where light is
+dispersed, and 24 more where some carry spectra, each of which takes a fifth of a millisecond, as
+its neighbours are traced as well (see `photonrelax.estimation.frequency`). A path of the pending
+batches takes a few hundred bytes.
 """
 
 from __future__ import annotations

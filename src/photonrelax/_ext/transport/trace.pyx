@@ -488,9 +488,14 @@ cdef class Paths(LiveRays):
     cdef bint survives_medium(self, const Event* event) noexcept nogil:
         """Apply the absorption on the way to the hit; false if the path ends."""
         cdef double[3] factor
-        event.ray.media = counted_media_at(
-            self.materials, self.faults, event.hit.object_id, event.inside, event.ray.media
-        )
+        if event.ray.order == 0:
+            event.ray.media = counted_media_at(
+                self.materials, self.faults, event.hit.object_id, event.inside, event.ray.media
+            )
+        else:
+            event.ray.media = media_at(
+                self.materials, event.hit.object_id, event.inside, event.ray.media
+            )
         if not is_absorbing(self.materials, event.ray.media):
             return True
         transmittance(factor, self.materials, event.ray.media, event.hit.distance)
@@ -521,7 +526,7 @@ cdef class Paths(LiveRays):
             if not self.survives_tint(event):
                 return False
             ray.media = at.beyond
-            if at.overflows:
+            if at.overflows and ray.order == 0:
                 add_fault(self.faults, i, OVERFLOWED)
             kind = LEFT if event.inside else ENTERED
         ray.n_specular += 1
