@@ -24,11 +24,12 @@ DENSE_FLINT = Sellmeier(
 )
 """N-SF11 of Schott's catalogue: n_d = 1.78472, V_d = 25.68."""
 
+# Above the table, so that the prism shares no face with it, m.
 _GAP = 1e-3
 # Of the room, m: the way from the shutter to the prism, its width, how far it goes on before and
 # behind the prism, and its height.
-_LAMP = (0.1, -0.9, 1.0)
 _LEFT, _WIDTH, _FRONT, _DEPTH, _HEIGHT = 0.35, 1.4, 1.5, 0.6, 0.8
+_LAMP = (0.1, -0.9, 1.0)
 
 
 def spectrum(
