@@ -114,6 +114,12 @@ def _check_scene(photons: PhotonMap, scene: Scene) -> None:
             f"photons should be a PhotonMap, but is {type(photons).__name__}; "
             "the number to trace is n_emitted"
         )
+    if photons.emitted_ranges is not None:
+        raise ValueError(
+            "photons should be of a whole emission, but are of the ranges "
+            f"{photons.emitted_ranges.tolist()} of {photons.n_emitted}: join its parts by "
+            "PhotonMap.concatenate"
+        )
     ledger, paths, sampler = photons.ledger, photons.paths, photons.sampler
     if ledger is None or paths not in PATHS or sampler not in SAMPLERS:
         return

@@ -80,6 +80,7 @@ def trace_photons(
     scene: Scene,
     n_emitted: int | Sequence[int],
     *,
+    photons: range | None = None,
     seed: int = 0,
     paths: str = "caustic",
     sampler: str = "halton",
@@ -99,6 +100,9 @@ def trace_photons(
         Objects and emitters.
     n_emitted : int or sequence of int
         Paths to start, apportioned by what emitters bring to what is stored; or those of each.
+    photons : range, optional
+        Those of the n_emitted to trace, by index over all regions in order; all by default. Parts
+        are joined by `PhotonMap.concatenate`; one that stores nothing is an empty map.
     seed : int
         Photon i of an emission region depends on it and on i alone.
     paths : {"caustic", "global", "all"}
@@ -132,10 +136,24 @@ def trace_photons(
     settings = _checked_settings(paths, max_bounces, frequency_share, sensors=sensors)
     threads = thread_count(n_threads)
     numbers, caster = checked_numbers(n_emitted, scene), caster or RayCaster(scene.surfaces)
-    _check_memory(scene, int(np.sum(numbers)), settings, caster, threads)
+    traced = _checked_photons(photons, int(np.sum(numbers)))
+    _check_memory(scene, len(traced), settings, caster, threads)
     plan = allotted_plan(scene, numbers, settings, seed=seed, sampler=sampler, caster=caster)
     context = TraceContext(scene, plan, settings, _batch_capacity(batch_size, plan), caster=caster)
-    return _trace_all(context, threads, progress)
+    return _trace_all(context, traced, threads, progress)
+
+
+def _checked_photons(photons: range | None, n_emitted: int) -> range:
+    """Photons to trace of an emission, all by default."""
+    if photons is None:
+        return range(n_emitted)
+    if not isinstance(photons, range):
+        raise TypeError(f"photons should be a range of indices, but is {type(photons).__name__}")
+    if photons.step != 1 or not 0 <= photons.start < photons.stop <= n_emitted:
+        raise ValueError(
+            f"photons should be some of {range(n_emitted)} in steps of 1, but is {photons}"
+        )
+    return photons
 
 
 def _batch_capacity(batch_size: int, plan: EmissionPlan) -> int:
@@ -196,18 +214,20 @@ def _stored_per_path(
     plan = allotted_plan(scene, n, settings, caster=caster)
     pilot = TraceContext(scene, plan, replace(settings, frequency_share=0.0), _PILOT, caster=caster)
     try:
-        return len(_trace_all(pilot, n_threads, None)) / n
+        return len(_trace_all(pilot, range(n), n_threads, None)) / n
     except NothingStoredError:
         return 0.0
 
 
-def _trace_all(context: TraceContext, n_threads: int, progress: Progress | None) -> PhotonMap:
-    """Return the photons of all batches."""
+def _trace_all(
+    context: TraceContext, traced: range, n_threads: int, progress: Progress | None
+) -> PhotonMap:
+    """Photons of all batches of those to trace."""
     plan, settings = context.plan, context.settings
-    report = Reporter(progress, "trace", int(plan.counts.sum()))
-    columns, ledgers, selected = _Columns(plan), [], []
+    report = Reporter(progress, "trace", len(traced))
+    columns, ledgers, selected = _Columns(plan, len(traced)), [], []
     with thread_executor(n_threads) as executor:
-        work, jobs = partial(trace_batch, context), _jobs(plan, context.size)
+        work, jobs = partial(trace_batch, context), _jobs(plan, traced, context.size)
         for batch in ordered_map(work, jobs, executor, max_pending=2 * n_threads):
             first = columns.append(batch)
             ledgers.append(batch.ledger)
@@ -220,7 +240,7 @@ def _trace_all(context: TraceContext, n_threads: int, progress: Progress | None)
     faults = [*context.faults, *(ledger.faults for ledger in ledgers)]
     n_paths = sum(ledger.n_paths for ledger in ledgers)
     warn_of_faults(context.scene, faults, n_paths, context.materials)
-    photons = _photon_map(context, columns, ledgers)
+    photons = _photon_map(context, traced, columns, ledgers)
     if not settings.frequency_share:
         return photons
     return photons.replace(spectrum=_spectra(context, selected, len(photons), n_threads, progress))
@@ -264,13 +284,13 @@ def _spectra(
 class _Columns:
     """The columns of a photon map that grows batch by batch, in place."""
 
-    def __init__(self, plan: EmissionPlan) -> None:
+    def __init__(self, plan: EmissionPlan, n_planned: int) -> None:
         emitting = (region for region, n in zip(plan.regions, plan.counts, strict=True) if n)
         coords_width = 2 if all(region.is_plane for region in emitting) else 3
         self._widths = _WIDTHS | {"emitter_coords": coords_width}
         self._arrays = self._empty(0)
         self._flux, self._emitter_ids = plan.flux_per_photon, plan.emitter_ids
-        self._n_planned = int(plan.counts.sum())
+        self._n_planned = n_planned
         self._n_traced = 0
         self._n_stored = 0
 
@@ -314,18 +334,22 @@ class _Columns:
         return {name: np.empty(shapes[name], dtype) for name, dtype in _DTYPES.items()}
 
 
-def _jobs(plan: EmissionPlan, size: int) -> Iterator[Job]:
-    for region_id, planned in enumerate(plan.counts.tolist()):
-        for start in range(0, planned, size):
-            yield region_id, range(start, min(start + size, planned))
+def _jobs(plan: EmissionPlan, traced: range, size: int) -> Iterator[Job]:
+    for region_id, photons in plan.parts(traced):
+        for start in range(photons.start, photons.stop, size):
+            yield region_id, range(start, min(start + size, photons.stop))
 
 
-def _photon_map(context: TraceContext, columns: _Columns, ledgers: list[BatchLedger]) -> PhotonMap:
+def _photon_map(
+    context: TraceContext, traced: range, columns: _Columns, ledgers: list[BatchLedger]
+) -> PhotonMap:
     plan, settings = context.plan, context.settings
-    ledger = _ledger(plan, ledgers)
+    n_emitted = int(plan.counts.sum())
+    is_whole = len(traced) == n_emitted
+    ledger = _ledger(plan, plan.flux if is_whole else plan.flux_of(traced), ledgers)
     photons = PhotonMap(
         **columns.finished(context.scene),
-        n_emitted=int(plan.counts.sum()),
+        n_emitted=n_emitted,
         well_spaced=plan.is_well_spaced and settings.paths == "caustic",
         ledger=ledger,
         seed=plan.seed,
@@ -333,15 +357,16 @@ def _photon_map(context: TraceContext, columns: _Columns, ledgers: list[BatchLed
         paths=settings.paths,
         sensor_ids=context.scene.sensors if context.sensors else None,
         extended_ids=plan.extended_ids,
+        emitted_ranges=None if is_whole else [(traced.start, traced.stop)],
     )
-    if not len(photons):
+    if is_whole and not len(photons):
         raise NothingStoredError(_nothing_stored(context, ledger, ledgers), photons)
     return photons
 
 
-def _ledger(plan: EmissionPlan, ledgers: list[BatchLedger]) -> EnergyLedger:
+def _ledger(plan: EmissionPlan, emitted: Floats, ledgers: list[BatchLedger]) -> EnergyLedger:
     """The outcomes of all batches, which are in the order of their regions, by emitter."""
-    flux, emitter_ids, emitted = plan.flux_per_photon, plan.emitter_ids, plan.flux
+    flux, emitter_ids = plan.flux_per_photon, plan.emitter_ids
     n_emitters, n_outcomes = len(emitted), len(PATH_OUTCOMES)
     totals = np.zeros((n_outcomes, n_emitters, 3))
     ends = np.zeros((n_outcomes, n_emitters), dtype=np.int64)
