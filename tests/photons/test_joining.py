@@ -1,5 +1,7 @@
 """Maps of parts of an emission, joined; independent maps, averaged."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -13,8 +15,8 @@ each_scene = pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES.keys()
 
 
 def parts(scene, *bounds, n=N, **settings):
-    pairs = zip(bounds, bounds[1:], strict=False)
-    return [pr.trace_photons(scene, n, photons=range(*pair), **settings) for pair in pairs]
+    ranges = [range(*pair) for pair in pairwise(bounds)]
+    return [pr.trace_photons(scene, n, photons=each, **settings) for each in ranges]
 
 
 @each_scene

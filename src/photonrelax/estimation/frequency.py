@@ -26,6 +26,7 @@ carry spectra.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -113,7 +114,6 @@ class FrequencyField(ProgressiveField):
         self._trees = PhotonTrees(carriers, self._n_threads)
         # Variance of all light that diffuse surfaces reflect.
         self._variance = np.ascontiguousarray(operators.diffused(carriers.spectrum)[:, :1])
-        self._maxima: dict[int, MaxInRadius] = {}
 
     def least_radius(
         self, points: Floats, normals: Floats, radius: Floats, footprint: Floats | None = None
@@ -134,6 +134,10 @@ class FrequencyField(ProgressiveField):
         allowed = operators.kernel_radius(np.maximum(variance[:, 0], 0.0), self.frequency.bias)
         # Finite where the variance is zero: no radius grows.
         return np.where(known, np.minimum(allowed, radius), 0.0)
+
+    @cached_property
+    def _maxima(self) -> dict[int, MaxInRadius]:
+        return {}
 
     def _maximum(self, part: int) -> MaxInRadius:
         """The largest variance within a radius, among the photons of a tree."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from math import fsum
 from typing import TYPE_CHECKING, Any
 
@@ -102,7 +103,7 @@ def _check_one_emission(parts: Sequence[PhotonMap]) -> None:
                 "of several"
             )
     _check_same_emitters(parts)
-    for one, other in zip(parts, parts[1:], strict=False):
+    for one, other in pairwise(parts):
         (_, stop), start = _ranges(one)[-1], _ranges(other)[0, 0]
         if start < stop:
             raise ValueError(

@@ -17,6 +17,7 @@ carry spectra, each of which takes a fifth of a millisecond, as its neighbours a
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 from itertools import groupby
@@ -31,11 +32,20 @@ from .._util.memory import ESTIMATE_MARGIN, available_memory, check_memory
 from .._util.parallel import ordered_map, thread_count, thread_executor
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, check_choice, count, float_array
+from .._util.workers import checked_executor, n_workers, worker_map
 from ..photons.energy_ledger import PATH_OUTCOMES, EnergyLedger
 from ..photons.photon_map import NothingStoredError, PhotonMap
 from ..scene.scene import Scene
 from .allotment import allotted_plan
-from .batch import BatchLedger, Job, TraceContext, TracedBatch, TraceSettings, trace_batch
+from .batch import (
+    BatchLedger,
+    Job,
+    TraceContext,
+    TracedBatch,
+    TraceSettings,
+    trace_batch,
+    trace_batches,
+)
 from .emission import PATHS, EmissionPlan, checked_numbers, emit
 from .frequency.spectra import ReplayBatch, SpectrumTracer, batches_by_region
 from .media import warn_of_faults
@@ -55,6 +65,9 @@ PHOTON_BYTES = 148
 _LEDGER_BYTES = 8 * 3 * len(PATH_OUTCOMES)
 # Crossings of a sensor between two events, at most, but for sensors with hollows.
 _CROSSINGS = 2
+# Paths of a task of an executor at most, some tenths of a second, and tasks of a worker at least,
+# so that all end at about the same time.
+_PATHS_PER_TASK, _TASKS_PER_WORKER = 2**18, 4
 # Paths from which the number of photons stored is estimated.
 _PILOT = 16384
 # Photons of a region that are looked at to tell why nothing is stored.
@@ -91,6 +104,7 @@ def trace_photons(
     batch_size: int = 16384,
     caster: RayCaster | None = None,
     sensors: bool = True,
+    executor: Executor | None = None,
 ) -> PhotonMap:
     """Emit photons, trace their paths and store them on diffuse surfaces and sensors.
 
@@ -122,6 +136,8 @@ def trace_photons(
     sensors : bool
         Store photons on the scene's sensors too. Others do not depend on sensors, unless these
         reach beyond the other objects and `paths` is "all".
+    executor : concurrent.futures.Executor, optional
+        Traces batches in its workers, a thread each; spectra are found here. See docs/scaling.md.
 
     Returns
     -------
@@ -140,7 +156,7 @@ def trace_photons(
     _check_memory(scene, len(traced), settings, caster, threads)
     plan = allotted_plan(scene, numbers, settings, seed=seed, sampler=sampler, caster=caster)
     context = TraceContext(scene, plan, settings, _batch_capacity(batch_size, plan), caster=caster)
-    return _trace_all(context, traced, threads, progress)
+    return _trace_all(context, traced, threads, progress, checked_executor(executor))
 
 
 def _checked_photons(photons: range | None, n_emitted: int) -> range:
@@ -220,23 +236,25 @@ def _stored_per_path(
 
 
 def _trace_all(
-    context: TraceContext, traced: range, n_threads: int, progress: Progress | None
+    context: TraceContext,
+    traced: range,
+    n_threads: int,
+    progress: Progress | None,
+    executor: Executor | None = None,
 ) -> PhotonMap:
     """Photons of all batches of those to trace."""
     plan, settings = context.plan, context.settings
     report = Reporter(progress, "trace", len(traced))
     columns, ledgers, selected = _Columns(plan, len(traced)), [], []
-    with thread_executor(n_threads) as executor:
-        work, jobs = partial(trace_batch, context), _jobs(plan, traced, context.size)
-        for batch in ordered_map(work, jobs, executor, max_pending=2 * n_threads):
-            first = columns.append(batch)
-            ledgers.append(batch.ledger)
-            if settings.frequency_share:
-                rows = first + batch.spectrum_rows
-                selected.append(ReplayBatch(batch.ledger.region_id, batch.spectrum_photons, rows))
-            report.advance(batch.ledger.n_paths)
-            # The deposits are freed before the next batch is traced.
-            del batch
+    for batch in _batches(context, traced, n_threads, executor):
+        first = columns.append(batch)
+        ledgers.append(batch.ledger)
+        if settings.frequency_share:
+            rows = first + batch.spectrum_rows
+            selected.append(ReplayBatch(batch.ledger.region_id, batch.spectrum_photons, rows))
+        report.advance(batch.ledger.n_paths)
+        # The deposits are freed before the next batch is traced.
+        del batch
     faults = [*context.faults, *(ledger.faults for ledger in ledgers)]
     n_paths = sum(ledger.n_paths for ledger in ledgers)
     warn_of_faults(context.scene, faults, n_paths, context.materials)
@@ -244,6 +262,31 @@ def _trace_all(
     if not settings.frequency_share:
         return photons
     return photons.replace(spectrum=_spectra(context, selected, len(photons), n_threads, progress))
+
+
+def _batches(
+    context: TraceContext, traced: range, n_threads: int, executor: Executor | None
+) -> Iterator[TracedBatch]:
+    """All batches in order, traced by threads of this process or by an executor."""
+    jobs = _jobs(context.plan, traced, context.size)
+    if executor is None:
+        with thread_executor(n_threads) as threads:
+            work = partial(trace_batch, context)
+            yield from ordered_map(work, jobs, threads, max_pending=2 * n_threads)
+        return
+    tasks = _tasks(list(jobs), context.size, n_workers(executor))
+    for batches in worker_map(trace_batches, context, tasks, executor):
+        # Popped, so that one that was taken in is not held on to.
+        while batches:
+            yield batches.pop(0)
+
+
+def _tasks(jobs: list[Job], size: int, n_workers: int) -> Iterator[list[Job]]:
+    """Jobs of batches of a size together: some tasks for each worker, none of them long."""
+    per_worker = -(-len(jobs) // (_TASKS_PER_WORKER * n_workers))
+    per_task = max(1, min(_PATHS_PER_TASK // size, per_worker))
+    for first in range(0, len(jobs), per_task):
+        yield jobs[first : first + per_task]
 
 
 def _checked_settings(
