@@ -1,12 +1,16 @@
 """The same bytes by threads, processes and clusters as by this process alone."""
 
-from concurrent.futures import ThreadPoolExecutor
+import os
+import signal
+from concurrent.futures import Executor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 import photonrelax as pr
-from tests.helpers.executors import dask_cluster, loky_pool, shared_pool
+from photonrelax._util.workers import WorkerLostError
+from photonrelax.rendering.animation import Animation
+from tests.helpers.executors import dask_cluster, loky_pool, shared_pool, spawned
 from tests.helpers.tracing_scenes import SCENES
 from tests.transport.test_trace import assert_same_bytes
 
@@ -72,3 +76,77 @@ def test_an_irradiance_map(executor, scene):
     one = pr.irradiance_map(field, *place)
     assert one.tobytes() == pr.irradiance_map(field, *place, executor=executor).tobytes()
     assert np.isfinite(one).all()
+
+
+GLOBAL = pr.ProgressiveSettings(radius="global")
+
+
+@pytest.mark.parametrize("settings", [None, GLOBAL])
+@pytest.mark.parametrize("stochastic", [False, True])
+def test_passes(executor, scene, settings, stochastic):
+    how = {"photons_per_pass": 1000, "supersampling": 1, "n_global": 1000}
+    how |= {"settings": settings, "stochastic": stochastic}
+    one = pr.render_progressive(scene, n_passes=5, **how)
+    assert_same_image(one, pr.render_progressive(scene, n_passes=5, executor=executor, **how))
+
+
+def moving(time):
+    return pr.gallery.scene("ring", pixels=12, sections=32)
+
+
+def test_frames(executor):
+    animation = Animation(moving, [0.0, 0.1, 0.2], n_emitted=1000, supersampling=1)
+    frames = list(animation.frames(range(3), executor))
+    for number, frame in enumerate(frames):
+        assert_same_image(animation.frame(number), frame)
+
+
+@pytest.mark.parametrize("settings", [None, GLOBAL])
+def test_a_run_begun_here_is_resumed_by_workers(scene, settings, tmp_path):
+    how = {"photons_per_pass": 1000, "supersampling": 1, "settings": settings}
+    state = pr.Checkpoints(tmp_path / "run.npz")
+    pr.render_progressive(scene, n_passes=2, checkpoints=state, **how)
+    pool = shared_pool()
+    resumed = pr.render_progressive(scene, n_passes=5, checkpoints=state, executor=pool, **how)
+    assert_same_image(pr.render_progressive(scene, n_passes=5, **how), resumed)
+
+
+class Killer(Executor):
+    """An executor one of whose workers is killed when some tasks are done."""
+
+    def __init__(self, executor, after):
+        self.executor, self.after, self.done = executor, after, 0
+
+    def submit(self, *arguments):
+        future = self.executor.submit(*arguments)
+        future.add_done_callback(self.count)
+        return future
+
+    def count(self, future):
+        self.done += 1
+        if self.done == self.after:
+            self.kill()
+
+    def kill(self):
+        os.kill(next(iter(self.executor._processes)), signal.SIGKILL)
+
+
+def test_a_run_whose_worker_is_killed_is_resumed_to_the_same_bytes(scene, tmp_path):
+    how = {"photons_per_pass": 1000, "supersampling": 1, "n_passes": 30}
+    state = pr.Checkpoints(tmp_path / "run.npz")
+    with spawned() as pool, pytest.raises(WorkerLostError, match="a worker ended") as lost:
+        pr.render_progressive(scene, checkpoints=state, executor=Killer(pool, 12), **how)
+    assert "\n" not in str(lost.value)
+    assert 0 < np.load(tmp_path / "run.npz")["n_passes"] < 30
+    assert os.listdir(tmp_path) == ["run.npz"]
+    resumed = pr.render_progressive(scene, checkpoints=state, executor=shared_pool(), **how)
+    assert_same_image(pr.render_progressive(scene, **how), resumed)
+
+
+def test_dask_runs_the_tasks_of_a_killed_worker_again(dask):
+    three, pids = SCENES["tinted glass, mirror, three emitters"], dask._client.run(os.getpid)
+    killer = Killer(dask, 2)
+    killer.kill = lambda: os.kill(min(pids.values()), signal.SIGKILL)
+    one = pr.trace_photons(three, 40_000, batch_size=1024)
+    assert_same_bytes(one, pr.trace_photons(three, 40_000, batch_size=1024, executor=killer))
+    dask._client.wait_for_workers(2)

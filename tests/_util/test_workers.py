@@ -94,17 +94,17 @@ def test_an_error_has_the_traceback_of_the_worker():
     assert "in failing" in str(caught.value.__cause__)
 
 
-class Unpicklable(Exception):
+class UnpicklableError(Exception):
     def __init__(self, one, two):
         super().__init__(one)
 
 
 def failing_oddly(value, job):
-    raise Unpicklable("one", "two")
+    raise UnpicklableError("one", "two")
 
 
 def test_an_error_that_cannot_be_pickled_is_described():
-    with pytest.raises(RuntimeError, match="Unpicklable: one"):
+    with pytest.raises(RuntimeError, match="UnpicklableError: one"):
         list(worker_map(failing_oddly, None, [0], shared_pool()))
 
 

@@ -12,7 +12,7 @@ import tempfile
 import traceback
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -59,7 +59,7 @@ def worker_map(
     executor: Executor | None,
     *,
     n_threads: int = 1,
-) -> Iterator[Result]:
+) -> Generator[Result]:
     """Yield ``work(value, job)`` in the order of the jobs.
 
     Parameters
@@ -105,7 +105,7 @@ class Workers(NamedTuple):
 
     def map(
         self, work: Callable[[Value, Job], Result], value: Value, jobs: Iterable[Job]
-    ) -> Iterator[Result]:
+    ) -> Generator[Result]:
         """`worker_map` over the jobs."""
         return worker_map(work, value, jobs, self.executor, n_threads=self.n_threads)
 
@@ -160,13 +160,21 @@ class _Tasks:
     def results(self, work: Callable[[Value, Job], Result], jobs: Iterable[Job]) -> Iterator[Any]:
         """Results in the order of the jobs."""
         limit = _PENDING * n_workers(self._executor)
+        lost = None
         try:
             for job in jobs:
-                self._pending.append(self._submit(pickle.dumps((work, job), protocol=5)))
+                try:
+                    self._pending.append(self._submit(pickle.dumps((work, job), protocol=5)))
+                except WorkerLostError as error:
+                    # What was done before is not lost.
+                    lost = error
+                    break
                 if len(self._pending) > limit:
                     yield self._next()
             while self._pending:
                 yield self._next()
+            if lost is not None:
+                raise lost
         finally:
             for sent in self._pending:
                 sent.future.cancel()

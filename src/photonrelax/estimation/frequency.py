@@ -106,6 +106,11 @@ class FrequencyField(ProgressiveField):
         *,
         n_threads: int | None = None,
     ) -> None:
+        if settings is not None and settings.is_global:
+            raise ValueError(
+                'ProgressiveSettings.radius should be none or a number with method="frequency", '
+                'whose spectra limit the radius of each point, but is "global"'
+            )
         carriers = _spectrum_photons(photons)
         super().__init__(photons, settings, n_threads=n_threads)
         self.frequency = frequency or FrequencySettings()
