@@ -9,6 +9,8 @@ import pytest
 
 import photonrelax as pr
 from photonrelax._util.workers import WorkerLostError
+from photonrelax.cli import main
+from photonrelax.imaging.image import read_exr
 from photonrelax.rendering.animation import Animation
 from tests.helpers.executors import dask_cluster, loky_pool, shared_pool, spawned
 from tests.helpers.tracing_scenes import SCENES
@@ -141,6 +143,14 @@ def test_a_run_whose_worker_is_killed_is_resumed_to_the_same_bytes(scene, tmp_pa
     assert os.listdir(tmp_path) == ["run.npz"]
     resumed = pr.render_progressive(scene, checkpoints=state, executor=shared_pool(), **how)
     assert_same_image(pr.render_progressive(scene, **how), resumed)
+
+
+def test_commands_take_the_address_of_a_scheduler(dask, tmp_path):
+    arguments = ["irradiance", "ring", "--on", "floor", "--texels", "8", "--photons", "2000"]
+    scheduler = ["--scheduler", dask._client.scheduler.address]
+    for name, more in (("one", []), ("two", scheduler)):
+        assert main([*arguments, "-o", str(tmp_path / f"{name}.exr"), "--quiet", *more]) == 0
+    assert_same_image(*(read_exr(tmp_path / f"{name}.exr") for name in ("one", "two")))
 
 
 def test_dask_runs_the_tasks_of_a_killed_worker_again(dask):

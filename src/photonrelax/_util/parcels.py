@@ -63,7 +63,13 @@ class Parcel:
 
     def __init__(self, value: Any) -> None:
         arrays: list[memoryview] = []
-        head = pickle.dumps(value, protocol=5, buffer_callback=lambda given: _copied(given, arrays))
+        try:
+            head = pickle.dumps(value, 5, buffer_callback=lambda given: _copied(given, arrays))
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise TypeError(
+                f"what workers are sent should be picklable, but is not: {error}; classes and "
+                "functions have to be those of modules that workers can import"
+            ) from error
         self._pieces = [memoryview(head), *arrays]
         digest = blake2b(digest_size=16)
         for piece in self._pieces:
