@@ -1,7 +1,10 @@
 """The same bytes by threads, processes and clusters as by this process alone."""
 
 import os
+import shutil
 import signal
+import subprocess
+import sys
 from concurrent.futures import Executor, ThreadPoolExecutor
 
 import numpy as np
@@ -160,3 +163,26 @@ def test_dask_runs_the_tasks_of_a_killed_worker_again(dask):
     one = pr.trace_photons(three, 40_000, batch_size=1024)
     assert_same_bytes(one, pr.trace_photons(three, 40_000, batch_size=1024, executor=killer))
     dask._client.wait_for_workers(2)
+
+
+MPI = """
+import photonrelax as pr
+from mpi4py import MPI
+from mpi4py.futures import MPICommExecutor
+with MPICommExecutor(MPI.COMM_WORLD, root=0) as executor:
+    if executor is not None:
+        photons = pr.trace_photons(pr.gallery.scene("ring"), 20_000, executor=executor)
+        photons.save("photons.npz")
+"""
+
+
+def test_photons_traced_by_mpi(tmp_path):
+    pytest.importorskip("mpi4py")
+    mpiexec = shutil.which("mpiexec")
+    if mpiexec is None:
+        pytest.skip("there is no mpiexec")
+    (tmp_path / "job.py").write_text(MPI)
+    command = [mpiexec, "-n", "3", sys.executable, "job.py"]
+    subprocess.run(command, cwd=tmp_path, check=True, timeout=100)
+    one = pr.trace_photons(pr.gallery.scene("ring"), 20_000)
+    assert_same_bytes(one, pr.PhotonMap.load(tmp_path / "photons.npz"))
