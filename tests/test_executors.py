@@ -22,16 +22,14 @@ from tests.transport.test_trace import assert_same_bytes
 
 @pytest.fixture(scope="module")
 def dask():
-    from distributed import Client
-
-    with dask_cluster() as cluster, Client(cluster) as client:
+    distributed = pytest.importorskip("distributed")
+    with dask_cluster() as cluster, distributed.Client(cluster) as client:
         yield client.get_executor()
 
 
 @pytest.fixture(scope="module", params=["threads", "processes", "loky", "dask"])
 def executor(request):
     if request.param == "dask":
-        pytest.importorskip("distributed")
         yield request.getfixturevalue("dask")
     elif request.param == "processes":
         yield shared_pool()

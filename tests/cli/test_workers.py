@@ -5,12 +5,14 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from photonrelax.cli import commands
+from photonrelax.cli import commands, workers
 from photonrelax.imaging.image import read_exr
+from tests.helpers.executors import shared_pool
 
 VIEW = ("--width", 12, "--height", 12, "--supersampling", 1)
 OPTIONAL = ("distributed", "dask", "loky", "mpi4py")
@@ -31,11 +33,20 @@ def scene(time):
 """
 
 
-def test_images_and_frames_are_those_without_workers(tmp_path):
+@contextmanager
+def already_started(n):
+    yield shared_pool()
+
+
+def test_an_image_is_that_without_workers(tmp_path):
     image = ("render", "ring", "--photons", 2000, "--quiet", *VIEW)
     assert run(*image, "-o", tmp_path / "one.exr") == 0
-    assert run(*image, "-o", tmp_path / "two.exr", "--workers", 2) == 0
+    assert run(*image, "-o", tmp_path / "two.exr", "--workers", 1) == 0
     assert layers(tmp_path / "one.exr") == layers(tmp_path / "two.exr")
+
+
+def test_frames_are_those_without_workers(tmp_path, monkeypatch):
+    monkeypatch.setattr(workers, "_processes", already_started)
     (tmp_path / "moving.py").write_text(MOVING)
     frames = ("animate", tmp_path / "moving.py", "--frames", 2, "--photons", 2000, "--quiet")
     assert run(*frames, "-o", tmp_path / "one.%02d.exr") == 0
@@ -45,8 +56,6 @@ def test_images_and_frames_are_those_without_workers(tmp_path):
 
 def test_a_scheduler_that_does_not_answer_is_one_line(tmp_path, capsys, monkeypatch):
     pytest.importorskip("distributed")
-    from photonrelax.cli import workers
-
     monkeypatch.setattr(workers, "_ANSWER", "0.1s")
     output = tmp_path / "a.npz"
     assert run("trace", "ring", "-o", output, "--scheduler", "tcp://127.0.0.1:1", "--quiet") == 1
