@@ -3,6 +3,7 @@
 python -m bench                   compare with peers: tables, JSON and a plot
 python -m bench versions          every stage compared with another build
 python -m bench contention        every stage on several threads and on one, beside busy processes
+python -m bench scaling           work on processes compared with the same in one process
 python -m bench table1            SJ13's Table I compared with the paper's own figures
 python -m bench memory            bytes a photon takes in each stage
 python -m bench figure7           SJ13's Fig. 7: λ₂ of uniform photons, and the constraint
@@ -31,7 +32,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from bench.speed import contention, memory, memory_stage, side_by_side, simd, versions
+from bench.speed import contention, memory, memory_stage, scaling, side_by_side, simd, versions
 from bench.studies import (
     dispersion,
     envelope,
@@ -60,6 +61,7 @@ _COMMANDS = {
     _DEFAULT: side_by_side,
     "versions": versions,
     "contention": contention,
+    "scaling": scaling,
     "table1": table1,
     "figure7": figure7,
     "figure9": figure9,

@@ -19,7 +19,7 @@ import photonrelax as pr
 from bench.markdown import markdown_table
 from photonrelax import gallery
 from photonrelax.estimation.progressive import initial_radius
-from photonrelax.rendering.progressive_render import pass_seed
+from photonrelax.rendering.passes import pass_seed
 from photonrelax.transport.raycast import RayCaster
 
 ALPHA = 0.7

@@ -13,6 +13,7 @@ from ._version import __version__ as __version__
 
 if TYPE_CHECKING:
     from . import gallery as gallery
+    from ._util.workers import WorkerLostError as WorkerLostError
     from .estimation.diffusion import DiffusionSettings as DiffusionSettings
     from .estimation.envelope.envelope import Envelope as Envelope
     from .estimation.envelope.envelope import EnvelopeSettings as EnvelopeSettings
@@ -117,6 +118,7 @@ _MODULE_OF = {
     "Structure": "relaxation.structure",
     "StructureSettings": "relaxation.structure",
     "Texture": "scene.textures",
+    "WorkerLostError": "_util.workers",
     "detect_gradient": "relaxation.gradient",
     "detect_structure": "relaxation.structure",
     "estimate_irradiance": "estimation.nearest",

@@ -40,6 +40,8 @@ def settings_of(path):
         ("diffusion.k=none", ("diffusion", "k", None)),
         ("diffusion.k = 2e2", ("diffusion", "k", 200)),
         ("progressive.alpha=0.6", ("progressive", "alpha", 0.6)),
+        ("progressive.radius=global", ("progressive", "radius", "global")),
+        ("progressive.radius=0.5", ("progressive", "radius", 0.5)),
         ("gather.gather_radius=inf", ("gather", "gather_radius", np.inf)),
         ("gather.refinement=none", ("gather", "refinement", "none")),
         ("relax.n_iterations=3,3", ("relax", "n_iterations", (3, 3))),

@@ -1,10 +1,12 @@
 """Progressive photon mapping: statistics of hit points over passes of photons."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 import photonrelax as pr
-from photonrelax.estimation.progressive import initial_radius
+from photonrelax.estimation.progressive import HitPointStatistics, initial_radius, radius_share
 from photonrelax.estimation.split_passes import assign_passes
 from tests.helpers.photon_maps import flat_map, plane, uniform_map
 
@@ -266,3 +268,39 @@ def test_points_and_normals_must_fit():
         pr.ProgressiveStatistics([[0.0, 0.0, 0.0]], [[0, 0, 1.0]] * 2, 0.1)
     with pytest.raises(ValueError, match="normals should hold directions"):
         pr.ProgressiveStatistics([[0.0, 0.0, 0.0]], [[0, 0, 0.0]], 0.1)
+
+
+def test_global_radii_are_those_of_local_ones_in_uniform_light():
+    """On average; and pass after pass as Knaus & Zwicker 2011 have them."""
+    shares = [radius_share(number, 0.7) for number in range(50)]
+    np.testing.assert_allclose(
+        [after / before for before, after in pairwise(shares)],
+        [(i + 0.7) / (i + 1) for i in range(1, 50)],
+    )
+    local, everywhere = (
+        HitPointStatistics(np.full(3, 0.1), 2, alpha=0.7, n_threads=1, is_global=is_global)
+        for is_global in (False, True)
+    )
+    for _ in range(50):
+        for each in (local, everywhere):
+            counts = 1000.0 * np.pi * each.pass_radius() ** 2
+            each.update(counts, np.column_stack([counts, 2.0 * counts]), 5.0)
+    np.testing.assert_allclose(local.densities(), [[1000.0, 2000.0]] * 3)
+    np.testing.assert_allclose(everywhere.densities(), [[1000.0, 2000.0]] * 3)
+    np.testing.assert_allclose(everywhere.pass_radius(), local.pass_radius(), rtol=0.2)
+
+
+def test_the_radius_of_any_pass_follows_from_its_number():
+    one = HitPointStatistics(np.full(4, 0.1), 1, alpha=0.7, n_threads=1, is_global=True)
+    square = np.prod([(k + 0.7) / (k + 1) for k in range(1, 8)])
+    np.testing.assert_allclose(one.pass_radius(7), 0.1 * np.sqrt(square))
+
+
+def test_global_radii_are_refused_with_spectra():
+    photons = pr.PhotonMap(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
+    with pytest.raises(ValueError, match='radius should be none or a number with method="frequ'):
+        pr.irradiance_field(
+            photons, method="frequency", progressive=pr.ProgressiveSettings(radius="global")
+        )
+    with pytest.raises(ValueError, match="radius should be"):
+        pr.ProgressiveSettings(radius="local")

@@ -11,7 +11,7 @@ from photonrelax import gallery
 from photonrelax.evaluation import ComparisonRequest, SceneSubject, compare, reference
 from photonrelax.evaluation.reference import ABOUT, ReferenceSettings
 from photonrelax.evaluation.report import table as tables
-from photonrelax.rendering.progressive_render import pass_seed
+from photonrelax.rendering.passes import pass_seed
 
 SIZE = 24
 SETTINGS = ReferenceSettings(passes=4, photons=5000)

@@ -8,12 +8,12 @@ import pytest
 import photonrelax as pr
 from photonrelax.estimation import progressive
 from photonrelax.photons.photon_map import NothingStoredError
-from photonrelax.rendering import pass_statistics, progressive_render
-from photonrelax.rendering.progressive_render import pass_seed
+from photonrelax.rendering import pass_statistics, passes, progressive_render
+from photonrelax.rendering.passes import pass_seed
 from tests.helpers.short_runs import FEW, layers_bytes
 
 PLACES = {
-    "trace_photons": progressive_render,
+    "trace_photons": passes,
     "PhotonPass": pass_statistics,
     "update": progressive.HitPointStatistics,
     "PassState": pass_statistics,
@@ -84,7 +84,7 @@ def store_nothing(monkeypatch, n_passes, seed=3):
             raise NothingStoredError("all of them escaped", photons.subset([]))
         return photons
 
-    monkeypatch.setattr(progressive_render, "trace_photons", traced)
+    monkeypatch.setattr(passes, "trace_photons", traced)
 
 
 @pytest.mark.parametrize("stochastic", [False, True])
@@ -105,7 +105,7 @@ def test_passes_that_store_nothing_count_as_such(ring, monkeypatch):
     """A third of the image of the third pass alone."""
     store_nothing(monkeypatch, 2)
     three = pr.render_progressive(ring, n_passes=3, **FEW).layers["caustic"]
-    monkeypatch.setattr(progressive_render, "pass_seed", lambda seed, number: pass_seed(seed, 2))
+    monkeypatch.setattr(passes, "pass_seed", lambda seed, number: pass_seed(seed, 2))
     alone = pr.render_progressive(ring, n_passes=1, **FEW).layers["caustic"]
     assert alone.any()
     np.testing.assert_allclose(three, alone / 3.0, rtol=1e-12)

@@ -17,14 +17,14 @@ import photonrelax as pr
 from photonrelax import gallery
 from photonrelax._util import files
 from photonrelax.estimation.progressive import initial_radius
-from photonrelax.rendering import progressive_render
+from photonrelax.rendering import passes
 from photonrelax.rendering.pass_statistics import (
     FixedHitPoints,
     PassSettings,
     PassState,
     StochasticHitPoints,
 )
-from photonrelax.rendering.progressive_render import pass_seed
+from photonrelax.rendering.passes import pass_seed
 from photonrelax.rendering.view import View
 from photonrelax.scene.digest import scene_digest
 from tests.helpers.short_runs import FEW, layers_bytes
@@ -250,7 +250,7 @@ PROCESSES.set_forkserver_preload([__name__, "trimesh", "embreex", "OpenEXR"])
 def run_killed(state, stochastic, output, kill):
     """A run that is killed at a call of a function, before or after its work."""
     where, when, number = kill
-    owner = {"trace_photons": progressive_render, "fsync": os, "replace": Path}[where]
+    owner = {"trace_photons": passes, "fsync": os, "replace": Path}[where]
     work, calls = getattr(owner, where), []
 
     def killed(*arguments, **more):

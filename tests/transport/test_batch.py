@@ -56,15 +56,6 @@ def test_vertex_normals_that_came_with_a_mesh_are_pickled():
     assert contents(trace_batch(again, job)) == contents(trace_batch(context, job))
 
 
-def test_a_process_prepares_a_context_once():
-    first, second = pickle.dumps(context_of(GLASS_BALL)), pickle.dumps(context_of(GLASS_BALL))
-    one = pickle.loads(first)
-    assert pickle.loads(first) is one
-    other = pickle.loads(second)
-    assert other is not one
-    assert pickle.loads(second) is other
-
-
 def test_paths_are_used_again_and_batches_keep_their_arrays():
     context = context_of(GLASS_BALL)
     first = trace_batch(context, (0, range(1500)))

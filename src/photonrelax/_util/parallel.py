@@ -10,6 +10,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
 
+from .._ext.common.threads import team_limit
 from .cgroups import cpu_quota
 from .validation import count
 
@@ -48,6 +49,7 @@ def _n_cores() -> int:
 @contextmanager
 def thread_executor(n_threads: int) -> Iterator[Executor | None]:
     """Yield an executor of so many threads, None for one; it ends with the running calls."""
+    n_threads = min(n_threads, team_limit())
     if n_threads <= 1:
         yield None
         return

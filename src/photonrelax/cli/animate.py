@@ -14,6 +14,7 @@ from .interrupts import Interrupts
 from .progress_bar import ProgressBars
 from .scenes import is_file, scene_of
 from .streams import write_lines
+from .workers import executor_of
 
 # Import lazily, so that Ctrl-C during an import reaches `main`.
 if TYPE_CHECKING:
@@ -29,10 +30,10 @@ def animate(options: argparse.Namespace, interrupts: Interrupts) -> None:
     check_distinct({"the first frame": paths[0].with_suffix(".png"), "--movie": movie})
     missing = [number for number, path in enumerate(paths) if not path.exists()]
     if missing:
-        with ProgressBars(options.quiet, interrupts) as bars:
+        with ProgressBars(options.quiet, interrupts) as bars, executor_of(options) as executor:
             animation = _animation(options, bars)
-            for number in missing:
-                image = animation.frame(number)
+            images = animation.frames(missing, executor)
+            for number, image in zip(missing, images, strict=True):
                 interrupts.check()
                 _write_frame(image, paths[number], options.exposure)
     if movie is not None:

@@ -64,6 +64,7 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
         help="write times and counts of the stages; - writes them to standard output, and the "
         "report to standard error",
     )
+    _add_workers(parser)
     _add_common(parser)
 
 
@@ -133,6 +134,7 @@ def _add_animate(parser: argparse.ArgumentParser) -> None:
     _add_sampler(parser)
     _add_settings(parser)
     _add_image(parser)
+    _add_workers(parser)
     _add_common(parser)
 
 
@@ -196,6 +198,7 @@ def _add_trace(parser: argparse.ArgumentParser) -> None:
         help="share of the photons that get local frequency spectra, for --method "
         f"{with_spectra} (%(default)s; 0.02, say)",
     )
+    _add_workers(parser)
     _add_common(parser)
 
 
@@ -307,6 +310,7 @@ def _add_irradiance(parser: argparse.ArgumentParser) -> None:
     _add_settings(parser)
     _add_exposure(parser)
     add_caster_options(parser)
+    _add_workers(parser)
     _add_common(parser)
 
 
@@ -447,6 +451,22 @@ def _add_exposure(parser: argparse.ArgumentParser) -> None:
         default=0.0,
         metavar="STOPS",
         help="exposure of PNG images, a factor of 2^STOPS (0)",
+    )
+
+
+def _add_workers(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "workers", "processes that share the work, --threads each (1); results do not depend on it"
+    )
+    where = group.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=positive, metavar="N", help="so many on this machine")
+    where.add_argument(
+        "--scheduler",
+        metavar="tcp://HOST:PORT",
+        help="those of a Dask scheduler, with the same version of this package",
+    )
+    group.add_argument(
+        "--traceback", action="store_true", help="after an error, print where a worker had it"
     )
 
 

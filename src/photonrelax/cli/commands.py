@@ -36,9 +36,12 @@ from .interrupts import Interrupts
 from .progress_bar import ProgressBars
 from .scenes import scene_of
 from .streams import complain, escaping_streams, write_lines
+from .workers import executor_of, print_traceback
 
 # Import lazily, so that Ctrl-C during an import reaches `main`.
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from ..estimation.field import Field
     from ..estimation.methods import Settings
     from ..evaluation import ComparisonRequest
@@ -55,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0 for success, 1 for an error or a scene that `check` finds wrong, 2 for wrong usage (raised as
     SystemExit); 130 for Ctrl-C, 143 for SIGTERM and 129 for SIGHUP.
     """
+    options = argparse.Namespace()
     with escaping_streams(), Interrupts() as interrupts:
         try:
             options = parser(_COMMANDS).parse_args(arguments)
@@ -68,6 +72,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if not isinstance(error, _EXPECTED):
                 raise
             complain(f"error: {str(error) or 'out of memory'}")
+            if getattr(options, "traceback", False):
+                print_traceback(error)
             return 1
     return code or 0
 
@@ -151,7 +157,7 @@ def _render_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Im
             _place(files, image, options)
 
     scene = resized(scene_of(options.scene, options), options.width, options.height)
-    with ProgressBars(options.quiet, interrupts) as bars:
+    with ProgressBars(options.quiet, interrupts) as bars, executor_of(options) as executor:
         return pr.render_progressive(
             scene,
             n_passes=options.passes,
@@ -168,6 +174,7 @@ def _render_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Im
             checkpoints=pr.Checkpoints(options.state, options.interval or 60.0, write),
             n_threads=options.threads,
             progress=bars,
+            executor=executor,
         )
 
 
@@ -177,7 +184,7 @@ def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Imag
     settings = _render_settings(options)
     photons = None if options.photon_map is None else pr.PhotonMap.load(options.photon_map)
     scene = resized(scene_of(options.scene, options), options.width, options.height)
-    with ProgressBars(options.quiet, interrupts) as bars:
+    with ProgressBars(options.quiet, interrupts) as bars, executor_of(options) as executor:
         return pr.render(
             scene,
             method=options.method,
@@ -194,6 +201,7 @@ def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Imag
             photons=photons,
             n_threads=options.threads,
             progress=bars,
+            executor=executor,
             **settings.given,
         )
 
@@ -231,7 +239,7 @@ def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
     output = output_path(options.output, ".npz")
     scene = scene_of(options.scene, options)
-    with ProgressBars(options.quiet, interrupts) as bars:
+    with ProgressBars(options.quiet, interrupts) as bars, executor_of(options) as executor:
         photons, seconds = _timed(
             lambda: pr.trace_photons(
                 scene,
@@ -241,6 +249,7 @@ def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:
                 frequency_share=options.frequency_share,
                 n_threads=options.threads,
                 progress=bars,
+                executor=executor,
             )
         )
     photons.save(output)
@@ -359,9 +368,16 @@ def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
         irradiance_plot.check_installed()
     scene = scene_of(options.scene, options)
     size = map_size(options, scene)
-    field, photons = _field_of_scene(options, interrupts, scene, gather_radius(options, size))
-    found = ObjectMap(field, scene, options.on, options.texels, size=size, photons=photons)
     with ExitStack() as files:
+        executor = files.enter_context(executor_of(options))
+        radius = gather_radius(options, size)
+        field, photons = _field_of_scene(options, interrupts, scene, radius, executor)
+        found = ObjectMap(
+            *(field, scene, options.on, options.texels),
+            size=size,
+            photons=photons,
+            executor=executor,
+        )
         _place(files, found.image, options)
         if plot is not None:
             irradiance_plot.write_plot(
@@ -379,7 +395,11 @@ def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
 
 def _field_of_scene(
-    options: argparse.Namespace, interrupts: Interrupts, scene: pr.Scene, radius: float | None
+    options: argparse.Namespace,
+    interrupts: Interrupts,
+    scene: pr.Scene,
+    radius: float | None,
+    executor: Executor | None,
 ) -> tuple[Field, pr.PhotonMap]:
     """Field on the object to map, photons gathered within a radius unless settings have one."""
     from ..estimation.methods import MethodInput, Settings, method_named, prepare
@@ -403,6 +423,7 @@ def _field_of_scene(
             frequency_share=method.frequency_share(settings),
             n_threads=options.threads,
             progress=bars,
+            executor=executor,
         )
         there = photons_of_surface(photons, scene, object_id)
         inputs = MethodInput(there, settings, scene, options.threads, bars)

@@ -117,6 +117,9 @@ def describe_photons(photons: PhotonMap) -> str:
         f"{len(photons):,} photons of {emitted} emitted",
         f"flux: {_watts(photons.flux[~photons.on_sensor].sum(axis=0))}",
     ]
+    if photons.emitted_ranges is not None:
+        ranges = ", ".join(f"{a:,} to {b:,}" for a, b in photons.emitted_ranges.tolist())
+        lines.append(f"part of an emission: photons {ranges}")
     lines += _describe_sensors(photons)
     if len(photons):
         low, high = photons.position.min(axis=0), photons.position.max(axis=0)

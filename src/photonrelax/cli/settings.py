@@ -53,7 +53,8 @@ def _value(text: str, kind: Any) -> Any:
     members = get_args(kind) or (kind,)
     if NoneType in members and text.lower() == "none":
         return None
-    if str in members:
+    words = [word for member in members for word in get_args(member)]
+    if str in members or text in words:
         return text
     return _number(text, float in members)
 

@@ -35,6 +35,7 @@ Mahalanobis distance h from it, and no narrower than the footprint: no eigenvalu
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from time import perf_counter
 
 import numpy as np
@@ -188,13 +189,16 @@ class DiffusionField(TreeField):
         flux, _ = validation.in_units(photons.flux.mean(axis=1, keepdims=True))
         self._columns = np.column_stack([flux, self._slopes(flux, progress)])
         self.seconds = {"gradient": perf_counter() - started}
-        self._with_gradients: dict[int, _tangent.TangentPhotons] = {}
         self._largest: float | None = None
         if self.settings.normalisation == "maximum":
             started = perf_counter()
             self._largest = self._largest_slope(progress)
             self.seconds["normalise"] = perf_counter() - started
         self.used = {"diffusion": asdict(self.settings)}
+
+    @cached_property
+    def _with_gradients(self) -> dict[int, _tangent.TangentPhotons]:
+        return {}
 
     def half_axes(self, points: ArrayLike, normals: ArrayLike) -> Floats:
         """Half-axes of the elliptical kernels.

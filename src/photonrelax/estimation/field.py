@@ -14,6 +14,7 @@ from .._ext.spatial.blocks import to_soa_blocks
 from .._ext.spatial.node_sums import node_sums
 from .._ext.spatial.radius import RadiusGather
 from .._util import validation
+from .._util.parcels import state_without_caches
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
 from ..photons.axes import normal_range
@@ -69,6 +70,8 @@ class Field(ABC):
         the part of their kernel that is on surface, and are NaN where there is none; without them
         all surface is taken to go on for ever.
     """
+
+    __getstate__ = state_without_caches
 
     seconds: dict[str, float]
     used: dict[str, dict[str, Any]]
@@ -303,6 +306,9 @@ class Densities:
         self._field = field
         self._values = values
         self._laid_out = {} if laid_out is None else laid_out
+
+    def __reduce__(self) -> tuple[type, tuple[Field, Floats]]:
+        return type(self), (self._field, self._values)
 
     def __call__(
         self,

@@ -26,6 +26,7 @@ carry spectra.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -105,6 +106,11 @@ class FrequencyField(ProgressiveField):
         *,
         n_threads: int | None = None,
     ) -> None:
+        if settings is not None and settings.is_global:
+            raise ValueError(
+                'ProgressiveSettings.radius should be none or a number with method="frequency", '
+                'whose spectra limit the radius of each point, but is "global"'
+            )
         carriers = _spectrum_photons(photons)
         super().__init__(photons, settings, n_threads=n_threads)
         self.frequency = frequency or FrequencySettings()
@@ -113,7 +119,6 @@ class FrequencyField(ProgressiveField):
         self._trees = PhotonTrees(carriers, self._n_threads)
         # Variance of all light that diffuse surfaces reflect.
         self._variance = np.ascontiguousarray(operators.diffused(carriers.spectrum)[:, :1])
-        self._maxima: dict[int, MaxInRadius] = {}
 
     def least_radius(
         self, points: Floats, normals: Floats, radius: Floats, footprint: Floats | None = None
@@ -134,6 +139,10 @@ class FrequencyField(ProgressiveField):
         allowed = operators.kernel_radius(np.maximum(variance[:, 0], 0.0), self.frequency.bias)
         # Finite where the variance is zero: no radius grows.
         return np.where(known, np.minimum(allowed, radius), 0.0)
+
+    @cached_property
+    def _maxima(self) -> dict[int, MaxInRadius]:
+        return {}
 
     def _maximum(self, part: int) -> MaxInRadius:
         """The largest variance within a radius, among the photons of a tree."""

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._util import validation
-from .._util.parallel import ordered_map
 from .._util.validation import Floats
+from .._util.workers import checked_executor, n_workers, worker_map
 from .field import Field
 
 # Texels estimated together, which bounds the memory of a map beside its result.
 _TEXELS_PER_BAND = 1 << 18
+# Bands of each worker of an executor at least, so that all end at about the same time.
+_BANDS_PER_WORKER = 4
 # Largest cosine of the angle between the sides of a rectangle.
 _RIGHT_ANGLE = 1e-6
 
@@ -129,8 +130,8 @@ def irradiance_map(
     normal : (3,) array_like, optional
         Any vector on the side of the surface that the light comes from; u × v by default.
     executor : concurrent.futures.Executor, optional
-        Estimates bands of rows; by default they are estimated one after the other, each by the
-        threads of the field.
+        Estimates bands of rows, a thread each; by default they are estimated one after the other,
+        each by the threads of the field. See docs/scaling.md.
 
     Returns
     -------
@@ -156,13 +157,16 @@ def irradiance_map(
     grid = texel_grid(origin, u, v, shape, normal=normal)
     nx, ny = grid.shape
     per_band = max(_TEXELS_PER_BAND // nx, 1)
+    if checked_executor(executor) is not None:
+        per_band = min(per_band, -(-ny // (_BANDS_PER_WORKER * n_workers(executor))))
     bands = [range(first, min(first + per_band, ny)) for first in range(0, ny, per_band)]
-    parts = ordered_map(partial(_means, field, grid), bands, executor)
+    parts = worker_map(_means, (field, grid), bands, executor)
     return np.concatenate(list(parts)).reshape(ny, nx, 3)
 
 
-def _means(field: Field, grid: TexelGrid, rows: range) -> Floats:
+def _means(given: tuple[Field, TexelGrid], rows: range) -> Floats:
     """Means (n, 3) over the texels of some rows."""
+    field, grid = given
     centres = grid.centres(rows)
     normals = np.broadcast_to(grid.normal, centres.shape)
     footprint = np.broadcast_to(grid.edges, (len(centres), 2, 3))

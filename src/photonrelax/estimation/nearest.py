@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -145,7 +146,6 @@ class IrradianceField(TreeField):
             settings = replace(settings, gather_radius=radius)
             del tree
         self._trees.build()
-        self._mean_flux: dict[int, Floats] = {}
         self.settings = settings
         self.used = {"gather": asdict(settings), **(used or {})}
 
@@ -153,6 +153,10 @@ class IrradianceField(TreeField):
     def has_footprints(self) -> bool:
         """Whether there are means over footprints: there are."""
         return True
+
+    @cached_property
+    def _mean_flux(self) -> dict[int, Floats]:
+        return {}
 
     def _fill(self, out: Floats, values: Densities, points: Points) -> None:
         laid_out, tree = values.laid_out(points.part), self._trees.tree(points.part)[0]

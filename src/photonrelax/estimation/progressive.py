@@ -15,12 +15,17 @@ A pass adds Φ/πR² to the estimate, times the photons emitted in all, with its
 footprint that is the mean over it, the density with radius R of `photonrelax.estimation.footprint`,
 and M is the number of photons that a disc of radius R has at their mean density there. So R² goes
 as at points, while the estimates converge to the mean over the footprint.
+
+Radii may also go by the number of the pass alone (Knaus & Zwicker 2011), as they do on average
+above: R² of pass i is that of pass 0 times the product of (k + α) / (k + 1) over k from 1 to i. So
+a pass needs nothing of those before it; τ is then the sum of Φ / share, with the initial R.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,8 +63,10 @@ class ProgressiveSettings:
         Unless `radius` is given, the initial radius is just short of the k-th nearest photon of
         the first pass, but no larger than `automatic_gather_radius` of that pass.
         Estimates keep some k · n_passes^α photons.
-    radius : float, optional
-        Initial radius of all discs, m.
+    radius : float or "global", optional
+        Initial radius of all discs, m. "global": initial radii are as by default, but shrink by the
+        number of the pass alone, whatever it finds (Knaus & Zwicker 2011): passes can be made in
+        any order, on any machine.
 
     Notes
     -----
@@ -71,7 +78,7 @@ class ProgressiveSettings:
     alpha: float = 0.7
     n_passes: int = 8
     k: int = 5
-    radius: float | None = None
+    radius: float | Literal["global"] | None = None
 
     def __post_init__(self) -> None:
         alpha = validation.positive(self.alpha, "ProgressiveSettings.alpha")
@@ -85,9 +92,30 @@ class ProgressiveSettings:
             number = getattr(self, name)
             number = validation.count(number, f"ProgressiveSettings.{name}", low=low, high=high)
             set_field(self, name, number)
-        if self.radius is not None:
+        if isinstance(self.radius, str):
+            validation.check_choice(self.radius, "ProgressiveSettings.radius", ("global",))
+        elif self.radius is not None:
             radius = validation.radius(self.radius, "ProgressiveSettings.radius")
             set_field(self, "radius", radius)
+
+    @property
+    def is_global(self) -> bool:
+        """True if radii shrink by the number of the pass alone."""
+        return self.radius == "global"
+
+    @property
+    def initial_radius(self) -> float | None:
+        """Initial radius of all discs, m; None if it follows from the first pass."""
+        return None if isinstance(self.radius, str) else self.radius
+
+
+def radius_share(number: int, alpha: float) -> float:
+    """Squared radius of a pass over that of pass 0, whatever passes find.
+
+    The product over k of (k + α) / (k + 1) (Knaus & Zwicker 2011), by arithmetic that is the
+    same on all processors.
+    """
+    return math.prod((k + alpha) / (k + 1) for k in range(1, number + 1))
 
 
 class HitPointStatistics:
@@ -96,7 +124,7 @@ class HitPointStatistics:
     Attributes
     ----------
     radius : (m,) float64
-        Radii R of the discs, m.
+        Radii R of the discs, m; the initial ones if they shrink by the number of the pass alone.
     n : (m,) float64
         Numbers N of photons kept.
     tau : (m, c) float64
@@ -107,7 +135,15 @@ class HitPointStatistics:
         Number of passes.
     """
 
-    def __init__(self, radius: Floats, n_channels: int, *, alpha: float, n_threads: int) -> None:
+    def __init__(
+        self,
+        radius: Floats,
+        n_channels: int,
+        *,
+        alpha: float,
+        n_threads: int,
+        is_global: bool = False,
+    ) -> None:
         self.radius = radius.copy()
         self.n = np.zeros(len(radius))
         self.tau = np.zeros((len(radius), n_channels))
@@ -115,6 +151,7 @@ class HitPointStatistics:
         self.n_passes = 0
         self._alpha = alpha
         self._n_threads = n_threads
+        self._is_global = is_global
 
     @classmethod
     def from_columns(
@@ -124,10 +161,11 @@ class HitPointStatistics:
         tau: ArrayLike,
         *,
         shape: tuple[int, int],
-        alpha: float,
-        n_threads: int,
+        **settings: Any,
     ) -> HitPointStatistics:
         """Statistics whose columns are given, before any pass; `shape` is that of `tau`.
+
+        Settings are those of statistics.
 
         Raises
         ------
@@ -136,7 +174,7 @@ class HitPointStatistics:
         """
         points = shape[:1]
         start = _radii(validation.float_array(radius, "radius", points), "radius", *points)
-        statistics = cls(start, shape[1], alpha=alpha, n_threads=n_threads)
+        statistics = cls(start, shape[1], **settings)
         statistics.n = validation.not_negative(n, "n", points)
         statistics.tau = validation.not_negative(tau, "tau", shape)
         return statistics
@@ -148,25 +186,43 @@ class HitPointStatistics:
         weight: float,
         least_radius: Floats | None = None,
     ) -> None:
-        """Add the photons of a pass, numbers (m,) and sums (m, c); see `PhotonPass.within`."""
-        _kernel.update(
-            self.n,
-            self.tau,
-            self.radius,
-            counts=counts,
-            sums=sums,
-            least=least_radius,
-            alpha=self._alpha,
-            weight=weight,
-            n_threads=self._n_threads,
-        )
+        """Add the photons of a pass, numbers (m,) and sums (m, c); see `PhotonPass.within`.
+
+        They are those within `pass_radius`.
+        """
+        if self._is_global:
+            self.n += counts
+            self.tau += weight / radius_share(self.n_passes, self._alpha) * sums
+        else:
+            _kernel.update(
+                self.n,
+                self.tau,
+                self.radius,
+                counts=counts,
+                sums=sums,
+                least=least_radius,
+                alpha=self._alpha,
+                weight=weight,
+                n_threads=self._n_threads,
+            )
         self.weight += weight
         self.n_passes += 1
+
+    def pass_radius(self, number: int | None = None) -> Floats:
+        """Radii (m,) of the discs of the next pass, m; if they are global, of any pass."""
+        if not self._is_global:
+            return self.radius
+        share = radius_share(self.n_passes if number is None else number, self._alpha)
+        return np.sqrt(share) * self.radius
 
     def copy(self) -> HitPointStatistics:
         """A copy that is updated independently."""
         c = HitPointStatistics(
-            self.radius, self.tau.shape[1], alpha=self._alpha, n_threads=self._n_threads
+            self.radius,
+            self.tau.shape[1],
+            alpha=self._alpha,
+            n_threads=self._n_threads,
+            is_global=self._is_global,
         )
         c.n, c.tau = self.n.copy(), self.tau.copy()
         c.weight, c.n_passes = self.weight, self.n_passes
@@ -397,8 +453,8 @@ class InitialRadius:
         self._k = photons.counted(settings.k)
         self._trees = PhotonTrees(photons, n_threads) if trees is None else trees
         # Without photons any radius does.
-        self.largest = 1.0 if settings.radius is None else settings.radius
-        if settings.radius is None and len(photons):
+        self.largest = settings.initial_radius or 1.0
+        if settings.initial_radius is None and len(photons):
             self.largest = self._automatic(photons)
 
     def _automatic(self, photons: PhotonMap) -> float:
@@ -422,7 +478,7 @@ class InitialRadius:
         `edges` are those of the surface, as of `Field.edges`.
         """
         radius = np.full(len(positions), self.largest)
-        if self._settings.radius is not None:
+        if self._settings.initial_radius is not None:
             return radius
         for part, queries, rows in self._trees.parts(positions, normals):
             tree, k, threads = self._trees.tree(part)[0], self._k, self._n_threads

@@ -137,12 +137,14 @@ class ProgressiveField(PhotonField):
             values.n_channels,
             alpha=self.settings.alpha,
             n_threads=self._n_threads,
+            is_global=self.settings.is_global,
         )
         order = np.arange(len(position))
         for number in range(len(self._passes)):
             photons: PhotonPass = values.laid_out(number)
-            counts, sums = photons.within((position, normal), hits.radius, order, footprint)
-            least = self.least_radius(position, normal, hits.radius, footprint)
+            radius = hits.pass_radius()
+            counts, sums = photons.within((position, normal), radius, order, footprint)
+            least = self.least_radius(position, normal, radius, footprint)
             # Fluxes are divided by the number of photons emitted in all passes already.
             hits.update(counts, sums, 1.0, least)
         out[points.rows] = hits.n_passes * hits.densities()

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._ext.estimation import surface_edges as _edges
+from .._util.parcels import state_without_caches
 from .._util.validation import Floats
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
@@ -48,6 +49,8 @@ class Surface:
         self._scene = scene
         self._n_threads = n_threads
         self._among = frozenset(_no_sensors(scene) if among is None else among)
+
+    __getstate__ = state_without_caches
 
     @property
     def edges(self) -> Any:

@@ -32,7 +32,8 @@ from ..imaging.image import Image, read_exr, srgb
 from ..imaging.metrics import Errors
 from ..rendering.checkpoint import check_checkpoint
 from ..rendering.layers import total_radiance, with_radiance
-from ..rendering.progressive_render import Checkpoints, pass_seed, render_progressive
+from ..rendering.passes import pass_seed
+from ..rendering.progressive_render import Checkpoints, render_progressive
 from ..scene.digest import scene_digest
 from ..scene.scene import Scene
 from ..transport.emission import MAX_PHOTONS

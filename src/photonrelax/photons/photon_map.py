@@ -6,6 +6,7 @@ A map may come from any renderer: only position, normal and flux are required.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,7 @@ from .._util.validation import (
     not_negative,
     unit_vectors,
 )
+from . import joining
 from .energy_ledger import LEDGER_NAMES, EnergyLedger, ledger_arrays, ledger_from
 
 FORMAT_VERSION = 1
@@ -82,6 +84,9 @@ class PhotonMap:
         emitter coordinates.
     n_wavelengths : int, optional
         Wavelengths into which a path is dispersed, each with a photon in the mean; 1 by default.
+    emitted_ranges : (m, 2) array_like of int, optional
+        Starts and stops of the photons emitted, by index among all `n_emitted`, whose paths were
+        traced, ascending; None, as also if they join to all, for a whole emission.
 
     Raises
     ------
@@ -113,6 +118,7 @@ class PhotonMap:
     sensor_ids: NDArray[np.int32] | None = None
     extended_ids: NDArray[np.int32] | None = None
     n_wavelengths: int | None = None
+    emitted_ranges: Ints | None = None
 
     if TYPE_CHECKING:
         # What may be given is wider than what the fields then hold.
@@ -141,6 +147,7 @@ class PhotonMap:
             sensor_ids: ArrayLike | None = None,
             extended_ids: ArrayLike | None = None,
             n_wavelengths: int | None = None,
+            emitted_ranges: ArrayLike | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -176,6 +183,8 @@ class PhotonMap:
         for name, low in (("n_emitted", 0), ("n_wavelengths", 1)):
             if getattr(self, name) is not None:
                 set_field(self, name, count(getattr(self, name), name, low=low))
+        if self.emitted_ranges is not None:
+            set_field(self, "emitted_ranges", _emitted_ranges(self.emitted_ranges, self.n_emitted))
         set_field(self, "well_spaced", bool(self.well_spaced))
         if self.seed is not None:
             set_field(self, "seed", check_seed(self.seed))
@@ -234,6 +243,43 @@ class PhotonMap:
         }
         return replace(self, **rows)
 
+    @staticmethod
+    def concatenate(maps: Iterable[PhotonMap]) -> PhotonMap:
+        """Parts of one emission, of disjoint ranges, as one map.
+
+        Its photons are those of the whole emission to the bit if the ranges are all of it. Ledgers
+        are added, which rounds once more. It is well spaced if the parts are and their ranges join.
+
+        Parameters
+        ----------
+        maps : iterable of PhotonMap
+            Of ``trace_photons(photons=range(a, b))``, in any order.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If there are none, they are of different emissions, or ranges overlap.
+        """
+        return joining.concatenate(_maps(maps), _ARRAY_FIELDS)
+
+    @staticmethod
+    def average(maps: Iterable[PhotonMap]) -> PhotonMap:
+        """Independent maps of one scene, traced with different seeds, as one.
+
+        Flux is divided by their number and emitter densities are added; it is not well spaced.
+
+        Parameters
+        ----------
+        maps : iterable of PhotonMap
+            Of whole emissions, relaxed or not.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If there are none, two are of the same seed and number, or some cannot be of one scene.
+        """
+        return joining.average(_maps(maps), _ARRAY_FIELDS)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the map as an ``.npz`` file, whole or not at all."""
         arrays: dict[str, Any] = {
@@ -241,7 +287,7 @@ class PhotonMap:
         }
         white = self.wavelength is None
         arrays["photonmap_version"] = FORMAT_VERSION if white else DISPERSED_VERSION
-        for name in (*_SCALARS, *_ID_LISTS):
+        for name in (*_SCALARS, *_LISTS):
             if getattr(self, name) is not None:
                 arrays[name] = getattr(self, name)
         if self.ledger is not None:
@@ -271,6 +317,7 @@ class PhotonMap:
                 **scalars | {"well_spaced": bool(scalars["well_spaced"])},
                 sensor_ids=arrays.get("sensor_ids"),
                 extended_ids=arrays.get("extended_ids"),
+                emitted_ranges=arrays.get("emitted_ranges"),
                 ledger=ledger_from(arrays) if arrays.keys() & set(LEDGER_NAMES) else None,
             )
         except (TypeError, ValueError) as error:
@@ -294,13 +341,15 @@ _SCALARS = {
 }
 # Fields that list objects or emitters.
 _ID_LISTS = ("sensor_ids", "extended_ids")
+# Fields that hold neither an array with a row for each photon nor a single value.
+_LISTS = (*_ID_LISTS, "emitted_ranges")
 _ARRAY_FIELDS = tuple(
-    f.name for f in fields(PhotonMap) if f.name not in (*_SCALARS, *_ID_LISTS, "ledger")
+    f.name for f in fields(PhotonMap) if f.name not in (*_SCALARS, *_LISTS, "ledger")
 )
 
 
 # Arrays of a file; others are not read.
-_NAMES = frozenset(["photonmap_version", *_ARRAY_FIELDS, *_SCALARS, *_ID_LISTS, *LEDGER_NAMES])
+_NAMES = frozenset(["photonmap_version", *_ARRAY_FIELDS, *_SCALARS, *_LISTS, *LEDGER_NAMES])
 
 
 class NothingStoredError(ValueError):
@@ -309,6 +358,35 @@ class NothingStoredError(ValueError):
     def __init__(self, message: str, photons: PhotonMap) -> None:
         super().__init__(message)
         self.photons = photons
+
+    def __reduce__(self) -> tuple[type, tuple[str, PhotonMap]]:
+        return type(self), (str(self), self.photons)
+
+
+def _maps(maps: Iterable[PhotonMap]) -> list[PhotonMap]:
+    if isinstance(maps, PhotonMap):
+        raise TypeError("maps should be several photon maps, but is one")
+    given = list(maps)
+    if not given or not all(isinstance(each, PhotonMap) for each in given):
+        kinds = ", ".join(type(each).__name__ for each in given) or "none"
+        raise TypeError(f"maps should be PhotonMaps, at least one, but are {kinds}")
+    return given
+
+
+def _emitted_ranges(value: ArrayLike, n_emitted: int | None) -> Ints | None:
+    """Checked ranges (m, 2) of an emission; None if they are all of it."""
+    ranges = int_array(value, "emitted_ranges", (None, 2), np.int64)
+    bounds = ranges.ravel()
+    if n_emitted is None or not len(bounds) or (np.diff(bounds) < 0).any():
+        raise ValueError(
+            "emitted_ranges should be one or more starts and stops in ascending order, of "
+            f"n_emitted photons, but are {ranges.tolist()} of {n_emitted}"
+        )
+    if bounds[0] < 0 or bounds[-1] > n_emitted:
+        raise ValueError(
+            f"emitted_ranges should lie in {range(n_emitted)}, but are {ranges.tolist()}"
+        )
+    return None if ranges.tolist() == [[0, n_emitted]] else frozen(ranges)
 
 
 def _row_index(index: ArrayLike, n: int) -> NDArray:

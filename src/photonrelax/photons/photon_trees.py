@@ -63,6 +63,9 @@ class PhotonTrees:
         # A single set has all faces: the faces of single photons are not needed.
         self._face = face if self.n_sets > 1 else None
 
+    def __reduce__(self) -> tuple[type, tuple[PhotonMap, int]]:
+        return type(self), (self._photons, self._n_threads)
+
     @property
     def n_sets(self) -> int:
         """Number of face sets with a tree of their own."""

@@ -6,10 +6,12 @@ all frames, and as many photons are emitted in each. Relaxation starts from the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from typing import Any
 
+from .._util.workers import checked_executor, worker_map
 from ..imaging.image import Image
 from ..scene.casters import Targets, common_targets
 from ..scene.scene import Scene
@@ -68,10 +70,34 @@ class Animation:
         """The scene of a frame, by its number from zero."""
         return replace(self._scene_at(self.times[number]), aim=self._aim)
 
+    def frames(self, numbers: Iterable[int], executor: Executor | None = None) -> Iterator[Image]:
+        """Pictures of some frames in order, a frame a worker; ``progress`` is not called in these.
+
+        Parameters
+        ----------
+        numbers : iterable of int
+            Of the frames, from zero.
+        executor : concurrent.futures.Executor, optional
+            By default they are rendered here, one after the other. See docs/scaling.md.
+        """
+        if checked_executor(executor) is None:
+            yield from map(self.frame, numbers)
+            return
+        settings = {name: value for name, value in self._settings.items() if name != "progress"}
+        threads = settings.get("n_threads") or 1
+        scenes = map(self.scene, numbers)
+        yield from worker_map(_picture, settings, scenes, executor, n_threads=threads)
+
     def frame(self, number: int) -> Image:
         """The picture of a frame, by its number from zero."""
         image: Image = render(self.scene(number), **self._settings)
         return image
+
+
+def _picture(settings: dict[str, Any], scene: Scene) -> Image:
+    """Picture of the scene of a frame, in a worker."""
+    image: Image = render(scene, **settings)
+    return image
 
 
 def _common_aim(scene_at: SceneAt, times: Sequence[float]) -> Targets:

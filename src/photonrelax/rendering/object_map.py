@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from functools import cached_property
 
 import numpy as np
@@ -41,6 +42,8 @@ class ObjectMap:
         Side of a square around the middle of the light on the object, m, in place of all of it.
     photons : PhotonMap, optional
         Photons of the scene, which tell the lit side and encircled flux; by default the field's.
+    executor : concurrent.futures.Executor, optional
+        As of `irradiance_map`.
 
     Attributes
     ----------
@@ -64,12 +67,14 @@ class ObjectMap:
         *,
         size: float | None = None,
         photons: PhotonMap | None = None,
+        executor: Executor | None = None,
     ) -> None:
         if photons is None:
             if not isinstance(field, PhotonField):
                 raise TypeError("photons should be given with a field that has none")
             photons = field.photons
         self._field, self._photons, self._scene = field, photons, scene
+        self._executor = executor
         self.object_id = object_named(scene, name)
         item = scene.objects[self.object_id]
         normal = _plane_normal(item, object_label(self.object_id, item))
@@ -96,7 +101,9 @@ class ObjectMap:
         """Means over the texels (ny, nx, 3), row 0 on top, W/m²."""
         grid = self.grid
         return irradiance_map(
-            self._field, grid.origin, grid.u, grid.v, grid.shape, normal=grid.normal
+            *(self._field, grid.origin, grid.u, grid.v, grid.shape),
+            normal=grid.normal,
+            executor=self._executor,
         )
 
     @property

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,10 +60,14 @@ class PassSettings:
 
     def statistics(self, radius: Floats, n_before: int, n_threads: int) -> HitPointStatistics:
         """Statistics with initial radii, after a number of passes without photons."""
-        statistics = HitPointStatistics(radius, 3, alpha=self.settings.alpha, n_threads=n_threads)
+        statistics = HitPointStatistics(radius, 3, n_threads=n_threads, **self._shrinkage)
         statistics.n_passes = n_before
         statistics.weight = float(n_before * self.photons_per_pass)
         return statistics
+
+    @property
+    def _shrinkage(self) -> dict[str, Any]:
+        return {"alpha": self.settings.alpha, "is_global": self.settings.is_global}
 
     def restored(
         self, arrays: Mapping[str, NDArray], n_points: int, n_passes: int, n_threads: int
@@ -79,7 +84,7 @@ class PassSettings:
         check_names(arrays, _STATISTICS)
         columns = {name: arrays[name] for name in ("radius", "n", "tau")}
         statistics = HitPointStatistics.from_columns(
-            **columns, shape=(n_points, 3), alpha=self.settings.alpha, n_threads=n_threads
+            **columns, shape=(n_points, 3), n_threads=n_threads, **self._shrinkage
         )
         statistics.n_passes = validation.count(scalar(arrays, "disc_passes", "iu"), "disc_passes")
         statistics.weight = validation.positive(scalar(arrays, "weight", "f"), "weight")
@@ -117,12 +122,57 @@ class PassState:
         return {**values, "disc_passes": s.n_passes, **combined}
 
 
-class PassHitPoints(Protocol):
+class PassSums(NamedTuple):
+    """What a pass finds: numbers (m,) and sums (m, 3) of photons, layers that it sees by itself."""
+
+    counts: Floats
+    sums: Floats
+    layers: dict[str, Floats]
+
+
+_NOTHING = PassSums(np.empty(0), np.empty((0, 3)), {})
+
+
+class PassHitPoints(ABC):
     """Hit points that passes of photons are gathered at."""
+
+    def __init__(self, view: View, settings: PassSettings) -> None:
+        self._view = view
+        self._settings = settings
 
     def after(self, state: PassState, photons: PhotonMap, number: int) -> PassState:
         """State after the pass of a number, from zero, given that before it."""
+        gathered = _Gatherer(photons, self._settings, self._view)
+        statistics = state.statistics
+        if statistics is None and not gathered.is_empty:
+            start = self._initial_radius(gathered, number)
+            statistics = self._settings.statistics(start, number, self._view.n_threads)
+        radius = None if statistics is None else statistics.pass_radius()
+        return self.with_sums(state, statistics, self._sums(gathered, number, radius))
 
+    def sums(self, photons: PhotonMap, number: int, radius: Floats) -> PassSums:
+        """What photons of the pass of a number add within radii (m,)."""
+        return self._sums(_Gatherer(photons, self._settings, self._view), number, radius)
+
+    def with_sums(
+        self, state: PassState, statistics: HitPointStatistics | None, found: PassSums
+    ) -> PassState:
+        """State to whose statistics, or first ones, what a pass found is added."""
+        if statistics is not None:
+            statistics = statistics.copy()
+            weight = float(self._settings.photons_per_pass)
+            statistics.update(found.counts, found.sums, weight)
+        return PassState(statistics, merge_passes(state.combined, found.layers))
+
+    @abstractmethod
+    def _initial_radius(self, gathered: _Gatherer, number: int) -> Floats:
+        """Initial radii (m,), from the photons of the first pass that has any."""
+
+    @abstractmethod
+    def _sums(self, gathered: _Gatherer, number: int, radius: Floats | None) -> PassSums:
+        """What a pass finds within radii (m,); None before there are photons."""
+
+    @abstractmethod
     def restored(self, arrays: Mapping[str, NDArray], n_passes: int) -> PassState:
         """State whose `PassState.arrays` are given, after a number of passes.
 
@@ -132,11 +182,12 @@ class PassHitPoints(Protocol):
             If they are those of no such state.
         """
 
+    @abstractmethod
     def layers(self, state: PassState, n_passes: int) -> dict[str, Floats]:
         """Layers of the image after a number of passes, except ``radiance``."""
 
 
-class FixedHitPoints:
+class FixedHitPoints(PassHitPoints):
     """Hit points that are the same in every pass (PPM); each piece of surface has statistics.
 
     Estimates are means over pieces, as in `Band.estimates`.
@@ -145,8 +196,7 @@ class FixedHitPoints:
     def __init__(
         self, view: View, settings: PassSettings, indirect: IndirectField | None = None
     ) -> None:
-        self._view = view
-        self._settings = settings
+        super().__init__(view, settings)
         view.check_hits_fit()
         fixed, pieces, hits = [], [], []
         n_pieces = 0
@@ -162,19 +212,15 @@ class FixedHitPoints:
         self._order = morton_order(position, view.n_threads)
         self._piece, self._pixel, self._scale = map(np.concatenate, zip(*hits, strict=True))
 
-    def after(self, state: PassState, photons: PhotonMap, number: int) -> PassState:
-        gathered = _Gatherer(photons, self._settings, self._view)
-        statistics = state.statistics
-        if statistics is None:
-            if gathered.is_empty:
-                return state
-            edges = self._view.surface.edges
-            radius = gathered.initial_radius()(*self._points, self._footprint, edges)
-            statistics = self._settings.statistics(radius, number, self._view.n_threads)
-        statistics = statistics.copy()
-        found = gathered.within(self._points, statistics.radius, self._order, self._footprint)
-        statistics.update(*found, gathered.weight)
-        return PassState(statistics)
+    def _initial_radius(self, gathered: _Gatherer, number: int) -> Floats:
+        edges = self._view.surface.edges
+        return gathered.initial_radius()(*self._points, self._footprint, edges)
+
+    def _sums(self, gathered: _Gatherer, number: int, radius: Floats | None) -> PassSums:
+        if radius is None:
+            return _NOTHING
+        found = gathered.within(self._points, radius, self._order, self._footprint)
+        return PassSums(*found, {})
 
     def restored(self, arrays: Mapping[str, NDArray], n_passes: int) -> PassState:
         n_points, threads = len(self._footprint), self._view.n_threads
@@ -188,7 +234,7 @@ class FixedHitPoints:
         return {"caustic": caustic, **self._fixed}
 
 
-class StochasticHitPoints:
+class StochasticHitPoints(PassHitPoints):
     """Hit points that are jittered in their pixels by every pass and share its statistics (SPPM).
 
     The statistics of a pixel are of the radiance that photons cause: flux times weight · albedo / π
@@ -198,27 +244,24 @@ class StochasticHitPoints:
     def __init__(
         self, view: View, settings: PassSettings, indirect: IndirectField | None = None
     ) -> None:
-        self._view = view
-        self._settings = settings
+        super().__init__(view, settings)
         self._indirect = indirect
         self._shift = seed_shift(settings.seed)
 
-    def after(self, state: PassState, photons: PhotonMap, number: int) -> PassState:
-        gathered = _Gatherer(photons, self._settings, self._view)
-        offset, statistics = self.offset(number), state.statistics
-        if statistics is None and not gathered.is_empty:
-            radius = self._least_radius(gathered.initial_radius(), offset)
-            statistics = self._settings.statistics(radius, number, self._view.n_threads)
+    def _initial_radius(self, gathered: _Gatherer, number: int) -> Floats:
+        return self._least_radius(gathered.initial_radius(), self.offset(number))
+
+    def _sums(self, gathered: _Gatherer, number: int, radius: Floats | None) -> PassSums:
         layers, found = [], []
-        for band in self._view.bands(offset, number):
+        for band in self._view.bands(self.offset(number), number):
             layers.append(_layers_of(band, self._indirect))
-            if statistics is not None:
-                found.append(gathered.within_pixels(band, statistics.radius))
-        if statistics is not None:
-            counts, sums = (np.concatenate(column) for column in zip(*found, strict=True))
-            statistics = statistics.copy()
-            statistics.update(counts, sums, gathered.weight)
-        return PassState(statistics, merge_passes(state.combined, concatenate_bands(layers)))
+            if radius is not None:
+                found.append(gathered.within_pixels(band, radius))
+        seen = concatenate_bands(layers)
+        if radius is None:
+            return _NOTHING._replace(layers=seen)
+        counts, sums = (np.concatenate(column) for column in zip(*found, strict=True))
+        return PassSums(counts, sums, seen)
 
     def restored(self, arrays: Mapping[str, NDArray], n_passes: int) -> PassState:
         height, width = self._view.shape
@@ -275,7 +318,6 @@ class _Gatherer:
         n_threads = view.n_threads
         trees = PhotonTrees(photons, n_threads)
         self.within = PhotonPass(trees, photons.flux, n_threads, view.surface).within
-        self.weight = float(settings.photons_per_pass)
         self.is_empty = len(photons) == 0
         self.initial_radius = partial(InitialRadius, photons, settings.settings, n_threads, trees)
 

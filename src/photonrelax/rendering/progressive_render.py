@@ -11,9 +11,11 @@ and the number of the pass, so that a resumed run has the bits of an uninterrupt
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import count, takewhile
 from time import perf_counter
 from typing import Any
 
@@ -26,13 +28,14 @@ from .._util.frozen import set_field
 from .._util.npz import check_names, scalar
 from .._util.progress import Progress
 from .._util.validation import check_seed
+from .._util.workers import Workers, checked_executor
 from .._version import __version__
 from ..estimation.indirect import IndirectField
 from ..estimation.methods import PASSES_METHOD
 from ..estimation.nearest import GatherSettings
 from ..estimation.progressive import ProgressiveSettings
 from ..imaging.image import Image
-from ..photons.photon_map import NothingStoredError, PhotonMap
+from ..photons.photon_map import NothingStoredError
 from ..scene.digest import scene_digests
 from ..scene.scene import Scene
 from ..transport.emission import MAX_PHOTONS
@@ -47,6 +50,7 @@ from .pass_statistics import (
     PassState,
     StochasticHitPoints,
 )
+from .passes import PassFindings, PassGatherer, PassPhotons, PassTracer
 from .plan import plan
 from .view import View
 
@@ -95,6 +99,7 @@ def render_progressive(
     checkpoints: Checkpoints | None = None,
     n_threads: int | None = None,
     progress: Progress | None = None,
+    executor: Executor | None = None,
 ) -> Image:
     """Render the view of a scene's camera by passes of photons; errors of caustics tend to zero.
 
@@ -115,6 +120,9 @@ def render_progressive(
         File to save the run to and to resume it from; use of the image so far.
     n_threads, progress : int, callable, optional
         Threads, by default all; called as ``progress("passes" or "seconds", done, total)``.
+    executor : concurrent.futures.Executor, optional
+        Makes passes in its workers, by `n_threads` or one each: their photons alone, or all of them
+        with ``ProgressiveSettings(radius="global")``. See docs/scaling.md.
 
     Returns
     -------
@@ -132,11 +140,12 @@ def render_progressive(
         checkpoints or Checkpoints(),
     )
     limits: dict[str, Any] = {"supersampling": supersampling, "max_depth": max_depth}
+    workers = Workers(checked_executor(executor), n_threads or 1)
     view = View(scene, **limits, light_samples=light_samples, seed=seed, n_threads=n_threads)
     of_passes = _pass_settings(view, settings, photons_per_pass, seed, stochastic)
     check_photons_fit(scene, of_passes.photons_per_pass, view.caster)
     with _locked(checkpoints.state):
-        run = _Run(view, _with_indirect(view, of_passes, n_global, indirect))
+        run = _Run(view, _with_indirect(view, of_passes, n_global, indirect), workers)
         return _run_to_end(run, stop, checkpoints, progress)
 
 
@@ -178,12 +187,6 @@ def _checked_settings(settings: ProgressiveSettings | None) -> ProgressiveSettin
     return settings or ProgressiveSettings()
 
 
-def pass_seed(seed: int, number: int) -> int:
-    """Seed of a pass: the first 64 bits of NumPy's ``SeedSequence((seed, number))``."""
-    state = np.random.SeedSequence((check_seed(seed), validation.count(number, "number", low=0)))
-    return int(state.generate_state(1, np.uint64)[0])
-
-
 @dataclass(frozen=True)
 class _StopCondition:
     """Number of passes and seconds after which a run ends."""
@@ -219,6 +222,7 @@ def _run_to_end(
     """Image of a run that is resumed, and run to its end with checkpoints."""
     checkpointer = _Checkpointer(run, checkpoints)
     checkpointer.resume(stop)
+    run.n_wanted = stop.n_passes
     _loop(run, stop, checkpointer, progress)
     run.check()
     return run.image()
@@ -254,6 +258,8 @@ def _loop(
     except BaseException:
         checkpointer.save_state()
         raise
+    finally:
+        run.close()
 
 
 class _Checkpointer:
@@ -335,8 +341,11 @@ class _Completed:
 class _Run:
     """A progressive render, pass by pass."""
 
-    def __init__(self, view: View, settings: PassSettings) -> None:
+    def __init__(self, view: View, settings: PassSettings, workers: Workers) -> None:
         self.seconds = 0.0
+        self.n_wanted = np.inf
+        self._workers = workers
+        self._ahead: Generator[PassPhotons | PassFindings] | None = None
         self._completed = _Completed()
         self._view = view
         self._settings = settings
@@ -345,7 +354,7 @@ class _Run:
         self._indirect = _indirect_field(view, settings) if settings.n_global else None
         self._seconds_of_indirect = perf_counter() - started
         self._hit_points: PassHitPoints = kind(view, settings, self._indirect)
-        self._nothing: NothingStoredError | None = None
+        self._nothing: str | None = None
 
     @property
     def n_passes(self) -> int:
@@ -371,24 +380,42 @@ class _Run:
     def advance(self) -> None:
         """Do the next pass."""
         done = self._completed
-        photons = self._photons(done.n_passes)
-        state = self._hit_points.after(done.state, photons, done.n_passes)
-        self._completed = _Completed(done.n_passes + 1, done.n_stored + len(photons), state)
+        found = self._found()
+        self._nothing = found.nothing or self._nothing
+        if isinstance(found, PassFindings):
+            n_stored, statistics = found.n_stored, done.state.statistics
+            state = self._hit_points.with_sums(done.state, statistics, found.sums)
+        else:
+            n_stored = len(found.photons)
+            state = self._hit_points.after(done.state, found.photons, done.n_passes)
+        self._completed = _Completed(done.n_passes + 1, done.n_stored + n_stored, state)
 
-    def _photons(self, number: int) -> PhotonMap:
-        """Photons of a pass; an empty map if none is stored."""
-        try:
-            return trace_photons(
-                self._view.scene,
-                self._settings.photons_per_pass,
-                seed=pass_seed(self._settings.seed, number),
-                n_threads=self._view.n_threads,
-                caster=self._view.caster,
-                sensors=False,
-            )
-        except NothingStoredError as nothing:
-            self._nothing = nothing
-            return nothing.photons
+    def _found(self) -> PassPhotons | PassFindings:
+        """Photons of the next pass, or what they add, from workers if there are any."""
+        done, tracer = self._completed, self._tracer
+        statistics = done.state.statistics
+        if self._workers.executor is None:
+            return tracer.trace(done.n_passes)
+        if self._ahead is None:
+            numbers = takewhile(lambda number: number < self.n_wanted, count(done.n_passes))
+            if not self._settings.settings.is_global:
+                self._ahead = self._workers.map(PassTracer.trace_lean, tracer, numbers)
+            elif statistics is None:
+                # Initial radii follow from the photons of the first pass that stores any.
+                return tracer.trace(done.n_passes)
+            else:
+                gatherer = PassGatherer(tracer, self._hit_points, statistics)
+                self._ahead = self._workers.map(PassGatherer.gather, gatherer, numbers)
+        return next(self._ahead)
+
+    @property
+    def _tracer(self) -> PassTracer:
+        return PassTracer(self._view, self._settings.photons_per_pass, self._settings.seed)
+
+    def close(self) -> None:
+        """Cancel passes that workers are making."""
+        if self._ahead is not None:
+            self._ahead.close()
 
     def check(self) -> None:
         """Raise ValueError if no pass has stored anything."""

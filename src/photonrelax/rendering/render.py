@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from concurrent.futures import Executor
 from dataclasses import asdict, replace
 from functools import partial
 from time import perf_counter
@@ -12,6 +13,7 @@ import numpy as np
 
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, check_choice, check_seed, count
+from .._util.workers import Workers, checked_executor
 from ..estimation.field import Field
 from ..estimation.indirect import IndirectField
 from ..estimation.methods import (
@@ -29,8 +31,8 @@ from ..photons.photon_map import NothingStoredError, PhotonMap
 from ..scene.scene import Scene
 from ..transport.emission import PATHS, SAMPLERS, EmissionPlan, plan_emission
 from ..transport.trace import trace_photons
+from .bands import BandRenderer
 from .final_gather import FinalGather
-from .layers import FieldEstimates, band_layers, with_radiance
 from .metadata import ledger_values, metadata, photon_metadata
 from .plan import Plan, plan
 from .view import View, concatenate_bands
@@ -53,6 +55,7 @@ def render(
     final_gather: int = 0,
     n_threads: int | None = None,
     progress: Progress | None = None,
+    executor: Executor | None = None,
     **settings: Unpack[StageSettings],
 ) -> Image:
     """Render the view of a scene's camera: direct light, caustics and indirect light.
@@ -75,6 +78,9 @@ def render(
         piece of surface in a pixel, see `photonrelax.rendering.final_gather`, 0 for none.
     n_threads, progress : int, callable, optional
         Threads, by default all; called as ``progress(stage, done, total)``.
+    executor : concurrent.futures.Executor, optional
+        Traces photons and renders bands of rows in its workers, by `n_threads` or one each; methods
+        prepare their fields here. See docs/scaling.md.
     **settings
         As in `photonrelax.irradiance_field`; defaults are the papers', except those of diffusion.
 
@@ -91,7 +97,8 @@ def render(
     """
     limits: dict[str, Any] = {"supersampling": supersampling, "max_depth": max_depth}
     view = View(scene, **limits, light_samples=light_samples, seed=seed, n_threads=n_threads)
-    stages = _Stages(view, progress, seed=seed, sampler=sampler)
+    workers = Workers(checked_executor(executor), n_threads or 1)
+    stages = _Stages(view, progress, workers, seed=seed, sampler=sampler)
     stages.plan(photons, n_emitted, n_global, components)
     stages.prepare_caustic(method, settings_of("render", dict(settings)))
     stages.prepare_indirect(indirect, final_gather)
@@ -113,6 +120,12 @@ def _check_scene(photons: PhotonMap, scene: Scene) -> None:
         raise TypeError(
             f"photons should be a PhotonMap, but is {type(photons).__name__}; "
             "the number to trace is n_emitted"
+        )
+    if photons.emitted_ranges is not None:
+        raise ValueError(
+            "photons should be of a whole emission, but are of the ranges "
+            f"{photons.emitted_ranges.tolist()} of {photons.n_emitted}: join its parts by "
+            "PhotonMap.concatenate"
         )
     ledger, paths, sampler = photons.ledger, photons.paths, photons.sampler
     if ledger is None or paths not in PATHS or sampler not in SAMPLERS:
@@ -163,9 +176,12 @@ class _Stages:
 
     _plan: Plan
 
-    def __init__(self, view: View, progress: Progress | None, **sequence: Any) -> None:
+    def __init__(
+        self, view: View, progress: Progress | None, workers: Workers, **sequence: Any
+    ) -> None:
         self._view = view
         self._progress = progress
+        self._workers = workers
         check_seed(sequence["seed"])
         check_choice(sequence["sampler"], "sampler", SAMPLERS)
         self._sequence = sequence
@@ -265,6 +281,7 @@ class _Stages:
             progress=self._progress,
             caster=view.caster,
             sensors=False,
+            executor=self._workers.executor,
         )
         self._record(stage, perf_counter() - started, emitted=n_emitted, stored=len(photons))
         return photons
@@ -280,20 +297,16 @@ class _Stages:
     def _layers(self) -> dict[str, Floats]:
         started, view = perf_counter(), self._view
         report = Reporter(self._progress, "render", view.camera.height)
-        caustic = None if self._caustic is None else FieldEstimates(self._caustic)
+        models = self._plan.models("direct"), self._plan.models("emission")
+        renderer = BandRenderer(view, *models, self._caustic, self._gather or self._indirect)
         parts, n_hit_points = [], 0
-        for band in view.bands(direct=self._plan.models("direct")):
-            estimates = {} if caustic is None else caustic(band)
-            if self._gather is not None:
-                estimates["indirect"] = band.radiance(self._gather(band))
-            elif self._indirect is not None:
-                estimates["indirect"] = band.radiance(band.estimates(self._indirect))
-            layers = band_layers(band, estimates)
-            if not self._plan.models("emission"):
-                layers.pop("emission", None)
-            parts.append(with_radiance(layers))
-            n_hit_points += len(band.hits)
-            report.advance(len(band.rows))
+        rows = view.row_ranges(self._workers.n_tasks)
+        for band, found in zip(
+            rows, self._workers.map(BandRenderer.layers, renderer, rows), strict=True
+        ):
+            parts.append(found.layers)
+            n_hit_points += found.n_hit_points
+            report.advance(len(band))
         self._record("render", perf_counter() - started, hit_points=n_hit_points)
         return concatenate_bands(parts)
 

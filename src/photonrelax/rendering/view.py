@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from .._ext.transport.samples import merge_samples
 from .._util import validation
 from .._util.memory import ESTIMATE_MARGIN, available_memory, check_memory
 from .._util.parallel import thread_count
+from .._util.parcels import state_without_caches
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats
 from ..estimation.field import Densities, Field
@@ -188,6 +189,10 @@ class View:
         self.n_threads = thread_count(n_threads)
         self._check_image_fits()
 
+    def __getstate__(self) -> dict[str, Any]:
+        # The caster is kept by processes that unpickle it.
+        return state_without_caches(self) | {"caster": self.caster}
+
     def _check_image_fits(self) -> None:
         height, width = self.shape
         check_memory(
@@ -268,12 +273,26 @@ class View:
         Samples lie at `offset` in the cells of the grid of their pixel; see `pixel_rays`. Those of
         extended emitters differ by `number`, that of a pass.
         """
+        for rows in self.row_ranges():
+            yield self.band(rows, offset, number, direct=direct)
+
+    def row_ranges(self, n_bands: int = 1) -> list[range]:
+        """Rows of bands from the top down, at least so many bands if there are so many rows."""
         height, width = self.shape
         rows_per_band = max(_RAYS_PER_BAND // (width * self.supersampling**2), 1)
-        for top in range(0, height, rows_per_band):
-            yield self._band(range(top, min(top + rows_per_band, height)), offset, number, direct)
+        rows_per_band = min(rows_per_band, -(-height // n_bands))
+        tops = range(0, height, rows_per_band)
+        return [range(top, min(top + rows_per_band, height)) for top in tops]
 
-    def _band(self, rows: range, offset: tuple[float, float], number: int, direct: bool) -> Band:
+    def band(
+        self,
+        rows: range,
+        offset: tuple[float, float] = CENTRE,
+        number: int = 0,
+        *,
+        direct: bool = True,
+    ) -> Band:
+        """Trace the camera rays of some rows; see `bands`."""
         hits, first = trace_hit_points(
             self.scene,
             self.caster,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from hashlib import blake2b
 from typing import Any
@@ -23,6 +23,11 @@ def scene_digests(scene: Scene) -> dict[str, str]:
 def scene_digest(scene: Scene) -> str:
     """Return the digest of a whole scene, its name included."""
     return _digest(scene)
+
+
+def objects_digest(objects: Sequence[SceneObject]) -> str:
+    """Return the digest of some objects."""
+    return _digest(list(objects))
 
 
 def _digest(value: Any) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._util.frozen import set_field
+from .._util.parcels import state_without_caches
 from .._util.validation import Floats
 from .camera import Camera
 from .casters import MAX_GROUPS, Targets, bounding_sphere, group_spheres
@@ -136,6 +137,8 @@ class Scene:
         for i, item in enumerate(self.objects):
             if any(item.edge_defects):
                 warnings.warn(_defects_text(i, item), stacklevel=3)
+
+    __getstate__ = state_without_caches
 
     @cached_property
     def surfaces(self) -> tuple[SceneObject, ...]:

@@ -93,6 +93,11 @@ class KDTree:
     def __len__(self) -> int:
         return self.n_points
 
+    def __reduce__(self) -> tuple[type, tuple[Floats, int]]:
+        lanes = np.asarray(self.kernel.coords)
+        in_order = lanes.transpose(0, 2, 1).reshape(-1, self.n_axes)[: self.n_points]
+        return type(self), (in_order[self._places()], self.n_metric)
+
     def query(
         self,
         queries: ArrayLike,

@@ -5,9 +5,9 @@ A batch can be traced in any thread or process: a `TraceContext` is pickled by i
 
 from __future__ import annotations
 
-import pickle
+from collections.abc import Sequence
 from dataclasses import dataclass
-from uuid import uuid4
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,8 +87,7 @@ class TracedBatch:
 class TraceContext:
     """A scene prepared for tracing batches of up to `size` paths, from several threads at once.
 
-    It is pickled by its arguments. A process that unpickles it for job after job builds it once,
-    and keeps it until it unpickles another one.
+    It is pickled by its arguments: `worker_map` keeps it in its workers.
     """
 
     def __init__(
@@ -115,7 +114,6 @@ class TraceContext:
         self._along_curve = sum(len(item.mesh.faces) for item in scene.surfaces) > _MANY_FACES
         self.emissions = [plan.emission(region) for region in range(len(plan.aimed))]
         self._free_list: list[_kernel.Paths] = []
-        self._pickled: tuple[str, bytes] | None = None
 
     def acquire_paths(self) -> _kernel.Paths:
         """Return paths released before, whose memory may still be in the cache, or new ones."""
@@ -168,22 +166,8 @@ class TraceContext:
         self._free_list.append(paths)
 
     def __reduce__(self) -> tuple:
-        if self._pickled is None:
-            parts = (self.scene, self.plan, self.settings, self.size)
-            self._pickled = uuid4().hex, pickle.dumps(parts)
-        return _unpickled_context, self._pickled
-
-
-_last_context: tuple[str, TraceContext] | None = None
-
-
-def _unpickled_context(key: str, parts: bytes) -> TraceContext:
-    """Return the context of a key: the last one of this process, or a new one."""
-    global _last_context
-    last = _last_context
-    if last is None or last[0] != key:
-        last = _last_context = key, TraceContext(*pickle.loads(parts))
-    return last[1]
+        parts = (self.scene, self.plan, self.settings, self.size)
+        return partial(TraceContext, caster=self.caster), parts
 
 
 def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
@@ -204,6 +188,11 @@ def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
     context.release_paths(paths)
     path, rows = _spectrum_rows(context, region_id, candidates, deposits)
     return TracedBatch(deposits, coords, density, ledger, candidates[path], rows)
+
+
+def trace_batches(context: TraceContext, jobs: Sequence[Job]) -> list[TracedBatch]:
+    """Trace several batches, one after the other: a task of a worker."""
+    return [trace_batch(context, job) for job in jobs]
 
 
 def _spectrum_rows(

@@ -131,6 +131,32 @@ class EmissionPlan:
         np.add.at(flux, ids, photons * self.flux_per_photon)
         return flux
 
+    def parts(self, photons: range) -> list[tuple[int, range]]:
+        """Regions, and their photons, among some photons of all regions in order."""
+        stops = np.cumsum(self.counts).tolist()
+        found = []
+        for region_id, (n, stop) in enumerate(zip(self.counts.tolist(), stops, strict=True)):
+            first = stop - n
+            mine = range(max(photons.start - first, 0), min(photons.stop - first, n))
+            if len(mine):
+                found.append((region_id, mine))
+        return found
+
+    def flux_of(self, photons: range) -> Floats:
+        """W that each emitter sends out with some photons of all regions, (n_emitters, 3)."""
+        flux, per_photon = np.zeros_like(self.flux), self.flux_per_photon
+        for region_id, mine in self.parts(photons):
+            colour = self._mean_colour(region_id, mine)
+            flux[self.emitter_ids[region_id]] += len(mine) * colour * per_photon[region_id]
+        return flux
+
+    def _mean_colour(self, region_id: int, photons: range) -> Floats:
+        if len(photons) == self.counts[region_id]:
+            return self.colours[region_id]
+        first = self.candidates_of(region_id, range(photons.start, photons.start + 1))[0]
+        last = self.candidates_of(region_id, range(photons.stop - 1, photons.stop))[0]
+        return np.array(self.emission(region_id).mean_colour(last + 1, first))
+
     def emission(self, region_id: int) -> _kernel.Emission:
         """The kernel that emits the candidates of a region, each from its index."""
         n_candidates = int(self.candidates[region_id])

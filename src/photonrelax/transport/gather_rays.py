@@ -8,6 +8,9 @@ square it carries by ray differentials to the surface it meets.
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 
 from .._ext.transport.hit_points import CameraPaths
@@ -44,6 +47,10 @@ class GatherRays:
         self._materials = Materials(scene.material_table())
         self._media = MediaFinder(scene, caster, self._materials)
         self._extent = scene.scale
+
+    def __reduce__(self) -> tuple[Any, tuple[Scene, RayCaster]]:
+        rebuild = partial(GatherRays, max_depth=self._max_depth, n_threads=self._n_threads)
+        return rebuild, (self._scene, self._caster)
 
     def trace(self, position: Floats, normal: Floats, n_rays: int, shifts: Floats) -> HitPoints:
         """Trace rays from points to diffuse surfaces.

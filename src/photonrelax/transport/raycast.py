@@ -18,7 +18,9 @@ from .._ext.transport.hit_points import CameraPaths
 from .._ext.transport.raycast import EmbreeFrame, EmbreeHits, Triangles
 from .._ext.transport.trace import Paths
 from .._util.parallel import for_each_slice, thread_count
+from .._util.parcels import kept
 from .._util.validation import Floats, float_array
+from ..scene.digest import objects_digest
 from ..scene.meshes import nondegenerate_faces, vertices_of
 from ..scene.resolution import MAX_SPREAD, ROUNDING, Resolution
 from ..scene.scene import SceneObject, object_label
@@ -120,6 +122,7 @@ class RayCaster:
         if not objects:
             raise ValueError("objects should not be empty")
         ids = _visible_ids(objects) if object_ids is None else list(object_ids)
+        self._objects, self._ids = objects, ids
         # The frame needs an extent, if only that of objects that rays do not hit.
         whole = _concatenate_parts(
             {i: _nondegenerate_part(objects[i]) for i in ids or range(len(objects))}
@@ -153,6 +156,9 @@ class RayCaster:
             )
         smooth = np.array([item.smooth for item in objects], dtype=np.uint8)
         self.triangles = Triangles(self.frame, whole.corners, whole.faces, whole.face_id, smooth)
+
+    def __reduce__(self) -> tuple[Any, tuple[Sequence[SceneObject], list[int]]]:
+        return _kept_caster, (self._objects, self._ids)
 
     def find(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> EmbreeHits:
         """Return embree's hits of rays (n, 3) in its own frame.
@@ -319,6 +325,12 @@ class RayCaster:
                 f"{first + bad} goes from {origins[bad]} towards {directions[bad]}"
             )
         return out
+
+
+def _kept_caster(objects: Sequence[SceneObject], object_ids: list[int]) -> RayCaster:
+    """Caster of some objects, built once in a process that unpickles it again and again."""
+    key = f"caster of {objects_digest(objects)} {object_ids}"
+    return kept(key, lambda: RayCaster(objects, object_ids))
 
 
 @dataclass(frozen=True)

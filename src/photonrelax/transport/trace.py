@@ -21,6 +21,7 @@ batches takes a few hundred bytes.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 from itertools import groupby
@@ -35,12 +36,21 @@ from .._util.memory import ESTIMATE_MARGIN, available_memory, check_memory
 from .._util.parallel import ordered_map, thread_count, thread_executor
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, check_choice, count, float_array
+from .._util.workers import checked_executor, n_workers, worker_map
 from ..photons.energy_ledger import PATH_OUTCOMES, EnergyLedger
 from ..photons.photon_map import NothingStoredError, PhotonMap
 from ..scene.dispersion import N_WAVELENGTHS
 from ..scene.scene import Scene
 from .allotment import allotted_plan
-from .batch import BatchLedger, Job, TraceContext, TracedBatch, TraceSettings, trace_batch
+from .batch import (
+    BatchLedger,
+    Job,
+    TraceContext,
+    TracedBatch,
+    TraceSettings,
+    trace_batch,
+    trace_batches,
+)
 from .emission import PATHS, EmissionPlan, checked_numbers, emit
 from .frequency.spectra import ReplayBatch, SpectrumTracer, batches_by_region
 from .media import warn_of_faults
@@ -60,6 +70,9 @@ PHOTON_BYTES = 148
 _LEDGER_BYTES = 8 * 3 * len(PATH_OUTCOMES)
 # Crossings of a sensor between two events, at most, but for sensors with hollows.
 _CROSSINGS = 2
+# Paths of a task of an executor at most, some tenths of a second, and tasks of a worker at least,
+# so that all end at about the same time.
+_PATHS_PER_TASK, _TASKS_PER_WORKER = 2**18, 4
 # Paths from which the number of photons stored is estimated.
 _PILOT = 16384
 # Photons of a region that are looked at to tell why nothing is stored.
@@ -85,6 +98,7 @@ def trace_photons(
     scene: Scene,
     n_emitted: int | Sequence[int],
     *,
+    photons: range | None = None,
     seed: int = 0,
     paths: str = "caustic",
     sampler: str = "halton",
@@ -95,6 +109,7 @@ def trace_photons(
     batch_size: int = 16384,
     caster: RayCaster | None = None,
     sensors: bool = True,
+    executor: Executor | None = None,
 ) -> PhotonMap:
     """Emit photons, trace their paths and store them on diffuse surfaces and sensors.
 
@@ -104,6 +119,9 @@ def trace_photons(
         Objects and emitters.
     n_emitted : int or sequence of int
         Paths to start, apportioned by what emitters bring to what is stored; or those of each.
+    photons : range, optional
+        Those of the n_emitted to trace, by index over all regions in order; all by default. Parts
+        are joined by `PhotonMap.concatenate`; one that stores nothing is an empty map.
     seed : int
         Photon i of an emission region depends on it and on i alone.
     paths : {"caustic", "global", "all"}
@@ -123,6 +141,8 @@ def trace_photons(
     sensors : bool
         Store photons on the scene's sensors too. Others do not depend on sensors, unless these
         reach beyond the other objects and `paths` is "all".
+    executor : concurrent.futures.Executor, optional
+        Traces batches in its workers, a thread each; spectra are found here. See docs/scaling.md.
 
     Returns
     -------
@@ -143,10 +163,24 @@ def trace_photons(
         )
     threads = thread_count(n_threads)
     numbers, caster = checked_numbers(n_emitted, scene), caster or RayCaster(scene.surfaces)
-    _check_memory(scene, int(np.sum(numbers)), settings, caster, threads)
+    traced = _checked_photons(photons, int(np.sum(numbers)))
+    _check_memory(scene, len(traced), settings, caster, threads)
     plan = allotted_plan(scene, numbers, settings, seed=seed, sampler=sampler, caster=caster)
     context = TraceContext(scene, plan, settings, _batch_capacity(batch_size, plan), caster=caster)
-    return _trace_all(context, threads, progress)
+    return _trace_all(context, traced, threads, progress, checked_executor(executor))
+
+
+def _checked_photons(photons: range | None, n_emitted: int) -> range:
+    """Photons to trace of an emission, all by default."""
+    if photons is None:
+        return range(n_emitted)
+    if not isinstance(photons, range):
+        raise TypeError(f"photons should be a range of indices, but is {type(photons).__name__}")
+    if photons.step != 1 or not 0 <= photons.start < photons.stop <= n_emitted:
+        raise ValueError(
+            f"photons should be some of {range(n_emitted)} in steps of 1, but is {photons}"
+        )
+    return photons
 
 
 def _batch_capacity(batch_size: int, plan: EmissionPlan) -> int:
@@ -209,34 +243,64 @@ def _stored_per_path(
     plan = allotted_plan(scene, n, settings, caster=caster)
     pilot = TraceContext(scene, plan, replace(settings, frequency_share=0.0), _PILOT, caster=caster)
     try:
-        return len(_trace_all(pilot, n_threads, None)) / n
+        return len(_trace_all(pilot, range(n), n_threads, None)) / n
     except NothingStoredError:
         return 0.0
 
 
-def _trace_all(context: TraceContext, n_threads: int, progress: Progress | None) -> PhotonMap:
-    """Return the photons of all batches."""
+def _trace_all(
+    context: TraceContext,
+    traced: range,
+    n_threads: int,
+    progress: Progress | None,
+    executor: Executor | None = None,
+) -> PhotonMap:
+    """Photons of all batches of those to trace."""
     plan, settings = context.plan, context.settings
-    report = Reporter(progress, "trace", int(plan.counts.sum()))
-    columns, ledgers, selected = _Columns(plan, context.materials.has_dispersion), [], []
-    with thread_executor(n_threads) as executor:
-        work, jobs = partial(trace_batch, context), _jobs(plan, context.size)
-        for batch in ordered_map(work, jobs, executor, max_pending=2 * n_threads):
-            first = columns.append(batch)
-            ledgers.append(batch.ledger)
-            if settings.frequency_share:
-                rows = first + batch.spectrum_rows
-                selected.append(ReplayBatch(batch.ledger.region_id, batch.spectrum_photons, rows))
-            report.advance(batch.ledger.n_paths)
-            # The deposits are freed before the next batch is traced.
-            del batch
+    report = Reporter(progress, "trace", len(traced))
+    columns = _Columns(plan, len(traced), context.materials.has_dispersion)
+    ledgers, selected = [], []
+    for batch in _batches(context, traced, n_threads, executor):
+        first = columns.append(batch)
+        ledgers.append(batch.ledger)
+        if settings.frequency_share:
+            rows = first + batch.spectrum_rows
+            selected.append(ReplayBatch(batch.ledger.region_id, batch.spectrum_photons, rows))
+        report.advance(batch.ledger.n_paths)
+        # The deposits are freed before the next batch is traced.
+        del batch
     faults = [*context.faults, *(ledger.faults for ledger in ledgers)]
     n_paths = sum(ledger.n_paths for ledger in ledgers)
     warn_of_faults(context.scene, faults, n_paths, context.materials)
-    photons = _photon_map(context, columns, ledgers)
+    photons = _photon_map(context, traced, columns, ledgers)
     if not settings.frequency_share:
         return photons
     return photons.replace(spectrum=_spectra(context, selected, len(photons), n_threads, progress))
+
+
+def _batches(
+    context: TraceContext, traced: range, n_threads: int, executor: Executor | None
+) -> Iterator[TracedBatch]:
+    """All batches in order, traced by threads of this process or by an executor."""
+    jobs = _jobs(context.plan, traced, context.size)
+    if executor is None:
+        with thread_executor(n_threads) as threads:
+            work = partial(trace_batch, context)
+            yield from ordered_map(work, jobs, threads, max_pending=2 * n_threads)
+        return
+    tasks = _tasks(list(jobs), context.size, n_workers(executor))
+    for batches in worker_map(trace_batches, context, tasks, executor):
+        # Popped, so that one that was taken in is not held on to.
+        while batches:
+            yield batches.pop(0)
+
+
+def _tasks(jobs: list[Job], size: int, n_workers: int) -> Iterator[list[Job]]:
+    """Jobs of batches of a size together: some tasks for each worker, none of them long."""
+    per_worker = -(-len(jobs) // (_TASKS_PER_WORKER * n_workers))
+    per_task = max(1, min(_PATHS_PER_TASK // size, per_worker))
+    for first in range(0, len(jobs), per_task):
+        yield jobs[first : first + per_task]
 
 
 def _checked_settings(
@@ -277,14 +341,14 @@ def _spectra(
 class _Columns:
     """The columns of a photon map that grows batch by batch, in place."""
 
-    def __init__(self, plan: EmissionPlan, has_wavelengths: bool) -> None:
+    def __init__(self, plan: EmissionPlan, n_planned: int, has_wavelengths: bool) -> None:
         emitting = (region for region, n in zip(plan.regions, plan.counts, strict=True) if n)
         coords_width = 2 if all(region.is_plane for region in emitting) else 3
         self._widths = _WIDTHS | {"emitter_coords": coords_width}
         self._dtypes = _DTYPES | ({"wavelength": np.float64} if has_wavelengths else {})
         self._arrays = self._empty(0)
         self._flux, self._emitter_ids = plan.flux_per_photon, plan.emitter_ids
-        self._n_planned = int(plan.counts.sum())
+        self._n_planned = n_planned
         self._n_traced = 0
         self._n_stored = 0
 
@@ -330,18 +394,22 @@ class _Columns:
         return {name: np.empty(shapes[name], dtype) for name, dtype in self._dtypes.items()}
 
 
-def _jobs(plan: EmissionPlan, size: int) -> Iterator[Job]:
-    for region_id, planned in enumerate(plan.counts.tolist()):
-        for start in range(0, planned, size):
-            yield region_id, range(start, min(start + size, planned))
+def _jobs(plan: EmissionPlan, traced: range, size: int) -> Iterator[Job]:
+    for region_id, photons in plan.parts(traced):
+        for start in range(photons.start, photons.stop, size):
+            yield region_id, range(start, min(start + size, photons.stop))
 
 
-def _photon_map(context: TraceContext, columns: _Columns, ledgers: list[BatchLedger]) -> PhotonMap:
+def _photon_map(
+    context: TraceContext, traced: range, columns: _Columns, ledgers: list[BatchLedger]
+) -> PhotonMap:
     plan, settings = context.plan, context.settings
-    ledger = _ledger(plan, ledgers)
+    n_emitted = int(plan.counts.sum())
+    is_whole = len(traced) == n_emitted
+    ledger = _ledger(plan, plan.flux if is_whole else plan.flux_of(traced), ledgers)
     photons = PhotonMap(
         **columns.finished(context.scene),
-        n_emitted=int(plan.counts.sum()),
+        n_emitted=n_emitted,
         well_spaced=plan.is_well_spaced and settings.paths == "caustic",
         ledger=ledger,
         seed=plan.seed,
@@ -350,15 +418,16 @@ def _photon_map(context: TraceContext, columns: _Columns, ledgers: list[BatchLed
         sensor_ids=context.scene.sensors if context.sensors else None,
         extended_ids=plan.extended_ids,
         n_wavelengths=N_WAVELENGTHS if context.materials.has_dispersion else None,
+        emitted_ranges=None if is_whole else [(traced.start, traced.stop)],
     )
-    if not len(photons):
+    if is_whole and not len(photons):
         raise NothingStoredError(_nothing_stored(context, ledger, ledgers), photons)
     return photons
 
 
-def _ledger(plan: EmissionPlan, ledgers: list[BatchLedger]) -> EnergyLedger:
+def _ledger(plan: EmissionPlan, emitted: Floats, ledgers: list[BatchLedger]) -> EnergyLedger:
     """The outcomes of all batches, which are in the order of their regions, by emitter."""
-    flux, emitter_ids, emitted = plan.flux_per_photon, plan.emitter_ids, plan.flux
+    flux, emitter_ids = plan.flux_per_photon, plan.emitter_ids
     n_emitters, n_outcomes = len(emitted), len(PATH_OUTCOMES)
     totals = np.zeros((n_outcomes, n_emitters, 3))
     ends = np.zeros((n_outcomes, n_emitters), dtype=np.int64)

@@ -1,6 +1,7 @@
 """Parallel loops that behave; see threads.pxd."""
 
 from cython.parallel cimport threadid
+from libc.limits cimport INT_MAX
 from posix.unistd cimport getpid
 
 cdef extern from "Python.h":
@@ -12,6 +13,8 @@ cdef double CHECK_INTERVAL = 0.05
 
 # The process that loaded the OpenMP runtime.
 cdef int home = getpid()
+# The most threads of any loop of this process.
+cdef int limit = INT_MAX
 # Linkers may leave out a library of which nothing is used; this is the module that loads it.
 threadid()
 
@@ -25,7 +28,18 @@ cdef int team_size(int n_threads, Py_ssize_t n_items, Py_ssize_t grain) noexcept
     """
     if getpid() != home:
         return 1
-    return <int> max(1, min(<Py_ssize_t> n_threads, n_items // grain))
+    return <int> max(1, min(<Py_ssize_t> min(n_threads, limit), n_items // grain))
+
+
+def limit_teams(int n_threads):
+    """Hold all loops of this process to a number of threads, however many they are given."""
+    global limit
+    limit = n_threads
+
+
+def team_limit():
+    """The most threads of any loop of this process."""
+    return limit
 
 
 cdef Watch open_watch() noexcept nogil:

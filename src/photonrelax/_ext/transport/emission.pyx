@@ -340,8 +340,8 @@ cdef class Emission:
         self.point(index, point)
         copy(out, &self.region.colours[self.region.sky.direction(direction, point[2], point[3]), 0])
 
-    def mean_colour(self, int64_t n):
-        """Mean colour (3,) of the photons among the first n candidates; ones if there are none.
+    def mean_colour(self, int64_t n, int64_t first=0):
+        """Mean colour (3,) of the photons among candidates first … n - 1; ones if there are none.
 
         Blocks are summed by themselves, so that no digits are lost to many photons.
         """
@@ -355,7 +355,7 @@ cdef class Emission:
         with nogil:
             for c in range(3):
                 total[c] = block[c] = 0.0
-            for index in range(n):
+            for index in range(first, n):
                 if not goes_on(&watch, index % LOOK_EVERY == 0):
                     break
                 if self.accepts(index):

@@ -17,6 +17,7 @@ import numpy as np
 from ..._util import validation
 from ..._util.frozen import set_field
 from ..._util.parallel import thread_count
+from ..._util.parcels import state_without_caches
 from ..._util.validation import Floats
 from ...scene.scene import Scene
 from ...spatial.box_tree import BoxTree
@@ -115,6 +116,8 @@ class Envelope:
     n_rays: int
     n_segments: int
     seconds: dict[str, float]
+
+    __getstate__ = state_without_caches
 
     def __len__(self) -> int:
         return len(self.flux)

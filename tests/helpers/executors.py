@@ -1,0 +1,36 @@
+"""Executors of processes, each started once a session."""
+
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache
+from multiprocessing import get_context
+
+import pytest
+
+N_WORKERS = 2
+
+
+def spawned(n_workers=N_WORKERS):
+    return ProcessPoolExecutor(n_workers, mp_context=get_context("spawn"))
+
+
+@cache
+def shared_pool():
+    """Two processes that tests share."""
+    return spawned()
+
+
+def loky_pool():
+    loky = pytest.importorskip("loky")
+    return loky.ProcessPoolExecutor(N_WORKERS)
+
+
+def dask_cluster():
+    """A cluster of two processes on the loopback interface."""
+    distributed = pytest.importorskip("distributed")
+    return distributed.LocalCluster(
+        n_workers=N_WORKERS,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
+        silence_logs=50,
+    )
