@@ -21,6 +21,7 @@ python -m bench initial-radius    progressive photon mapping by its initial radi
 python -m bench pixel-means       errors of means over texels by photons, against counted photons
 python -m bench error-times       errors of irradiance maps over the time they take
 python -m bench resolution        errors by gaps, thicknesses and widths that float32 tells apart
+python -m bench extremes          errors at extremes of sizes, densities, indices and cameras
 python -m bench tessellation      changes of the caustic of `cognac` with twice the facets
 python -m bench slopes            light relaxed to the density its map prescribes, and to even one
 """
@@ -35,6 +36,7 @@ from bench.studies import (
     envelope,
     equal_error,
     error_times,
+    extremes,
     figure7,
     figure9,
     flicker,
@@ -78,6 +80,7 @@ _COMMANDS = {
     "envelope": envelope,
     "slopes": slopes,
     "tessellation": tessellation,
+    "extremes": extremes,
     # The processes that `compare` and `memory` start.
     "simd": simd,
     "stage": memory_stage,
