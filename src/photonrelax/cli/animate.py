@@ -59,6 +59,7 @@ def _animation(options: argparse.Namespace, bars: ProgressBars) -> Animation:
         seed=options.seed or 0,
         sampler=options.sampler or SAMPLER,
         supersampling=options.supersampling,
+        memory=options.memory,
         n_threads=options.threads,
         progress=bars,
         **settings.given,

@@ -18,6 +18,7 @@ REFERENCE_PASSES, REFERENCE_PHOTONS = 50, 1_000_000
 SAMPLER = "halton"
 # In place of the name of a file; a file of this name is ./-
 STDOUT = "-"
+_SIZE_UNITS = ("K", "M", "G", "T")
 
 
 def parser(commands: Mapping[str, Callable[..., int | None]]) -> argparse.ArgumentParser:
@@ -57,6 +58,7 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
     _add_image(parser)
     _add_camera_paths(parser)
     _add_passes(parser)
+    _add_memory(parser)
     parser.add_argument(
         "--stats",
         type=_path_or_stdout,
@@ -133,7 +135,18 @@ def _add_animate(parser: argparse.ArgumentParser) -> None:
     _add_sampler(parser)
     _add_settings(parser)
     _add_image(parser)
+    _add_memory(parser)
     _add_common(parser)
+
+
+def _add_memory(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--memory",
+        type=_bytes,
+        metavar="SIZE",
+        help="memory to take at most, as 8G or 500M; what is estimated to take more is refused "
+        "(nine tenths of what is free)",
+    )
 
 
 def _add_plan(parser: argparse.ArgumentParser) -> None:
@@ -499,6 +512,20 @@ def _positive_number(text: str) -> float:
     if not 0.0 < number < float("inf"):
         raise argparse.ArgumentTypeError(f"should be a positive number, but is {text!r}")
     return number
+
+
+def _bytes(text: str) -> float:
+    """Bytes of a text like 8G, with K, M, G and T for powers of 1000."""
+    number, unit = (text[:-1], text[-1].upper()) if text[-1:].isalpha() else (text, "")
+    try:
+        size = float(number) * 1000.0 ** ("", *_SIZE_UNITS).index(unit)
+    except ValueError:
+        size = float("nan")
+    if not 0.0 < size < float("inf"):
+        raise argparse.ArgumentTypeError(
+            f"should be a size with one of {', '.join(_SIZE_UNITS)}, as 8G, but is {text!r}"
+        )
+    return size
 
 
 def _names(text: str) -> tuple[str, ...]:

@@ -192,6 +192,7 @@ def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Imag
             light_samples=options.light_samples,
             indirect=_indirect_settings(options),
             photons=photons,
+            memory=options.memory,
             n_threads=options.threads,
             progress=bars,
             **settings.given,

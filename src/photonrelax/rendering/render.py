@@ -29,11 +29,24 @@ from ..photons.photon_map import NothingStoredError, PhotonMap
 from ..scene.scene import Scene
 from ..transport.emission import PATHS, SAMPLERS, EmissionPlan, plan_emission
 from ..transport.trace import trace_photons
+from .budget import check_render_fits
 from .final_gather import FinalGather
 from .layers import FieldEstimates, band_layers, with_radiance
 from .metadata import ledger_values, metadata, photon_metadata
 from .plan import Plan, plan
 from .view import View, concatenate_bands
+
+
+class RenderSettings(StageSettings, total=False):
+    """Settings of the stages, and what a render may take.
+
+    Attributes
+    ----------
+    memory : float, optional
+        Bytes, by default nine tenths of what is free.
+    """
+
+    memory: float | None
 
 
 def render(
@@ -53,7 +66,7 @@ def render(
     final_gather: int = 0,
     n_threads: int | None = None,
     progress: Progress | None = None,
-    **settings: Unpack[StageSettings],
+    **settings: Unpack[RenderSettings],
 ) -> Image:
     """Render the view of a scene's camera: direct light, caustics and indirect light.
 
@@ -77,6 +90,7 @@ def render(
         Threads, by default all; called as ``progress(stage, done, total)``.
     **settings
         As in `photonrelax.irradiance_field`; defaults are the papers', except those of diffusion.
+        And of the whole render, `RenderSettings`.
 
     Returns
     -------
@@ -88,11 +102,15 @@ def render(
     ------
     TypeError, ValueError
         If an argument is invalid, no photon of a caustic is stored, or those given do not fit.
+    MemoryError
+        If more memory is estimated to be taken than may be.
     """
+    memory = settings.pop("memory", None)
     limits: dict[str, Any] = {"supersampling": supersampling, "max_depth": max_depth}
     view = View(scene, **limits, light_samples=light_samples, seed=seed, n_threads=n_threads)
     stages = _Stages(view, progress, seed=seed, sampler=sampler)
     stages.plan(photons, n_emitted, n_global, components)
+    stages.check_fits(method, memory)
     stages.prepare_caustic(method, settings_of("render", dict(settings)))
     stages.prepare_indirect(indirect, final_gather)
     return stages.image(method)
@@ -195,6 +213,12 @@ class _Stages:
             caster=view.caster,
             n_threads=view.n_threads,
         )
+
+    def check_fits(self, method: str, memory: float | None) -> None:
+        """Raise MemoryError if more memory is estimated to be taken than may be."""
+        n_emitted = self._plan.n_emitted if method_named(method).needs_photons else 0
+        emitted = {"caustic": n_emitted, "indirect": self._plan.n_global}
+        check_render_fits(self._view, emitted, memory)
 
     def prepare_caustic(self, method: str, settings: Settings) -> None:
         """Trace the photons of caustics, unless they are given, and prepare their field."""
