@@ -1,0 +1,126 @@
+"""Methods and settings for a purpose: measured trades of error for time, by classes of scenes.
+
+The data, `presets.json`, are written by `python -m bench presets` from the fronts of
+`photonrelax.evaluation.tradeoff`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from .._util.validation import check_choice
+from ..estimation.methods import Settings, method_named
+from ..scene.scene import Scene
+
+PRESETS = ("draft", "preview", "final", "paper")
+"""Names, from the quickest to the most exact, and the settings of the papers."""
+SCENE_CLASSES = ("smooth", "faceted", "extended")
+"""Classes of scenes: light mapped smoothly, by flat facets, and from extended emitters."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A method with its settings and numbers.
+
+    Attributes
+    ----------
+    method : str
+    n_emitted : int
+        Photons of caustics; methods without photons do not read it.
+    supersampling : int
+        s·s samples a pixel.
+    stages : mapping
+        Settings that are not the method's defaults, by stage and field.
+    """
+
+    method: str
+    n_emitted: int
+    supersampling: int = 2
+    stages: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @property
+    def settings(self) -> Settings:
+        """Settings of its stages."""
+        record = method_named(self.method)
+        return Settings(
+            **{
+                stage: replace(record.default(stage), **_without_lists(values))
+                for stage, values in self.stages.items()
+            }
+        )
+
+    @property
+    def name(self) -> str:
+        """Method and settings in one line, without the number of photons."""
+        parts = [
+            f"{stage}.{name}={_text(value)}"
+            for stage, values in self.stages.items()
+            for name, value in values.items()
+        ]
+        if self.supersampling != 2:
+            parts.append(f"supersampling={self.supersampling}")
+        return " ".join([self.method, *parts])
+
+    def to_dict(self) -> dict[str, Any]:
+        """The attributes as JSON has them."""
+        return {**vars(self), "stages": {name: dict(v) for name, v in self.stages.items()}}
+
+
+def _without_lists(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+
+
+def _text(value: Any) -> str:
+    return ",".join(map(str, value)) if isinstance(value, list | tuple) else f"{value:g}"
+
+
+def scene_class(scene: Scene) -> str:
+    """Class of a scene, of `SCENE_CLASSES`."""
+    if any(emitter.is_extended or emitter.is_background for emitter in scene.emitters):
+        return "extended"
+    mirrors = [scene.objects[i] for i in scene.specular_objects if i < len(scene.objects)]
+    return "smooth" if any(item.smooth for item in mirrors) else "faceted"
+
+
+def preset(name: str, scene: Scene, method: str | None = None) -> Choice:
+    """The choice that a preset makes for a scene.
+
+    Parameters
+    ----------
+    name : str
+        Of `PRESETS`.
+    scene : Scene
+    method : str, optional
+        The method, if it is chosen already.
+
+    Raises
+    ------
+    ValueError
+        If there is no such preset, or the method has none.
+    """
+    check_choice(name, "preset", PRESETS)
+    rows = preset_data()["presets"][scene_class(scene)][name]
+    if method is None:
+        method = next(iter(rows))
+    if method not in rows:
+        raise ValueError(
+            f"presets are of the methods {', '.join(rows)}, but method is {method!r}: leave out "
+            "the preset, or take one of these"
+        )
+    return Choice(method, **rows[method])
+
+
+@cache
+def preset_data() -> dict[str, Any]:
+    """The file of presets: version and date of the measurement, and rows by class and preset.
+
+    The first row of each is the best method.
+    """
+    text = files(__package__).joinpath("presets.json").read_text(encoding="utf-8")
+    data: dict[str, Any] = json.loads(text)
+    return data
