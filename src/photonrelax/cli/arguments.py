@@ -8,11 +8,13 @@ from pathlib import Path
 
 from .. import gallery
 from .._version import __version__
+from ..rendering.presets import PRESETS
 from .casters import add_caster_options
 from .scenes import add_file_options, add_scene, scene_name
 
 PHOTONS = 1_000_000
 PHOTONS_PER_PASS = 100_000
+SUPERSAMPLING = 2
 FPS = 24.0
 REFERENCE_PASSES, REFERENCE_PHOTONS = 50, 1_000_000
 SAMPLER = "halton"
@@ -41,9 +43,10 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     _add_output(parser, "FILE.exr")
     parser.add_argument(
-        "--method", choices=METHODS, default=DEFAULT_METHOD, help="default: %(default)s"
+        "--method", choices=METHODS, help=f"default: {DEFAULT_METHOD}, or that of --preset"
     )
     _add_emission(parser)
+    _add_goal(parser)
     parser.add_argument(
         "--photon-map",
         type=Path,
@@ -67,6 +70,27 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
         "report to standard error",
     )
     _add_common(parser)
+
+
+def _add_goal(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--preset",
+        choices=PRESETS,
+        help="method, photons, samples and settings, unless they are given",
+    )
+    parser.add_argument(
+        "--error",
+        type=_positive_number,
+        metavar="E",
+        help="add photons until the estimated error of the image, relative L1 of its radiance, is "
+        "not more: 0.03, say",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=_positive_number,
+        metavar="T",
+        help="time after which no photons are added",
+    )
 
 
 def _add_components(parser: argparse.ArgumentParser) -> None:
@@ -423,9 +447,8 @@ def _add_image(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--supersampling",
         type=positive,
-        default=2,
         metavar="N",
-        help="N x N samples per pixel (%(default)s)",
+        help=f"N x N samples per pixel ({SUPERSAMPLING})",
     )
     _add_exposure(parser)
 

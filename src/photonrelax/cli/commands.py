@@ -29,6 +29,7 @@ from .arguments import (
     REFERENCE_PHOTONS,
     SAMPLER,
     STDOUT,
+    SUPERSAMPLING,
     parser,
 )
 from .casters import axis_point, complete_options, gather_radius, map_size, unit_of
@@ -103,13 +104,14 @@ def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
         if stats is not None:
             write_json(_partial(files, stats), image.stats)
         interrupts.check()
-    from .reports import light_layers, stage_table
+    from .reports import light_layers, reached_line, stage_table
 
     if options.stats == STDOUT:
         write_lines(json_text(image.stats))
     modelled = f"modelled: {', '.join(light_layers(image))}"
     table = stage_table(image.stats["stages"])
-    _report(options, modelled, table, f"wrote {output} and {preview}")
+    reached = [reached_line(image.stats["error"])] if "error" in image.stats else []
+    _report(options, modelled, table, *reached, f"wrote {output} and {preview}")
 
 
 def _check_render_options(options: argparse.Namespace) -> None:
@@ -117,15 +119,23 @@ def _check_render_options(options: argparse.Namespace) -> None:
     from ..estimation.methods import PASSES_METHOD
 
     emission = (options.photons, options.seed, options.sampler)
+    if options.photon_map is not None and (options.error, options.seconds) != (None, None):
+        options.wrong_usage("--error and --seconds emit photons: leave out --photon-map")
     if options.photon_map is not None and emission != (None, None, None):
         options.wrong_usage(
             "--photon-map has its photons already: leave out --photons, --seed and --sampler"
         )
     passes = (options.passes, options.minutes)
+    goal = (options.preset, options.error, options.seconds)
     others = (options.state, options.interval, options.stochastic)
     if passes == (None, None):
         if others != (None, None, False):
             options.wrong_usage("--state, --interval and --stochastic need --passes or --minutes")
+    elif goal != (None, None, None):
+        options.wrong_usage(
+            "--passes and --minutes say how long passes go on: leave out --preset, --error and "
+            "--seconds"
+        )
     elif options.method != PASSES_METHOD:
         options.wrong_usage(f"--passes and --minutes need --method {PASSES_METHOD}")
     elif options.photon_map is not None:
@@ -144,7 +154,7 @@ def _check_render_options(options: argparse.Namespace) -> None:
 def _render_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
     from ..rendering.view import resized
 
-    settings = _render_settings(options)
+    settings = _render_settings(options, options.method)
 
     def write(image: pr.Image) -> None:
         with ExitStack() as files:
@@ -159,7 +169,7 @@ def _render_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Im
             photons_per_pass=options.photons or PHOTONS_PER_PASS,
             seed=options.seed or 0,
             settings=settings.of("progressive"),
-            supersampling=options.supersampling,
+            supersampling=options.supersampling or SUPERSAMPLING,
             max_depth=options.max_depth,
             light_samples=options.light_samples,
             n_global=options.n_global,
@@ -172,16 +182,18 @@ def _render_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Im
 
 
 def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
+    from ..rendering.presets import choose
     from ..rendering.view import resized
 
-    settings = _render_settings(options)
     photons = None if options.photon_map is None else pr.PhotonMap.load(options.photon_map)
     scene = resized(scene_of(options.scene, options), options.width, options.height)
+    method = choose(scene, options.method, options.preset, options.error).method
+    settings = _render_settings(options, method)
     with ProgressBars(options.quiet, interrupts) as bars:
         return pr.render(
             scene,
-            method=options.method,
-            n_emitted=_photons(options),
+            method=method,
+            n_emitted=options.photons,
             n_global=options.n_global,
             components=options.components,
             final_gather=options.final_gather,
@@ -192,6 +204,9 @@ def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Imag
             light_samples=options.light_samples,
             indirect=_indirect_settings(options),
             photons=photons,
+            preset=options.preset,
+            error=options.error,
+            seconds=options.seconds,
             memory=options.memory,
             n_threads=options.threads,
             progress=bars,
@@ -199,10 +214,10 @@ def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Imag
         )
 
 
-def _render_settings(options: argparse.Namespace) -> Settings:
+def _render_settings(options: argparse.Namespace, method: str) -> Settings:
     from .settings import settings_from_options
 
-    return settings_from_options(options, (options.method,), ("gather", "progressive"))
+    return settings_from_options(options, (method,), ("gather", "progressive"))
 
 
 def _indirect_settings(options: argparse.Namespace) -> pr.GatherSettings | None:
@@ -331,7 +346,7 @@ def _comparison_request(options: argparse.Namespace) -> ComparisonRequest:
         seed=options.seed or 0,
         sampler=options.sampler or SAMPLER,
         settings=settings_from_options(options, methods),
-        supersampling=options.supersampling,
+        supersampling=options.supersampling or SUPERSAMPLING,
         exposure=options.exposure,
         n_threads=options.threads,
     )

@@ -13,6 +13,7 @@ import os
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,8 @@ from .._util.progress import Progress, prefixed
 from .._util.validation import Floats
 from .._version import __version__
 from ..estimation.methods import METHODS, MethodInput, Settings, prepare
-from ..gallery.analytic import AnalyticIrradiance
 from ..imaging import metrics
+from ..imaging.image import Image
 from ..imaging.metrics import Errors
 from ..photons.photon_map import PhotonMap
 from ..rendering.layers import fixed_layers
@@ -36,7 +37,13 @@ from ..rendering.view import StoredView, View
 from ..scene.digest import scene_digest
 from ..scene.scene import Scene
 from ..transport.trace import trace_photons
-from .reference import Reference, ReferenceSettings, cached_reference, uncertainty_of
+from .reference import (
+    Reference,
+    ReferenceSettings,
+    cached_reference,
+    check_reference,
+    uncertainty_of,
+)
 from .request import ComparisonRequest
 from .subject import SceneSubject
 
@@ -227,7 +234,7 @@ def tradeoff(
     folder: str | os.PathLike[str],
     settings: TradeoffSettings | None = None,
     *,
-    irradiance: AnalyticIrradiance | None = None,
+    reference: Image | None = None,
     n_threads: int | None = None,
     progress: Progress | None = None,
 ) -> Tradeoff:
@@ -242,8 +249,8 @@ def tradeoff(
         same scene and settings.
     settings : TradeoffSettings, optional
         Extent of the sweep.
-    irradiance : AnalyticIrradiance, optional
-        Where irradiance is known.
+    reference : Image, optional
+        ``radiance`` of the view, and ``caustic``, in place of a reference that is computed.
     n_threads : int, optional
         Threads; all available by default.
     progress : callable, optional
@@ -261,7 +268,7 @@ def tradeoff(
         If a package that errors are measured with is not installed.
     """
     metrics.check_installed()
-    sweep = Sweep(scene, Path(folder), settings or TradeoffSettings(), n_threads, irradiance)
+    sweep = Sweep(scene, Path(folder), settings or TradeoffSettings(), reference, n_threads)
     return sweep.run(progress)
 
 
@@ -273,24 +280,28 @@ class Sweep:
         scene: Scene,
         folder: Path,
         settings: TradeoffSettings,
+        reference: Image | None = None,
         n_threads: int | None = None,
-        irradiance: AnalyticIrradiance | None = None,
     ) -> None:
         self._scene, self._folder, self._settings = scene, folder, settings
-        self._n_threads = n_threads
+        self._n_threads, self._given = n_threads, reference
         self._request = ComparisonRequest(
-            subject=SceneSubject(scene, irradiance), n_emitted=settings.n_emitted
+            subject=SceneSubject(scene), n_emitted=settings.n_emitted, n_threads=n_threads
         )
+        if reference is not None:
+            check_reference(reference, self._request)
         self._about = {
             "version": __version__,
             "scene": scene.name,
             "digest": scene_digest(scene),
+            "reference": None if reference is None else _digest(reference),
             "size": list(self._request.subject.size),
             "settings": json.loads(json.dumps(asdict(settings))),
         }
         self._points = self._read()
         self._views: dict[int, StoredView] = {}
-        self._pixel_side = View(scene).pixel_side()
+        self._any_view = View(scene, n_threads=n_threads)
+        self._pixel_side = self._any_view.pixel_side()
 
     def estimated_seconds(self) -> float:
         """About how long the sweep will take, from runs on few photons."""
@@ -302,7 +313,7 @@ class Sweep:
         left = (len(settings.choices(CHOICES)) * 0.5**i for i in range(len(rungs)))
         runs = [max(some, 5.0) for some in left]
         sweep = sum(some * (few[1] + each * n) for n, some in zip(rungs, runs, strict=True))
-        if (self._folder / REFERENCE).exists():
+        if self._given is not None or (self._folder / REFERENCE).exists():
             return sweep
         photons = 4 * settings.reference.passes_per_run * settings.reference.photons
         return sweep + 2.0 * many[0] * photons / rungs[2]
@@ -320,7 +331,7 @@ class Sweep:
         """Measure all points that are not there yet."""
         settings = self._settings
         path = self._folder / REFERENCE
-        image = cached_reference(path, self._request, settings.reference, progress)
+        image = self._given or cached_reference(path, self._request, settings.reference, progress)
         doubt = uncertainty_of(image)
         fixed = fixed_layers(self._view(2).bands)
         reference = Reference(image, fixed, 0.0)
@@ -375,7 +386,9 @@ class Sweep:
             settings = Settings(envelope=envelope)
         known = reset_peak_memory()
         started, cpu = time.perf_counter(), time.process_time()
-        inputs = MethodInput(photons, settings, self._scene, self._n_threads, None)
+        inputs = MethodInput(
+            photons, settings, self._scene, self._n_threads, None, caster=self._any_view.caster
+        )
         prepared = prepare(choice.method, inputs)
         caustic = view.caustic(prepared, None)
         spent, used = time.perf_counter() - started, time.process_time() - cpu
@@ -390,15 +403,19 @@ class Sweep:
     def _trace(self, n: int) -> PhotonMap:
         started, cpu = time.perf_counter(), time.process_time()
         photons = trace_photons(
-            self._scene, n, seed=self._settings.seed, n_threads=self._n_threads, sensors=False
+            self._scene,
+            n,
+            seed=self._settings.seed,
+            n_threads=self._n_threads,
+            caster=self._any_view.caster,
+            sensors=False,
         )
         self._cast = time.perf_counter() - started, time.process_time() - cpu
         return photons
 
     def _view(self, supersampling: int) -> StoredView:
         if supersampling not in self._views:
-            view = View(self._scene, supersampling=supersampling, n_threads=self._n_threads)
-            view.caster  # noqa: B018  # Built once for all, so that it is not timed.
+            view = self._any_view.variant(supersampling=supersampling)
             self._views[supersampling] = view.stored(None)
         return self._views[supersampling]
 
@@ -424,6 +441,12 @@ class Sweep:
     def _write(self) -> None:
         points = [point.to_dict() for point in self._points]
         write_json(self._folder / STATE, {"about": self._about, "points": points})
+
+
+def _digest(reference: Image) -> str:
+    """Hash of the radiance of a reference that is given."""
+    radiance = np.ascontiguousarray(reference.layers["radiance"], dtype=np.float64)
+    return blake2b(radiance.tobytes(), digest_size=8).hexdigest()
 
 
 def survivors(points: Sequence[Point]) -> list[Point]:

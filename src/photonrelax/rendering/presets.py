@@ -14,13 +14,16 @@ from importlib.resources import files
 from typing import Any
 
 from .._util.validation import check_choice
-from ..estimation.methods import Settings, method_named
+from ..estimation.methods import DEFAULT_METHOD, Settings, method_named
 from ..scene.scene import Scene
 
 PRESETS = ("draft", "preview", "final", "paper")
 """Names, from the quickest to the most exact, and the settings of the papers."""
 SCENE_CLASSES = ("smooth", "faceted", "extended")
 """Classes of scenes: light mapped smoothly, by flat facets, and from extended emitters."""
+_PHOTONS = 1_000_000
+# Presets that are chosen by their errors.
+_MEASURED = PRESETS[:3]
 
 
 @dataclass(frozen=True)
@@ -112,7 +115,51 @@ def preset(name: str, scene: Scene, method: str | None = None) -> Choice:
             f"presets are of the methods {', '.join(rows)}, but method is {method!r}: leave out "
             "the preset, or take one of these"
         )
-    return Choice(method, **rows[method])
+    row = rows[method]
+    return Choice(method, row["n_emitted"], row["supersampling"], row["stages"])
+
+
+def choose(
+    scene: Scene, method: str | None, name: str | None = None, error: float | None = None
+) -> Choice:
+    """Method and settings of a render.
+
+    Parameters
+    ----------
+    scene : Scene
+    method : str, optional
+        The method, if it is chosen already.
+    name : str, optional
+        Of a preset.
+    error : float, optional
+        Without a preset's name: the quickest preset that reaches it is chosen.
+    """
+    if name is not None:
+        return preset(name, scene, method)
+    if error is not None:
+        found = _for_error(scene, method, error)
+        if found is not None:
+            return found
+    return Choice(method_named(method or DEFAULT_METHOD).name, _PHOTONS)
+
+
+def _for_error(scene: Scene, method: str | None, error: float) -> Choice | None:
+    """The quickest preset whose error is not more, or the most exact; None without presets."""
+    found = None
+    of_class = preset_data()["presets"][scene_class(scene)]
+    for rows in (of_class[each] for each in _MEASURED):
+        name = next(iter(rows)) if method is None else method
+        if name not in rows:
+            continue
+        row = rows[name]
+        if found is None or row["error"] < found[1]:
+            found = (
+                Choice(name, row["n_emitted"], row["supersampling"], row["stages"]),
+                row["error"],
+            )
+        if row["error"] <= error:
+            break
+    return None if found is None else found[0]
 
 
 @cache

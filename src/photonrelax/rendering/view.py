@@ -188,6 +188,19 @@ class View:
         self.n_threads = thread_count(n_threads)
         self._check_image_fits()
 
+    def variant(self, *, seed: int | None = None, supersampling: int | None = None) -> View:
+        """The view with another seed of shadow rays, or other samples, and the same ray caster."""
+        other = View(
+            self.scene,
+            supersampling=self.supersampling if supersampling is None else supersampling,
+            max_depth=self.max_depth,
+            light_samples=self.light_samples,
+            seed=self.seed if seed is None else seed,
+            n_threads=self.n_threads,
+        )
+        other.__dict__["caster"] = self.caster
+        return other
+
     def _check_image_fits(self) -> None:
         height, width = self.shape
         check_memory(
