@@ -9,7 +9,7 @@ import photonrelax as pr
 from photonrelax.cli import main
 from photonrelax.imaging.image import Image
 from photonrelax.rendering import error_target
-from photonrelax.rendering.error_target import Goal, estimate_error, render_to_goal
+from photonrelax.rendering.error_target import Goal, divide_to_goal, estimate_error, render_to_goal
 
 SHAPE = (64, 64, 3)
 TRUTH = 1.0 + np.random.default_rng(5).random(SHAPE)
@@ -91,6 +91,21 @@ def test_what_is_reached_stays_where_more_does_not_fit_in_memory():
     assert not reached["is_met"]
 
 
+def test_envelopes_are_divided_until_the_error_is_reached():
+    def divide(misplaced, seed):
+        return image_of(1.0 / (0.1 * misplaced) ** 2, 1, noise=0.0)
+
+    image = divide_to_goal(divide, Goal(error=0.004), 0, "radiance")
+    reached = image.stats["error"]
+    assert reached["is_met"]
+    error = np.abs(image.layers["radiance"] - TRUTH).sum() / TRUTH.sum()
+    assert error == pytest.approx(reached["estimate"], rel=0.01)
+
+
+def test_an_envelope_is_rendered_to_an_error(ring):
+    assert pr.render(ring, method="envelope", error=0.05).stats["error"]["is_met"]
+
+
 def test_a_scene_is_rendered_to_an_error(ring):
     reached = pr.render(ring, error=0.3).stats["error"]
     assert reached["is_met"]
@@ -102,7 +117,6 @@ def test_a_scene_is_rendered_to_an_error(ring):
     [
         ({"error": 0.0}, "error should be"),
         ({"seconds": -1.0}, "seconds should be"),
-        ({"error": 0.1, "method": "envelope"}, "method of photons"),
         ({"error": 0.1, "photons": "traced"}, "photons should not be given"),
         ({"preset": "best"}, "preset should be one of draft"),
     ],

@@ -5,6 +5,9 @@ norm of the difference of the two over √2, the noise of an image of N/2, and d
 their mean, whose noise is h, what d has beyond h is bias. Bias is taken for ∝ N^-½, as of a kernel
 over a fold, so that d² − h² = (√2 − 1)² b² with b the bias of N photons. The result is the mean of
 the three with the least error.
+
+An envelope has no photons: one is compared with another of twice the misplaced light, whose
+difference is the error of the coarser, and taken for that of the finer.
 """
 
 from __future__ import annotations
@@ -34,8 +37,14 @@ _EXPONENT, _EXPONENTS = 0.4, (0.25, 0.5)
 # time that is less.
 _ERROR_SHARE, _TIME_SHARE = 0.93, 0.9
 
+# Misplaced light of the first envelopes over the error asked for, and its least. Pixels do not see
+# most of what is misplaced.
+_FIRST_MISPLACED, _LEAST_MISPLACED = 4.0, 1e-4
+
 Render = Callable[[int, int], Image]
 """Maps a number of photons and a seed to an image."""
+Divide = Callable[[float, int], Image]
+"""Maps a share of misplaced light and a seed to an image."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +174,30 @@ def render_to_goal(render: Render, goal: Goal, n_expected: int, seed: int, layer
         except MemoryError:
             # What is reached is worth more than none.
             break
-    return _told(trials, goal, layer)
+    return _told(trials, goal, layer, perf_counter() - started)
+
+
+def divide_to_goal(divide: Divide, goal: Goal, seed: int, layer: str) -> Image:
+    """Divide envelopes ever more until a goal is reached; see `render_to_goal`.
+
+    ``divide(misplaced, seed)`` renders an image.
+    """
+    started = perf_counter()
+    misplaced = _FIRST_MISPLACED * (goal.error or _PILOT_SHARE)
+    image = divide(2.0 * misplaced, pass_seed(seed, 0))
+    trials: list[_Trial] = []
+    while True:
+        before, since = image, perf_counter()
+        image = divide(misplaced, pass_seed(seed, len(trials) + 1))
+        seconds = perf_counter() - since
+        coarse, fine = (np.asarray(each.layers[layer]) for each in (before, image))
+        error = float(np.abs(fine - coarse).sum() / max(np.abs(fine).sum(), 1e-300))
+        trials.append(_Trial(0, image, seconds, 0.0, ErrorEstimate(error, 0.0, error, 1.0)))
+        misplaced *= 0.5
+        left = np.inf if goal.seconds is None else goal.seconds - (perf_counter() - started)
+        # The next takes twice as long, at the most.
+        if goal.is_met(error) or misplaced < _LEAST_MISPLACED or left < 2.0 * seconds:
+            return _told(trials, goal, layer, perf_counter() - started)
 
 
 def _first(n_expected: int, goal: Goal) -> int:
@@ -229,10 +261,9 @@ def _exponent(trials: list[_Trial]) -> float:
     return float(np.clip(found, *_EXPONENTS))
 
 
-def _told(trials: list[_Trial], goal: Goal, layer: str) -> Image:
+def _told(trials: list[_Trial], goal: Goal, layer: str, seconds: float) -> Image:
     """The last image, with what was reached in its metadata and stats."""
     last = trials[-1]
-    seconds = sum(trial.seconds for trial in trials)
     n_photons = sum(2 * trial.n for trial in trials)
     reached = {
         "of": layer,

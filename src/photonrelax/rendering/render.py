@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, replace
 from functools import partial
 from time import perf_counter
@@ -12,6 +12,7 @@ import numpy as np
 
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, check_choice, check_seed, count
+from ..estimation.envelope.envelope import EnvelopeSettings
 from ..estimation.field import Field
 from ..estimation.indirect import IndirectField
 from ..estimation.methods import (
@@ -29,7 +30,7 @@ from ..scene.scene import Scene
 from ..transport.emission import PATHS, SAMPLERS, EmissionPlan, plan_emission
 from ..transport.trace import trace_photons
 from .budget import check_render_fits
-from .error_target import Goal, render_to_goal
+from .error_target import Goal, divide_to_goal, render_to_goal
 from .final_gather import FinalGather
 from .layers import FieldEstimates, band_layers, with_radiance
 from .metadata import ledger_values, metadata, photon_metadata
@@ -133,7 +134,7 @@ def render(
         n_threads=n_threads,
     )
 
-    def once(n_emitted: int, seed: int) -> Image:
+    def once(n_emitted: int, seed: int, **changed: EnvelopeSettings) -> Image:
         stages = _Stages(
             view if seed == view.seed else view.variant(seed=seed),
             progress,
@@ -142,26 +143,28 @@ def render(
         )
         stages.plan(photons, n_emitted, n_global, components)
         stages.check_fits(choice.method, memory)
-        stages.prepare_caustic(choice.method, Settings(**given))
+        stages.prepare_caustic(choice.method, Settings(**given | changed))
         stages.prepare_indirect(indirect, final_gather)
         return stages.image(choice.method)
 
     n_emitted = choice.n_emitted if n_emitted is None else n_emitted
     if not goal.is_given:
         return once(n_emitted, seed)
-    _check_goal(choice.method, photons)
+    if photons is not None:
+        raise ValueError("photons should not be given with error or seconds, which trace their own")
+    if not method_named(choice.method).needs_photons:
+        return _divided(partial(once, n_emitted), goal, seed, given)
     return render_to_goal(once, goal, n_emitted, seed, "radiance")
 
 
-def _check_goal(method: str, photons: PhotonMap | None) -> None:
-    """Raise ValueError if no photons can be added."""
-    if photons is not None:
-        raise ValueError("photons should not be given with error or seconds, which trace their own")
-    if not method_named(method).needs_photons:
-        raise ValueError(
-            f"error and seconds should be with a method of photons, but method is {method!r}, "
-            "whose own settings have them: envelope=EnvelopeSettings(error=…, seconds=…)"
-        )
+def _divided(once: Callable[..., Image], goal: Goal, seed: int, given: Mapping[str, Any]) -> Image:
+    """Image of envelopes that are divided until a goal is reached."""
+    settings = given.get("envelope", EnvelopeSettings())
+
+    def divide(misplaced: float, seed: int) -> Image:
+        return once(seed, envelope=replace(settings, error=misplaced))
+
+    return divide_to_goal(divide, goal, seed, "radiance")
 
 
 # Far more than any gather needs.
