@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from .estimation.nearest import estimate_irradiance as estimate_irradiance
     from .estimation.progressive import ProgressiveSettings as ProgressiveSettings
     from .estimation.progressive import ProgressiveStatistics as ProgressiveStatistics
+    from .evaluation.tradeoff import TradeoffSettings as TradeoffSettings
+    from .evaluation.tradeoff import tradeoff as tradeoff
     from .imaging.image import Image as Image
     from .io.load import load_scene as load_scene
     from .io.save import save_scene as save_scene
@@ -111,6 +113,7 @@ _MODULE_OF = {
     "Structure": "relaxation.structure",
     "StructureSettings": "relaxation.structure",
     "Texture": "scene.textures",
+    "TradeoffSettings": "evaluation.tradeoff",
     "detect_gradient": "relaxation.gradient",
     "detect_structure": "relaxation.structure",
     "estimate_irradiance": "estimation.nearest",
@@ -126,6 +129,7 @@ _MODULE_OF = {
     "save_scene": "io.save",
     "trace_envelope": "estimation.envelope.envelope",
     "trace_photons": "transport.trace",
+    "tradeoff": "evaluation.tradeoff",
 }
 _SUBPACKAGES = ("gallery",)
 __all__ = sorted([*_MODULE_OF, *_SUBPACKAGES, "__version__"])

@@ -275,6 +275,11 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     _add_sampler(parser)
     _add_settings(parser)
     _add_image(parser)
+    _add_reference(parser)
+    _add_common(parser)
+
+
+def _add_reference(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--reference",
         type=Path,
@@ -295,6 +300,23 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"photons in each of these, independent of --photons ({REFERENCE_PHOTONS})",
     )
+
+
+def _add_tradeoff(parser: argparse.ArgumentParser) -> None:
+    from ..evaluation.tradeoff import SWEPT_METHODS
+
+    add_scene(parser)
+    _add_output(parser, "FOLDER")
+    parser.add_argument(
+        "--methods",
+        nargs="+",
+        choices=SWEPT_METHODS,
+        metavar="METHOD",
+        help=f"any of {', '.join(SWEPT_METHODS)}; default: all",
+    )
+    _add_emission(parser)
+    _add_size(parser)
+    _add_reference(parser)
     _add_common(parser)
 
 
@@ -376,6 +398,10 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
         "render frames of a scene that moves, but those whose files are there already",
         _add_animate,
     ),
+    "tradeoff": (
+        "sweep methods and settings, and find the best for every time: table, plot, HTML page",
+        _add_tradeoff,
+    ),
     "list": ("list the built-in scenes and photon patterns", lambda parser: None),
     "check": ("list what is wrong with a scene, without rendering it", _add_check),
     "info": ("describe an EXR file or a photon map", _add_info),
@@ -436,7 +462,7 @@ def _add_iterations(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_image(parser: argparse.ArgumentParser) -> None:
+def _add_size(parser: argparse.ArgumentParser) -> None:
     for name in ("width", "height"):
         parser.add_argument(
             f"--{name}",
@@ -444,6 +470,10 @@ def _add_image(parser: argparse.ArgumentParser) -> None:
             metavar="PIXELS",
             help=f"{name} of the image; alone, it keeps the proportions",
         )
+
+
+def _add_image(parser: argparse.ArgumentParser) -> None:
+    _add_size(parser)
     parser.add_argument(
         "--supersampling",
         type=positive,

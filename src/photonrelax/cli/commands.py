@@ -37,6 +37,7 @@ from .interrupts import Interrupts
 from .progress_bar import ProgressBars
 from .scenes import scene_of
 from .streams import complain, escaping_streams, write_lines
+from .tradeoff import tradeoff
 
 # Import lazily, so that Ctrl-C during an import reaches `main`.
 if TYPE_CHECKING:
@@ -498,6 +499,7 @@ _COMMANDS = {
     "compare": _compare,
     "irradiance": _irradiance,
     "animate": animate,
+    "tradeoff": tradeoff,
     "check": _check,
     "list": _list,
     "info": _info,

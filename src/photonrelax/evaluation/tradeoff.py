@@ -81,6 +81,8 @@ ENVELOPES = tuple(
     for error in (0.1, 0.05, 0.02, 0.01)
 )
 """Choices without photons, which are in no rung."""
+SWEPT_METHODS = tuple(dict.fromkeys(choice.method for choice in (*CHOICES, *ENVELOPES)))
+"""Methods that have choices."""
 
 
 @dataclass(frozen=True)
@@ -107,10 +109,9 @@ class TradeoffSettings:
     def __post_init__(self) -> None:
         validation.count(self.n_emitted, "n_emitted", low=1000)
         validation.check_seed(self.seed)
-        known = dict.fromkeys(choice.method for choice in (*CHOICES, *ENVELOPES))
         for name in self.methods:
-            validation.check_choice(name, "methods", known)
-        set_field(self, "methods", tuple(self.methods) or tuple(known))
+            validation.check_choice(name, "methods", SWEPT_METHODS)
+        set_field(self, "methods", tuple(self.methods) or SWEPT_METHODS)
 
     @property
     def rungs(self) -> list[int]:
