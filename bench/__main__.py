@@ -22,6 +22,8 @@ python -m bench pixel-means       errors of means over texels by photons, agains
 python -m bench error-times       errors of irradiance maps over the time they take
 python -m bench resolution        errors by gaps, thicknesses and widths that float32 tells apart
 python -m bench extremes          errors at extremes of sizes, densities, indices and cameras
+python -m bench promises          true errors and times of renders that promise some
+python -m bench presets           presets from the fronts of `photonrelax tradeoff`
 python -m bench tessellation      changes of the caustic of `cognac` with twice the facets
 python -m bench slopes            light relaxed to the density its map prescribes, and to even one
 """
@@ -46,7 +48,9 @@ from bench.studies import (
     kernels,
     methods,
     pixel_means,
+    presets,
     progressive,
+    promises,
     refinements,
     resolution,
     shapes,
@@ -81,6 +85,8 @@ _COMMANDS = {
     "slopes": slopes,
     "tessellation": tessellation,
     "extremes": extremes,
+    "presets": presets,
+    "promises": promises,
     # The processes that `compare` and `memory` start.
     "simd": simd,
     "stage": memory_stage,

@@ -19,8 +19,8 @@ from ..scene.scene import Scene
 
 PRESETS = ("draft", "preview", "final", "paper")
 """Names, from the quickest to the most exact, and the settings of the papers."""
-SCENE_CLASSES = ("smooth", "faceted", "extended")
-"""Classes of scenes: light mapped smoothly, by flat facets, and from extended emitters."""
+SCENE_CLASSES = ("sharp", "extended")
+"""Classes of scenes: light of parallel and point-like emitters, and of extended ones."""
 _PHOTONS = 1_000_000
 # Presets that are chosen by their errors.
 _MEASURED = PRESETS[:3]
@@ -84,10 +84,8 @@ def _text(value: Any) -> str:
 
 def scene_class(scene: Scene) -> str:
     """Class of a scene, of `SCENE_CLASSES`."""
-    if any(emitter.is_extended or emitter.is_background for emitter in scene.emitters):
-        return "extended"
-    mirrors = [scene.objects[i] for i in scene.specular_objects if i < len(scene.objects)]
-    return "smooth" if any(item.smooth for item in mirrors) else "faceted"
+    spread = any(emitter.is_extended or emitter.is_background for emitter in scene.emitters)
+    return "extended" if spread else "sharp"
 
 
 def preset(name: str, scene: Scene, method: str | None = None) -> Choice:
