@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from .estimation.nearest import estimate_irradiance as estimate_irradiance
     from .estimation.progressive import ProgressiveSettings as ProgressiveSettings
     from .estimation.progressive import ProgressiveStatistics as ProgressiveStatistics
-    from .evaluation.tradeoff import TradeoffSettings as TradeoffSettings
+    from .evaluation.tradeoff import TradeoffRequest as TradeoffRequest
     from .evaluation.tradeoff import tradeoff as tradeoff
     from .imaging.image import Image as Image
     from .io.load import load_scene as load_scene
@@ -113,7 +113,7 @@ _MODULE_OF = {
     "Structure": "relaxation.structure",
     "StructureSettings": "relaxation.structure",
     "Texture": "scene.textures",
-    "TradeoffSettings": "evaluation.tradeoff",
+    "TradeoffRequest": "evaluation.tradeoff",
     "detect_gradient": "relaxation.gradient",
     "detect_structure": "relaxation.structure",
     "estimate_irradiance": "estimation.nearest",

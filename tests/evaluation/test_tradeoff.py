@@ -9,7 +9,7 @@ import photonrelax as pr
 from photonrelax.cli import main
 from photonrelax.evaluation import tradeoff as sweeps
 from photonrelax.evaluation.reference import ReferenceSettings
-from photonrelax.evaluation.tradeoff import Point, TradeoffSettings, front, seconds_for, survivors
+from photonrelax.evaluation.tradeoff import Point, TradeoffRequest, front, seconds_for, survivors
 from photonrelax.imaging.metrics import Errors
 from photonrelax.rendering.presets import Choice
 
@@ -45,10 +45,10 @@ def test_the_better_half_and_the_best_of_each_method_go_on():
 
 
 def test_rungs_grow_to_the_number_asked_for():
-    assert TradeoffSettings(100_000).rungs == [1000, 3162, 10_000, 31_623, 100_000]
+    assert TradeoffRequest(100_000).rungs == [1000, 3162, 10_000, 31_623, 100_000]
 
 
-SMALL = TradeoffSettings(1000, ("mapped", "envelope"), 0, ReferenceSettings(2, 2000))
+SMALL = TradeoffRequest(1000, ("mapped", "envelope"), 0, ReferenceSettings(2, 2000))
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +100,6 @@ def test_the_command_writes_table_plot_numbers_and_page(tmp_path, capsys):
 
 def test_too_small_a_sweep_is_refused():
     with pytest.raises(ValueError, match="n_emitted should be at least 1000"):
-        TradeoffSettings(10)
+        TradeoffRequest(10)
     with pytest.raises(ValueError, match="methods should be one of standard"):
-        TradeoffSettings(methods=("relaxation",))
+        TradeoffRequest(methods=("relaxation",))

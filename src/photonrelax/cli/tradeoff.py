@@ -12,7 +12,7 @@ from .streams import write_lines
 
 # Import lazily, so that Ctrl-C during an import reaches `main`.
 if TYPE_CHECKING:
-    from ..evaluation.tradeoff import TradeoffSettings
+    from ..evaluation.tradeoff import TradeoffRequest
 
 
 def tradeoff(options: argparse.Namespace, interrupts: Interrupts) -> None:
@@ -39,12 +39,12 @@ def tradeoff(options: argparse.Namespace, interrupts: Interrupts) -> None:
         write_lines(shown.text(), f"wrote {options.output / front.PAGE}")
 
 
-def _settings(options: argparse.Namespace) -> TradeoffSettings:
+def _settings(options: argparse.Namespace) -> TradeoffRequest:
     from ..evaluation.reference import ReferenceSettings
-    from ..evaluation.tradeoff import TradeoffSettings
+    from ..evaluation.tradeoff import TradeoffRequest
     from .arguments import PHOTONS, REFERENCE_PASSES, REFERENCE_PHOTONS
 
-    return TradeoffSettings(
+    return TradeoffRequest(
         options.photons or PHOTONS,
         tuple(options.methods or ()),
         options.seed or 0,

@@ -86,7 +86,7 @@ SWEPT_METHODS = tuple(dict.fromkeys(choice.method for choice in (*CHOICES, *ENVE
 
 
 @dataclass(frozen=True)
-class TradeoffSettings:
+class TradeoffRequest:
     """Extent of a sweep.
 
     Attributes
@@ -233,7 +233,7 @@ class Tradeoff:
 def tradeoff(
     scene: Scene,
     folder: str | os.PathLike[str],
-    settings: TradeoffSettings | None = None,
+    settings: TradeoffRequest | None = None,
     *,
     reference: Image | None = None,
     n_threads: int | None = None,
@@ -248,7 +248,7 @@ def tradeoff(
     folder : path
         That there is; the reference and the points are kept there, and read if they are of the
         same scene and settings.
-    settings : TradeoffSettings, optional
+    settings : TradeoffRequest, optional
         Extent of the sweep.
     reference : Image, optional
         ``radiance`` of the view, and ``caustic``, in place of a reference that is computed.
@@ -269,7 +269,7 @@ def tradeoff(
         If a package that errors are measured with is not installed.
     """
     metrics.check_installed()
-    sweep = Sweep(scene, Path(folder), settings or TradeoffSettings(), reference, n_threads)
+    sweep = Sweep(scene, Path(folder), settings or TradeoffRequest(), reference, n_threads)
     return sweep.run(progress)
 
 
@@ -280,7 +280,7 @@ class Sweep:
         self,
         scene: Scene,
         folder: Path,
-        settings: TradeoffSettings,
+        settings: TradeoffRequest,
         reference: Image | None = None,
         n_threads: int | None = None,
     ) -> None:
