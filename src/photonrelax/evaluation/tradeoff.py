@@ -301,6 +301,8 @@ class Sweep:
         }
         self._points = self._read()
         self._views: dict[int, StoredView] = {}
+        # Seconds and processor time of the photons traced last.
+        self._cast = (0.0, 0.0)
         self._any_view = View(scene, n_threads=n_threads)
         self._pixel_side = self._any_view.pixel_side()
 
