@@ -7,7 +7,7 @@ import pytest
 
 import photonrelax as pr
 from photonrelax.cli import main
-from photonrelax.imaging.image import Image
+from photonrelax.imaging.image import Image, read_exr
 from photonrelax.rendering import error_target
 from photonrelax.rendering.error_target import Goal, divide_to_goal, estimate_error, render_to_goal
 
@@ -147,3 +147,20 @@ def test_the_command_line_says_what_was_reached(tmp_path, capsys):
 def test_wrong_usage(tmp_path, options):
     with pytest.raises(SystemExit):
         main(["render", "ring", "-o", str(tmp_path / "ring.exr"), *options])
+
+
+def test_a_map_is_made_to_an_error(tmp_path, capsys):
+    path = tmp_path / "map.exr"
+    command = ["irradiance", "ring", "--on", "floor", "-o", str(path), "--texels", "16"]
+    assert main([*command, "--error", "0.3"]) == 0
+    assert "relative L1 of irradiance: noise" in capsys.readouterr().out
+    told = json.loads(read_exr(path).metadata["photonrelax.error"])
+    assert told["is_met"]
+    assert told["of"] == "irradiance"
+
+
+@pytest.mark.parametrize("options", [["--size", "0.1"], ["--method", "envelope"]])
+def test_maps_that_do_not_compare_are_wrong_usage(tmp_path, options):
+    command = ["irradiance", "ring", "--on", "floor", "-o", str(tmp_path / "map.exr")]
+    with pytest.raises(SystemExit):
+        main([*command, "--error", "0.3", *options])

@@ -46,6 +46,11 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
         "--method", choices=METHODS, help=f"default: {DEFAULT_METHOD}, or that of --preset"
     )
     _add_emission(parser)
+    parser.add_argument(
+        "--preset",
+        choices=PRESETS,
+        help="method, photons, samples and settings, unless they are given",
+    )
     _add_goal(parser)
     parser.add_argument(
         "--photon-map",
@@ -74,16 +79,11 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
 
 def _add_goal(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--preset",
-        choices=PRESETS,
-        help="method, photons, samples and settings, unless they are given",
-    )
-    parser.add_argument(
         "--error",
         type=_positive_number,
         metavar="E",
-        help="add photons until the estimated error of the image, relative L1 of its radiance, is "
-        "not more: 0.03, say",
+        help="add photons until the estimated error of the image, relative L1 of its radiance or "
+        "irradiance, is not more: 0.03, say",
     )
     parser.add_argument(
         "--seconds",
@@ -362,6 +362,7 @@ def _add_irradiance(parser: argparse.ArgumentParser) -> None:
         "--method", choices=METHODS, default=DEFAULT_METHOD, help="default: %(default)s"
     )
     _add_emission(parser)
+    _add_goal(parser)
     _add_sampler(parser)
     _add_settings(parser)
     _add_exposure(parser)

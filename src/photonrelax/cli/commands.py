@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from ..estimation.methods import Settings
     from ..evaluation import ComparisonRequest
     from ..evaluation.reference import ReferenceSettings
+    from ..rendering.object_map import ObjectMap
 
 _MAGIC_EXR, _MAGIC_NPZ = b"v/1\x01", b"PK\x03\x04"
 _EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
@@ -364,8 +365,7 @@ def _reference_settings(options: argparse.Namespace) -> ReferenceSettings:
 
 def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ..evaluation import irradiance_plot
-    from ..rendering.object_map import ObjectMap
-    from .reports import encircled_table
+    from .reports import encircled_table, reached_line
 
     complete_options(options)
     output = output_path(options.output, ".exr")
@@ -376,10 +376,10 @@ def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
         irradiance_plot.check_installed()
     scene = scene_of(options.scene, options)
     size = map_size(options, scene)
-    field, photons = _field_of_scene(options, interrupts, scene, gather_radius(options, size))
-    found = ObjectMap(field, scene, options.on, options.texels, size=size, photons=photons)
+    _check_map_goal(options, size)
+    found, image = _object_map(options, interrupts, scene, size)
     with ExitStack() as files:
-        _place(files, found.image, options)
+        _place(files, image, options)
         if plot is not None:
             irradiance_plot.write_plot(
                 _partial(files, plot),
@@ -392,13 +392,61 @@ def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
     if options.encircled is not None:
         axis = axis_point(options, scene)
         texts.insert(0, encircled_table(found, options.encircled, unit_of(options), axis))
+    if "error" in image.stats:
+        texts.insert(0, reached_line(image.stats["error"]))
     _report(options, *texts)
 
 
+def _check_map_goal(options: argparse.Namespace, size: float | None) -> None:
+    """End with wrong usage if maps of several photons cannot be compared."""
+    from ..estimation.methods import METHODS
+
+    if (options.error, options.seconds) == (None, None):
+        return
+    if size is not None:
+        options.wrong_usage(
+            "--error and --seconds need maps of one place, and --size and files of a mesh alone "
+            "follow the light: leave them out"
+        )
+    if not METHODS[options.method].needs_photons:
+        options.wrong_usage("--error and --seconds add photons: take another --method")
+
+
+def _object_map(
+    options: argparse.Namespace, interrupts: Interrupts, scene: pr.Scene, size: float | None
+) -> tuple[ObjectMap, pr.Image]:
+    """Map of an object, the last of several with --error or --seconds, and the image to write."""
+    from ..rendering.error_target import Goal, render_to_goal
+    from ..rendering.object_map import ObjectMap
+
+    found: list[ObjectMap] = []
+
+    def once(n_emitted: int, seed: int) -> pr.Image:
+        emission = n_emitted, seed
+        radius = gather_radius(options, size)
+        field, photons = _field_of_scene(options, interrupts, scene, emission, radius)
+        found[:] = [ObjectMap(field, scene, options.on, options.texels, size=size, photons=photons)]
+        return found[0].image
+
+    goal, seed = Goal(options.error, options.seconds), options.seed or 0
+    if goal.is_given:
+        image = render_to_goal(once, goal, _photons(options), seed, "irradiance")
+    else:
+        image = once(_photons(options), seed)
+    return found[0], image
+
+
 def _field_of_scene(
-    options: argparse.Namespace, interrupts: Interrupts, scene: pr.Scene, radius: float | None
+    options: argparse.Namespace,
+    interrupts: Interrupts,
+    scene: pr.Scene,
+    emission: tuple[int, int],
+    radius: float | None,
 ) -> tuple[Field, pr.PhotonMap]:
-    """Field on the object to map, photons gathered within a radius unless settings have one."""
+    """Field on the object to map, of photons by their number and seed.
+
+    They are gathered within a radius unless settings have one.
+    """
     from ..estimation.methods import MethodInput, Settings, method_named, prepare
     from ..rendering.object_map import object_named, photons_of_surface
     from .settings import settings_from_options
@@ -414,8 +462,8 @@ def _field_of_scene(
     with ProgressBars(options.quiet, interrupts) as bars:
         photons = pr.trace_photons(
             scene,
-            _photons(options),
-            seed=options.seed or 0,
+            emission[0],
+            seed=emission[1],
             sampler=options.sampler or SAMPLER,
             frequency_share=method.frequency_share(settings),
             n_threads=options.threads,

@@ -278,7 +278,7 @@ def _told(trials: list[_Trial], goal: Goal, layer: str, seconds: float) -> Image
         "seconds": seconds,
         "is_met": goal.error is None or last.estimate.total <= goal.error,
     }
-    of_last = last.image.stats["stages"]
+    of_last = last.image.stats.get("stages", {})
     others = seconds - sum(stage["seconds"] for stage in of_last.values())
     pilots = {"seconds": max(others, 0.0), "emitted": n_photons - last.n}
     stages = {"pilots and halves": pilots, **of_last}
