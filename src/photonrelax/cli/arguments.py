@@ -8,7 +8,6 @@ from pathlib import Path
 
 from .. import gallery
 from .._version import __version__
-from ..rendering.presets import PRESETS
 from .casters import add_caster_options
 from .scenes import add_file_options, add_scene, scene_name
 
@@ -39,6 +38,7 @@ def parser(commands: Mapping[str, Callable[..., int | None]]) -> argparse.Argume
 
 def _add_render(parser: argparse.ArgumentParser) -> None:
     from ..estimation.methods import DEFAULT_METHOD, METHODS, PLAIN_METHOD
+    from ..rendering.presets import PRESETS
 
     add_scene(parser)
     _add_output(parser, "FILE.exr")
