@@ -22,6 +22,9 @@ python -m bench initial-radius    progressive photon mapping by its initial radi
 python -m bench pixel-means       errors of means over texels by photons, against counted photons
 python -m bench error-times       errors of irradiance maps over the time they take
 python -m bench resolution        errors by gaps, thicknesses and widths that float32 tells apart
+python -m bench extremes          errors at extremes of sizes, densities, indices and cameras
+python -m bench promises          true errors and times of renders that promise some
+python -m bench presets           presets from the fronts of `photonrelax tradeoff`
 python -m bench tessellation      changes of the caustic of `cognac` with twice the facets
 python -m bench dispersion        noise of colour behind plates, by how light is dispersed
 python -m bench slopes            light relaxed to the density its map prescribes, and to even one
@@ -38,6 +41,7 @@ from bench.studies import (
     envelope,
     equal_error,
     error_times,
+    extremes,
     figure7,
     figure9,
     flicker,
@@ -47,7 +51,9 @@ from bench.studies import (
     kernels,
     methods,
     pixel_means,
+    presets,
     progressive,
+    promises,
     refinements,
     resolution,
     shapes,
@@ -83,6 +89,9 @@ _COMMANDS = {
     "dispersion": dispersion,
     "slopes": slopes,
     "tessellation": tessellation,
+    "extremes": extremes,
+    "presets": presets,
+    "promises": promises,
     # The processes that `compare` and `memory` start.
     "simd": simd,
     "stage": memory_stage,

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from .estimation.nearest import estimate_irradiance as estimate_irradiance
     from .estimation.progressive import ProgressiveSettings as ProgressiveSettings
     from .estimation.progressive import ProgressiveStatistics as ProgressiveStatistics
+    from .evaluation.tradeoff import TradeoffRequest as TradeoffRequest
+    from .evaluation.tradeoff import tradeoff as tradeoff
     from .imaging.image import Image as Image
     from .io.load import load_scene as load_scene
     from .io.save import save_scene as save_scene
@@ -118,6 +120,7 @@ _MODULE_OF = {
     "Structure": "relaxation.structure",
     "StructureSettings": "relaxation.structure",
     "Texture": "scene.textures",
+    "TradeoffRequest": "evaluation.tradeoff",
     "WorkerLostError": "_util.workers",
     "detect_gradient": "relaxation.gradient",
     "detect_structure": "relaxation.structure",
@@ -134,6 +137,7 @@ _MODULE_OF = {
     "save_scene": "io.save",
     "trace_envelope": "estimation.envelope.envelope",
     "trace_photons": "transport.trace",
+    "tradeoff": "evaluation.tradeoff",
 }
 _SUBPACKAGES = ("gallery",)
 __all__ = sorted([*_MODULE_OF, *_SUBPACKAGES, "__version__"])

@@ -91,3 +91,17 @@ def _kilobytes(path: Path) -> dict[str, float]:
         for words in lines
         if len(words) == 3 and words[2] == "kB"
     }
+
+
+def reset_peak_memory() -> bool:
+    """Start to measure the peak anew; False where the system does not measure it."""
+    try:
+        (_PROC / "self" / "clear_refs").write_text("5")
+    except OSError:
+        return False
+    return True
+
+
+def peak_memory() -> float:
+    """Most bytes that this process has had resident since `reset_peak_memory`; NaN if unknown."""
+    return _kilobytes(_PROC / "self" / "status").get("VmHWM", float("nan"))

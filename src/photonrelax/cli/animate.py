@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from .. import gallery
 from .._util.files import check_distinct, output_path, whole_file
-from .arguments import PHOTONS, SAMPLER
+from .arguments import PHOTONS, SAMPLER, SUPERSAMPLING
 from .interrupts import Interrupts
 from .progress_bar import ProgressBars
 from .scenes import is_file, scene_of
@@ -59,7 +59,8 @@ def _animation(options: argparse.Namespace, bars: ProgressBars) -> Animation:
         final_gather=options.final_gather,
         seed=options.seed or 0,
         sampler=options.sampler or SAMPLER,
-        supersampling=options.supersampling,
+        supersampling=options.supersampling or SUPERSAMPLING,
+        memory=options.memory,
         n_threads=options.threads,
         progress=bars,
         **settings.given,

@@ -13,11 +13,13 @@ from .scenes import add_file_options, add_scene, scene_name
 
 PHOTONS = 1_000_000
 PHOTONS_PER_PASS = 100_000
+SUPERSAMPLING = 2
 FPS = 24.0
 REFERENCE_PASSES, REFERENCE_PHOTONS = 50, 1_000_000
 SAMPLER = "halton"
 # In place of the name of a file; a file of this name is ./-
 STDOUT = "-"
+_SIZE_UNITS = ("K", "M", "G", "T")
 
 
 def parser(commands: Mapping[str, Callable[..., int | None]]) -> argparse.ArgumentParser:
@@ -36,13 +38,20 @@ def parser(commands: Mapping[str, Callable[..., int | None]]) -> argparse.Argume
 
 def _add_render(parser: argparse.ArgumentParser) -> None:
     from ..estimation.methods import DEFAULT_METHOD, METHODS, PLAIN_METHOD
+    from ..rendering.presets import PRESETS
 
     add_scene(parser)
     _add_output(parser, "FILE.exr")
     parser.add_argument(
-        "--method", choices=METHODS, default=DEFAULT_METHOD, help="default: %(default)s"
+        "--method", choices=METHODS, help=f"default: {DEFAULT_METHOD}, or that of --preset"
     )
     _add_emission(parser)
+    parser.add_argument(
+        "--preset",
+        choices=PRESETS,
+        help="method, photons, samples and settings, unless they are given",
+    )
+    _add_goal(parser)
     parser.add_argument(
         "--photon-map",
         type=Path,
@@ -57,6 +66,7 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
     _add_image(parser)
     _add_camera_paths(parser)
     _add_passes(parser)
+    _add_memory(parser)
     parser.add_argument(
         "--stats",
         type=_path_or_stdout,
@@ -66,6 +76,22 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
     )
     _add_workers(parser)
     _add_common(parser)
+
+
+def _add_goal(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--error",
+        type=_positive_number,
+        metavar="E",
+        help="add photons until the estimated error of the image, relative L1 of its radiance or "
+        "irradiance, is not more: 0.03, say",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=_positive_number,
+        metavar="T",
+        help="time after which no photons are added",
+    )
 
 
 def _add_components(parser: argparse.ArgumentParser) -> None:
@@ -135,7 +161,18 @@ def _add_animate(parser: argparse.ArgumentParser) -> None:
     _add_settings(parser)
     _add_image(parser)
     _add_workers(parser)
+    _add_memory(parser)
     _add_common(parser)
+
+
+def _add_memory(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--memory",
+        type=_bytes,
+        metavar="SIZE",
+        help="memory to take at most, as 8G or 500M; what is estimated to take more is refused "
+        "(nine tenths of what is free)",
+    )
 
 
 def _add_plan(parser: argparse.ArgumentParser) -> None:
@@ -241,6 +278,11 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     _add_sampler(parser)
     _add_settings(parser)
     _add_image(parser)
+    _add_reference(parser)
+    _add_common(parser)
+
+
+def _add_reference(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--reference",
         type=Path,
@@ -261,6 +303,23 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"photons in each of these, independent of --photons ({REFERENCE_PHOTONS})",
     )
+
+
+def _add_tradeoff(parser: argparse.ArgumentParser) -> None:
+    from ..evaluation.tradeoff import SWEPT_METHODS
+
+    add_scene(parser)
+    _add_output(parser, "FOLDER")
+    parser.add_argument(
+        "--methods",
+        nargs="+",
+        choices=SWEPT_METHODS,
+        metavar="METHOD",
+        help=f"any of {', '.join(SWEPT_METHODS)}; default: all",
+    )
+    _add_emission(parser)
+    _add_size(parser)
+    _add_reference(parser)
     _add_common(parser)
 
 
@@ -306,6 +365,7 @@ def _add_irradiance(parser: argparse.ArgumentParser) -> None:
         "--method", choices=METHODS, default=DEFAULT_METHOD, help="default: %(default)s"
     )
     _add_emission(parser)
+    _add_goal(parser)
     _add_sampler(parser)
     _add_settings(parser)
     _add_exposure(parser)
@@ -342,6 +402,10 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "animate": (
         "render frames of a scene that moves, but those whose files are there already",
         _add_animate,
+    ),
+    "tradeoff": (
+        "sweep methods and settings, and find the best for every time: table, plot, HTML page",
+        _add_tradeoff,
     ),
     "list": ("list the built-in scenes and photon patterns", lambda parser: None),
     "check": ("list what is wrong with a scene, without rendering it", _add_check),
@@ -403,7 +467,7 @@ def _add_iterations(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_image(parser: argparse.ArgumentParser) -> None:
+def _add_size(parser: argparse.ArgumentParser) -> None:
     for name in ("width", "height"):
         parser.add_argument(
             f"--{name}",
@@ -411,12 +475,15 @@ def _add_image(parser: argparse.ArgumentParser) -> None:
             metavar="PIXELS",
             help=f"{name} of the image; alone, it keeps the proportions",
         )
+
+
+def _add_image(parser: argparse.ArgumentParser) -> None:
+    _add_size(parser)
     parser.add_argument(
         "--supersampling",
         type=positive,
-        default=2,
         metavar="N",
-        help="N x N samples per pixel (%(default)s)",
+        help=f"N x N samples per pixel ({SUPERSAMPLING})",
     )
     _add_exposure(parser)
 
@@ -519,6 +586,20 @@ def _positive_number(text: str) -> float:
     if not 0.0 < number < float("inf"):
         raise argparse.ArgumentTypeError(f"should be a positive number, but is {text!r}")
     return number
+
+
+def _bytes(text: str) -> float:
+    """Bytes of a text like 8G, with K, M, G and T for powers of 1000."""
+    number, unit = (text[:-1], text[-1].upper()) if text[-1:].isalpha() else (text, "")
+    try:
+        size = float(number) * 1000.0 ** ("", *_SIZE_UNITS).index(unit)
+    except ValueError:
+        size = float("nan")
+    if not 0.0 < size < float("inf"):
+        raise argparse.ArgumentTypeError(
+            f"should be a size with one of {', '.join(_SIZE_UNITS)}, as 8G, but is {text!r}"
+        )
+    return size
 
 
 def _names(text: str) -> tuple[str, ...]:

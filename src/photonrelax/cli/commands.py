@@ -29,6 +29,7 @@ from .arguments import (
     REFERENCE_PHOTONS,
     SAMPLER,
     STDOUT,
+    SUPERSAMPLING,
     parser,
 )
 from .casters import axis_point, complete_options, gather_radius, map_size, unit_of
@@ -36,6 +37,7 @@ from .interrupts import Interrupts
 from .progress_bar import ProgressBars
 from .scenes import scene_of
 from .streams import complain, escaping_streams, write_lines
+from .tradeoff import tradeoff
 from .workers import executor_of, print_traceback
 
 # Import lazily, so that Ctrl-C during an import reaches `main`.
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
     from ..estimation.methods import Settings
     from ..evaluation import ComparisonRequest
     from ..evaluation.reference import ReferenceSettings
+    from ..rendering.object_map import ObjectMap
 
 _MAGIC_EXR, _MAGIC_NPZ = b"v/1\x01", b"PK\x03\x04"
 _EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
@@ -109,13 +112,14 @@ def _render(options: argparse.Namespace, interrupts: Interrupts) -> None:
         if stats is not None:
             write_json(_partial(files, stats), image.stats)
         interrupts.check()
-    from .reports import light_layers, stage_table
+    from .reports import light_layers, reached_line, stage_table
 
     if options.stats == STDOUT:
         write_lines(json_text(image.stats))
     modelled = f"modelled: {', '.join(light_layers(image))}"
     table = stage_table(image.stats["stages"])
-    _report(options, modelled, table, f"wrote {output} and {preview}")
+    reached = [reached_line(image.stats["error"])] if "error" in image.stats else []
+    _report(options, modelled, table, *reached, f"wrote {output} and {preview}")
 
 
 def _check_render_options(options: argparse.Namespace) -> None:
@@ -123,15 +127,23 @@ def _check_render_options(options: argparse.Namespace) -> None:
     from ..estimation.methods import PASSES_METHOD
 
     emission = (options.photons, options.seed, options.sampler)
+    if options.photon_map is not None and (options.error, options.seconds) != (None, None):
+        options.wrong_usage("--error and --seconds emit photons: leave out --photon-map")
     if options.photon_map is not None and emission != (None, None, None):
         options.wrong_usage(
             "--photon-map has its photons already: leave out --photons, --seed and --sampler"
         )
     passes = (options.passes, options.minutes)
+    goal = (options.preset, options.error, options.seconds)
     others = (options.state, options.interval, options.stochastic)
     if passes == (None, None):
         if others != (None, None, False):
             options.wrong_usage("--state, --interval and --stochastic need --passes or --minutes")
+    elif goal != (None, None, None):
+        options.wrong_usage(
+            "--passes and --minutes say how long passes go on: leave out --preset, --error and "
+            "--seconds"
+        )
     elif options.method != PASSES_METHOD:
         options.wrong_usage(f"--passes and --minutes need --method {PASSES_METHOD}")
     elif options.photon_map is not None:
@@ -150,7 +162,7 @@ def _check_render_options(options: argparse.Namespace) -> None:
 def _render_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
     from ..rendering.view import resized
 
-    settings = _render_settings(options)
+    settings = _render_settings(options, options.method)
 
     def write(image: pr.Image) -> None:
         with ExitStack() as files:
@@ -165,7 +177,7 @@ def _render_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Im
             photons_per_pass=options.photons or PHOTONS_PER_PASS,
             seed=options.seed or 0,
             settings=settings.of("progressive"),
-            supersampling=options.supersampling,
+            supersampling=options.supersampling or SUPERSAMPLING,
             max_depth=options.max_depth,
             light_samples=options.light_samples,
             n_global=options.n_global,
@@ -179,16 +191,18 @@ def _render_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Im
 
 
 def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
+    from ..rendering.presets import choose
     from ..rendering.view import resized
 
-    settings = _render_settings(options)
     photons = None if options.photon_map is None else pr.PhotonMap.load(options.photon_map)
     scene = resized(scene_of(options.scene, options), options.width, options.height)
+    method = choose(scene, options.method, options.preset, options.error).method
+    settings = _render_settings(options, method)
     with ProgressBars(options.quiet, interrupts) as bars, executor_of(options) as executor:
         return pr.render(
             scene,
-            method=options.method,
-            n_emitted=_photons(options),
+            method=method,
+            n_emitted=options.photons,
             n_global=options.n_global,
             components=options.components,
             final_gather=options.final_gather,
@@ -199,6 +213,10 @@ def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Imag
             light_samples=options.light_samples,
             indirect=_indirect_settings(options),
             photons=photons,
+            preset=options.preset,
+            error=options.error,
+            seconds=options.seconds,
+            memory=options.memory,
             n_threads=options.threads,
             progress=bars,
             executor=executor,
@@ -206,10 +224,10 @@ def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Imag
         )
 
 
-def _render_settings(options: argparse.Namespace) -> Settings:
+def _render_settings(options: argparse.Namespace, method: str) -> Settings:
     from .settings import settings_from_options
 
-    return settings_from_options(options, (options.method,), ("gather", "progressive"))
+    return settings_from_options(options, (method,), ("gather", "progressive"))
 
 
 def _indirect_settings(options: argparse.Namespace) -> pr.GatherSettings | None:
@@ -339,7 +357,7 @@ def _comparison_request(options: argparse.Namespace) -> ComparisonRequest:
         seed=options.seed or 0,
         sampler=options.sampler or SAMPLER,
         settings=settings_from_options(options, methods),
-        supersampling=options.supersampling,
+        supersampling=options.supersampling or SUPERSAMPLING,
         exposure=options.exposure,
         n_threads=options.threads,
     )
@@ -356,8 +374,7 @@ def _reference_settings(options: argparse.Namespace) -> ReferenceSettings:
 
 def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ..evaluation import irradiance_plot
-    from ..rendering.object_map import ObjectMap
-    from .reports import encircled_table
+    from .reports import encircled_table, reached_line
 
     complete_options(options)
     output = output_path(options.output, ".exr")
@@ -368,17 +385,11 @@ def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
         irradiance_plot.check_installed()
     scene = scene_of(options.scene, options)
     size = map_size(options, scene)
+    _check_map_goal(options, size)
     with ExitStack() as files:
         executor = files.enter_context(executor_of(options))
-        radius = gather_radius(options, size)
-        field, photons = _field_of_scene(options, interrupts, scene, radius, executor)
-        found = ObjectMap(
-            *(field, scene, options.on, options.texels),
-            size=size,
-            photons=photons,
-            executor=executor,
-        )
-        _place(files, found.image, options)
+        found, image = _object_map(options, interrupts, scene, size, executor)
+        _place(files, image, options)
         if plot is not None:
             irradiance_plot.write_plot(
                 _partial(files, plot),
@@ -391,17 +402,70 @@ def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
     if options.encircled is not None:
         axis = axis_point(options, scene)
         texts.insert(0, encircled_table(found, options.encircled, unit_of(options), axis))
+    if "error" in image.stats:
+        texts.insert(0, reached_line(image.stats["error"]))
     _report(options, *texts)
+
+
+def _check_map_goal(options: argparse.Namespace, size: float | None) -> None:
+    """End with wrong usage if maps of several photons cannot be compared."""
+    from ..estimation.methods import METHODS
+
+    if (options.error, options.seconds) == (None, None):
+        return
+    if size is not None:
+        options.wrong_usage(
+            "--error and --seconds need maps of one place, and --size and files of a mesh alone "
+            "follow the light: leave them out"
+        )
+    if not METHODS[options.method].needs_photons:
+        options.wrong_usage("--error and --seconds add photons: take another --method")
+
+
+def _object_map(
+    options: argparse.Namespace,
+    interrupts: Interrupts,
+    scene: pr.Scene,
+    size: float | None,
+    executor: Executor | None,
+) -> tuple[ObjectMap, pr.Image]:
+    """Map of an object, the last of several with --error or --seconds, and the image to write."""
+    from ..rendering.error_target import Goal, render_to_goal
+    from ..rendering.object_map import ObjectMap
+
+    found: list[ObjectMap] = []
+
+    def once(n_emitted: int, seed: int) -> pr.Image:
+        emission = n_emitted, seed
+        radius = gather_radius(options, size)
+        field, photons = _field_of_scene(
+            *(options, interrupts, scene, emission), radius=radius, executor=executor
+        )
+        place = scene, options.on, options.texels
+        found[:] = [ObjectMap(field, *place, size=size, photons=photons, executor=executor)]
+        return found[0].image
+
+    goal, seed = Goal(options.error, options.seconds), options.seed or 0
+    if goal.is_given:
+        image = render_to_goal(once, goal, _photons(options), seed, "irradiance")
+    else:
+        image = once(_photons(options), seed)
+    return found[0], image
 
 
 def _field_of_scene(
     options: argparse.Namespace,
     interrupts: Interrupts,
     scene: pr.Scene,
+    emission: tuple[int, int],
+    *,
     radius: float | None,
     executor: Executor | None,
 ) -> tuple[Field, pr.PhotonMap]:
-    """Field on the object to map, photons gathered within a radius unless settings have one."""
+    """Field on the object to map, of photons by their number and seed.
+
+    They are gathered within a radius unless settings have one.
+    """
     from ..estimation.methods import MethodInput, Settings, method_named, prepare
     from ..rendering.object_map import object_named, photons_of_surface
     from .settings import settings_from_options
@@ -417,8 +481,8 @@ def _field_of_scene(
     with ProgressBars(options.quiet, interrupts) as bars:
         photons = pr.trace_photons(
             scene,
-            _photons(options),
-            seed=options.seed or 0,
+            emission[0],
+            seed=emission[1],
             sampler=options.sampler or SAMPLER,
             frequency_share=method.frequency_share(settings),
             n_threads=options.threads,
@@ -503,6 +567,7 @@ _COMMANDS = {
     "compare": _compare,
     "irradiance": _irradiance,
     "animate": animate,
+    "tradeoff": tradeoff,
     "check": _check,
     "list": _list,
     "info": _info,

@@ -47,6 +47,19 @@ def light_layers(image: Image) -> list[str]:
     return [name for name in COMPONENTS if name in image.layers]
 
 
+def reached_line(reached: Mapping[str, Any]) -> str:
+    """Error that a render has reached, and what was asked, in one line."""
+    asked = [] if reached["asked"] is None else [f"asked: {reached['asked']:.2g}"]
+    if not reached["is_met"]:
+        asked.append("not reached")
+    if reached["asked_seconds"] is not None:
+        asked.append(f"{reached['seconds']:.1f} of {reached['asked_seconds']:g} s")
+    return (
+        f"error about {reached['estimate']:.2g} ({', '.join(asked)}), {reached['metric']} of "
+        f"{reached['of']}: noise {reached['noise']:.2g}, bias {reached['bias']:.2g}"
+    )
+
+
 def plan_table(plan: Plan) -> str:
     """Table of the components of light, a line each, and why each is modelled or is not."""
     photons = {"caustic": plan.n_emitted, "indirect": plan.n_global}

@@ -20,6 +20,7 @@ from ..relaxation.relax import relax as relax_photons
 from ..relaxation.rest_density import RestDensity, RestDensitySettings, rest_density
 from ..relaxation.structure import Structure, StructureSettings, detect_structure
 from ..scene.scene import Scene
+from ..transport.raycast import RayCaster
 from .diffusion import DiffusionField, DiffusionSettings
 from .envelope.envelope import Envelope, EnvelopeSettings, laid_envelope
 from .envelope.field import EnvelopeField
@@ -177,13 +178,17 @@ def _check_stages(function: str, arguments: dict[str, Any]) -> None:
 
 @dataclass(frozen=True)
 class MethodInput:
-    """The arguments of a method's preparation; see `irradiance_field`."""
+    """The arguments of a method's preparation; see `irradiance_field`.
+
+    `caster` is the scene's, if there is one already: building it takes time.
+    """
 
     elements: PhotonMap | Envelope | None
     settings: Settings
     scene: Scene | None
     n_threads: int | None
     progress: Progress | None
+    caster: RayCaster | None = None
 
     @property
     def photons(self) -> PhotonMap:
@@ -312,7 +317,13 @@ class _Stages:
         """Photons relaxed as far as the structure allows."""
         inputs, started = self._inputs, perf_counter()
         moved = relax_photons(
-            inputs.photons, structure, settings, rest=rest, scene=inputs.scene, **self._options
+            inputs.photons,
+            structure,
+            settings,
+            rest=rest,
+            scene=inputs.scene,
+            caster=inputs.caster,
+            **self._options,
         )
         self.seconds["relax"] = perf_counter() - started
         self.used["relax"] = asdict(settings)

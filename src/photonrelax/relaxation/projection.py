@@ -33,6 +33,8 @@ class SurfaceProjector:
         Their first positions.
     n_threads : int
         Threads to use; the result does not depend on it.
+    caster : RayCaster, optional
+        Of the scene: building it takes time.
 
     Raises
     ------
@@ -40,7 +42,9 @@ class SurfaceProjector:
         If the map has no `object_id`, or one that is not of the scene.
     """
 
-    def __init__(self, scene: Scene, photons: PhotonMap, n_threads: int) -> None:
+    def __init__(
+        self, scene: Scene, photons: PhotonMap, n_threads: int, caster: RayCaster | None = None
+    ) -> None:
         if photons.object_id is None:
             raise ValueError("photons should have an object_id to be kept on the scene's objects")
         surface = _surfaces_of(photons.object_id, scene)
@@ -50,7 +54,7 @@ class SurfaceProjector:
         self._parts: list[tuple[_Part, NDArray[np.intp] | None]] = []
         on_sensor = np.isin(surface, scene.sensors)
         if not on_sensor.all():
-            self._add(RayCaster(scene.surfaces), photons, ~on_sensor, n_threads)
+            self._add(caster or RayCaster(scene.surfaces), photons, ~on_sensor, n_threads)
         for sensor, caster in zip(scene.sensors, sensor_casters(scene), strict=True):
             self._add(caster, photons, surface == sensor, n_threads)
 

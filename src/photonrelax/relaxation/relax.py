@@ -18,6 +18,7 @@ from ..photons.group_trees import group_tree
 from ..photons.neighbourhoods import Group, neighbour_groups
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
+from ..transport.raycast import RayCaster
 from .projection import SurfaceProjector
 from .rest_density import RestDensity
 from .structure import Structure
@@ -87,6 +88,7 @@ def relax(
     *,
     rest: RestDensity | None = None,
     scene: Scene | None = None,
+    caster: RayCaster | None = None,
     n_threads: int | None = None,
     progress: Progress | None = None,
 ) -> PhotonMap:
@@ -115,6 +117,8 @@ def relax(
         With it photons are projected on their objects by short rays along their normals, and stay
         where they were if they would leave them. Without it they move in their tangent planes,
         which is right for flat receivers that reach beyond their photons.
+    caster : RayCaster, optional
+        Of the scene, if there is one: building it takes time.
     n_threads, progress : int, callable, optional
         Threads, by default all; called as ``progress("relax", done, total)`` in moves of photons.
 
@@ -134,7 +138,7 @@ def relax(
     if not any(settings.n_iterations) or len(photons) == 0:
         return photons
     threads = thread_count(n_threads)
-    projector = None if scene is None else SurfaceProjector(scene, photons, threads)
+    projector = None if scene is None else SurfaceProjector(scene, photons, threads, caster)
     report = Reporter(progress, "relax", len(photons) * sum(settings.n_iterations))
     return _Relaxation(photons, structure, settings, rest, projector, threads, report).relaxed()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
 from dataclasses import asdict, replace
 from functools import partial
@@ -14,10 +14,10 @@ import numpy as np
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, check_choice, check_seed, count
 from .._util.workers import Workers, checked_executor
+from ..estimation.envelope.envelope import EnvelopeSettings
 from ..estimation.field import Field
 from ..estimation.indirect import IndirectField
 from ..estimation.methods import (
-    DEFAULT_METHOD,
     MethodInput,
     Settings,
     StageSettings,
@@ -32,22 +32,48 @@ from ..scene.scene import Scene
 from ..transport.emission import PATHS, SAMPLERS, EmissionPlan, plan_emission
 from ..transport.trace import trace_photons
 from .bands import BandRenderer
+from .budget import check_render_fits
+from .error_target import Goal, divide_to_goal, render_to_goal
 from .final_gather import FinalGather
 from .metadata import ledger_values, metadata, photon_metadata
 from .plan import Plan, plan
+from .presets import choose
 from .view import View, concatenate_bands
+
+
+class RenderSettings(StageSettings, total=False):
+    """Settings of the stages, and what a render is to reach and may take.
+
+    Attributes
+    ----------
+    preset : str, optional
+        Method, photons, samples and settings, where they are not given; see
+        `photonrelax.rendering.presets`.
+    error : float, optional
+        Relative L1 of ``radiance`` over pixels: photons are added until the estimate of it,
+        see `photonrelax.rendering.error_target`, is not more.
+    seconds : float, optional
+        Time after which no more photons are added.
+    memory : float, optional
+        Bytes, by default nine tenths of what is free.
+    """
+
+    preset: str | None
+    error: float | None
+    seconds: float | None
+    memory: float | None
 
 
 def render(
     scene: Scene,
     *,
-    method: str = DEFAULT_METHOD,
-    n_emitted: int = 1_000_000,
+    method: str | None = None,
+    n_emitted: int | None = None,
     n_global: int | None = None,
     components: Iterable[str] | None = None,
     seed: int = 0,
     sampler: str = "halton",
-    supersampling: int = 2,
+    supersampling: int | None = None,
     max_depth: int = 8,
     light_samples: int | None = None,
     photons: PhotonMap | None = None,
@@ -56,7 +82,7 @@ def render(
     n_threads: int | None = None,
     progress: Progress | None = None,
     executor: Executor | None = None,
-    **settings: Unpack[StageSettings],
+    **settings: Unpack[RenderSettings],
 ) -> Image:
     """Render the view of a scene's camera: direct light, caustics and indirect light.
 
@@ -65,12 +91,14 @@ def render(
     scene, method : Scene, str
         With a camera; the estimate of caustics from photons, see `photonrelax.irradiance_field`.
     n_emitted, n_global, components : int, int, iterable of str
-        Photons to emit for caustics and for indirect light, light to model; see `photonrelax.plan`.
+        Photons to emit for caustics, by default a million, and for indirect light, light to model;
+        see `photonrelax.plan`.
     seed, sampler : int, str
         Of the photons; see `photonrelax.trace_photons`.
     supersampling, max_depth, light_samples : int
-        s·s samples a pixel; maximum number of specular surfaces on a camera path; shadow rays from
-        a sample to an extended emitter, by default enough for noise below 2 % of a pixel.
+        s·s samples a pixel, by default 2; maximum number of specular surfaces on a camera path;
+        shadow rays from a sample to an extended emitter, by default enough for noise below 2 %
+        of a pixel.
     photons : PhotonMap, optional
         Photons of caustics traced before in this scene, in place of new ones; see `_check_scene`.
     indirect, final_gather : GatherSettings, int, optional
@@ -83,26 +111,68 @@ def render(
         prepare their fields here. See docs/scaling.md.
     **settings
         As in `photonrelax.irradiance_field`; defaults are the papers', except those of diffusion.
+        And ``preset``, ``error``, ``seconds`` and ``memory`` of the whole, see `RenderSettings`.
 
     Returns
     -------
     Image
         Layers as in `photonrelax.rendering.layers.LAYERS`, of what is modelled; in `stats` seconds
-        and counts of the stages, in `metadata` settings, seed, counts, ledger, version as text.
+        and counts of the stages, in `metadata` settings, seed, counts, ledger, version as text;
+        with ``error`` or ``seconds``, what was reached in ``error`` of both.
 
     Raises
     ------
     TypeError, ValueError
         If an argument is invalid, no photon of a caustic is stored, or those given do not fit.
+    MemoryError
+        If more memory is estimated to be taken than may be.
     """
-    limits: dict[str, Any] = {"supersampling": supersampling, "max_depth": max_depth}
-    view = View(scene, **limits, light_samples=light_samples, seed=seed, n_threads=n_threads)
+    goal = Goal(settings.pop("error", None), settings.pop("seconds", None))
+    choice = choose(scene, method, settings.pop("preset", None), goal.error)
+    memory = settings.pop("memory", None)
     workers = Workers(checked_executor(executor), n_threads or 1)
-    stages = _Stages(view, progress, workers, seed=seed, sampler=sampler)
-    stages.plan(photons, n_emitted, n_global, components)
-    stages.prepare_caustic(method, settings_of("render", dict(settings)))
-    stages.prepare_indirect(indirect, final_gather)
-    return stages.image(method)
+    given = choice.settings.given | settings_of("render", dict(settings)).given
+    view = View(
+        scene,
+        supersampling=choice.supersampling if supersampling is None else supersampling,
+        max_depth=max_depth,
+        light_samples=light_samples,
+        seed=seed,
+        n_threads=n_threads,
+    )
+
+    def once(n_emitted: int, seed: int, **changed: EnvelopeSettings) -> Image:
+        stages = _Stages(
+            view if seed == view.seed else view.variant(seed=seed),
+            progress,
+            workers,
+            seed=seed,
+            sampler=sampler,
+        )
+        stages.plan(photons, n_emitted, n_global, components)
+        stages.check_fits(choice.method, memory)
+        stages.prepare_caustic(choice.method, Settings(**given | changed))
+        stages.prepare_indirect(indirect, final_gather)
+        return stages.image(choice.method)
+
+    n_emitted = choice.n_emitted if n_emitted is None else n_emitted
+    if not goal.is_given:
+        return once(n_emitted, seed)
+    if photons is not None:
+        raise ValueError("photons should not be given with error or seconds, which trace their own")
+    if not method_named(choice.method).needs_photons:
+        return _divided(partial(once, n_emitted), goal, seed, given)
+    return render_to_goal(once, goal, n_emitted, seed, "radiance")
+
+
+def _divided(once: Callable[..., Image], goal: Goal, seed: int, given: Mapping[str, Any]) -> Image:
+    """Image of envelopes that are divided until a goal is reached."""
+    settings = given.get("envelope", EnvelopeSettings())
+
+    def divide(misplaced: float, seed: int) -> Image:
+        return once(seed, envelope=replace(settings, error=misplaced))
+
+    return divide_to_goal(divide, goal, seed, "radiance")
 
 
 # Far more than any gather needs.
@@ -212,6 +282,12 @@ class _Stages:
             n_threads=view.n_threads,
         )
 
+    def check_fits(self, method: str, memory: float | None) -> None:
+        """Raise MemoryError if more memory is estimated to be taken than may be."""
+        n_emitted = self._plan.n_emitted if method_named(method).needs_photons else 0
+        emitted = {"caustic": n_emitted, "indirect": self._plan.n_global}
+        check_render_fits(self._view, emitted, memory)
+
     def prepare_caustic(self, method: str, settings: Settings) -> None:
         """Trace the photons of caustics, unless they are given, and prepare their field."""
         record = method_named(method)
@@ -239,7 +315,9 @@ class _Stages:
         # Photons of unknown objects cannot be held on these.
         known = photons is None or photons.object_id is not None
         scene = view.scene if known else None
-        inputs = MethodInput(photons, settings, scene, view.n_threads, self._progress)
+        inputs = MethodInput(
+            photons, settings, scene, view.n_threads, self._progress, caster=view.caster
+        )
         self._caustic = prepare(method, inputs)
         n_photons = {} if photons is None else {"photons": len(photons)}
         for stage, seconds in self._caustic.seconds.items():

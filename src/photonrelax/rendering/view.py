@@ -192,6 +192,18 @@ class View:
     def __getstate__(self) -> dict[str, Any]:
         # The caster is kept by processes that unpickle it.
         return state_without_caches(self) | {"caster": self.caster}
+    def variant(self, *, seed: int | None = None, supersampling: int | None = None) -> View:
+        """The view with another seed of shadow rays, or other samples, and the same ray caster."""
+        other = View(
+            self.scene,
+            supersampling=self.supersampling if supersampling is None else supersampling,
+            max_depth=self.max_depth,
+            light_samples=self.light_samples,
+            seed=self.seed if seed is None else seed,
+            n_threads=self.n_threads,
+        )
+        other.__dict__["caster"] = self.caster
+        return other
 
     def _check_image_fits(self) -> None:
         height, width = self.shape

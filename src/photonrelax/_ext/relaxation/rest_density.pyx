@@ -29,6 +29,8 @@ cdef enum:
 cdef double LATTICE_DENSITY = 2.0
 # Largest stretch of the lattice.
 cdef double MAX_ASPECT = 6.0
+# Relative difference of the stretches along two axes up to which they are one.
+cdef double SAME_STRETCH = 1e-6
 # Mean offset of a photon's neighbours over their radius from which they may end at an edge; at the
 # edge itself it is 4/(3π). That of independent photons exceeds it twice in a hundred times, so none
 # may lie beyond the edge by more than the margin, which only one in a thousand passes.
@@ -340,6 +342,9 @@ cdef double stretched_basis(const QuadraticMap* fit, double area, double* basis)
     cdef double aspect = MAX_ASPECT, narrow, wide
     if not axes.first > 0.0:
         return 0.0
+    if axes.first - axes.second <= SAME_STRETCH * axes.first:
+        # Rounding alone would choose the direction, on which the force beside an edge depends.
+        axes.cosine, axes.sine = 1.0, 0.0
     if axes.first < MAX_ASPECT * MAX_ASPECT * axes.second:
         aspect = sqrt(axes.first / axes.second)
     narrow = sqrt(area / (LATTICE_DENSITY * aspect))

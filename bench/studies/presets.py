@@ -1,0 +1,131 @@
+"""Presets from the fronts of scenes: the quickest choices that reach an error on all of a class."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable
+from dataclasses import replace
+from datetime import date
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from photonrelax import __version__, gallery
+from photonrelax.estimation.methods import METHODS
+from photonrelax.evaluation.tradeoff import STATE, Point
+from photonrelax.rendering.presets import PRESETS, SCENE_CLASSES, Choice, scene_class
+
+# Relative L1 of the presets that are chosen by it.
+ERRORS = {"draft": 0.1, "preview": 0.05, "final": 0.02}
+# Settings of the papers, whose method is the first.
+PAPER = ("parameterised", "standard", "mapped", "relaxation", "diffusion", "progressive")
+_PHOTONS = 1_000_000
+# Photons of presets; points that a power law is fitted to, and how far beyond the most photons that
+# were measured it is used.
+_NUMBERS = (10_000, 30_000, 100_000, 300_000, 1_000_000)
+_FITTED, _FARTHEST = 2, 3.5
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("folders", nargs="+", type=Path, help="of `photonrelax tradeoff`")
+    parser.add_argument("--write", action="store_true", help="replace the presets of the package")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the presets as JSON, or write them into the package."""
+    text = json.dumps(presets(options.folders), indent=1) + "\n"
+    if options.write:
+        Path(str(files("photonrelax.rendering").joinpath("presets.json"))).write_text(text)
+    else:
+        print(text)
+
+
+def presets(folders: Iterable[Path]) -> dict[str, Any]:
+    """The file of presets, from folders of sweeps."""
+    sweeps = dict(map(_sweep, folders))
+    by_class: dict[str, list[str]] = {name: [] for name in SCENE_CLASSES}
+    for scene in sweeps:
+        by_class[scene_class(gallery.scene(scene))].append(scene)
+    found = {}
+    for name, scenes in by_class.items():
+        # Classes without a sweep have the presets of all scenes.
+        found[name] = _of_class([sweeps[scene] for scene in scenes or sweeps])
+    return {
+        "version": __version__,
+        "date": date.today().isoformat(),
+        "measured_on": by_class,
+        "presets": found,
+    }
+
+
+def _sweep(folder: Path) -> tuple[str, list[Point]]:
+    data = json.loads((folder / STATE).read_text())
+    return data["about"]["scene"], [Point.from_dict(each) for each in data["points"]]
+
+
+def _of_class(sweeps: list[list[Point]]) -> dict[str, Any]:
+    """Rows of each preset by method, the best first."""
+    rows = _common(sweeps)
+    found: dict[str, Any] = {name: _preset(rows, error) for name, error in ERRORS.items()}
+    paper = {"n_emitted": _PHOTONS, "supersampling": 2, "stages": {}}
+    return found | {PRESETS[-1]: dict.fromkeys(PAPER, paper)}
+
+
+def _common(sweeps: list[list[Point]]) -> list[dict[str, Any]]:
+    """Choices of settings measured on all scenes, with the mean of their errors and times."""
+    rows = []
+    by_scene = [_by_settings(points) for points in sweeps]
+    for name in sorted(set.intersection(*map(set, by_scene))):
+        curves = [scene[name] for scene in by_scene]
+        choice = curves[0][0].choice
+        if not METHODS[choice.method].needs_photons:
+            rows.append(_row(choice, [_of(curve[0]) for curve in curves]))
+            continue
+        if min(map(len, curves)) < _FITTED:
+            continue
+        most = _FARTHEST * min(curve[-1].choice.n_emitted for curve in curves)
+        for n in (n for n in _NUMBERS if n <= most):
+            rows.append(_row(replace(choice, n_emitted=n), [_at(n, each) for each in curves]))
+    return rows
+
+
+def _by_settings(points: list[Point]) -> dict[str, list[Point]]:
+    """Points of the same settings, few photons to many."""
+    found: dict[str, list[Point]] = {}
+    for point in sorted(points, key=lambda each: each.choice.n_emitted):
+        found.setdefault(point.choice.name, []).append(point)
+    return found
+
+
+def _of(point: Point) -> tuple[float, float]:
+    return point.error, point.cpu_seconds
+
+
+def _at(n: int, curve: list[Point]) -> tuple[float, float]:
+    """Error and time of n photons, by the power laws of the last points."""
+    numbers = np.log([point.choice.n_emitted for point in curve[-_FITTED:]])
+    values = np.log([_of(point) for point in curve[-_FITTED:]])
+    error, seconds = np.exp(np.polyval(np.polyfit(numbers, values, 1), np.log(n)[np.newaxis]))
+    return float(error), float(seconds)
+
+
+def _row(choice: Choice, measured: list[tuple[float, float]]) -> dict[str, Any]:
+    """A choice with the geometric means of error and time over all scenes."""
+    error, seconds = np.exp(np.log(measured).mean(axis=0))
+    return {**choice.to_dict(), "error": round(error, 4), "seconds": round(seconds, 3)}
+
+
+def _preset(rows: list[dict[str, Any]], error: float) -> dict[str, Any]:
+    """The best row of each method, the best of all first."""
+    best = []
+    for method in dict.fromkeys(row["method"] for row in rows):
+        mine = [row for row in rows if row["method"] == method]
+        reach = [row for row in mine if row["error"] <= error]
+        # What none reaches, the most exact comes nearest to.
+        key = "seconds" if reach else "error"
+        best.append(min(reach or mine, key=lambda row: row[key]))
+    best.sort(key=lambda row: (max(row["error"] / error, 1.0), row["seconds"]))
+    return {row["method"]: {k: v for k, v in row.items() if k != "method"} for row in best}

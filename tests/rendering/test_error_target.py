@@ -1,0 +1,166 @@
+"""Estimates of error from halves, and renders that go on until one is reached."""
+
+import json
+
+import numpy as np
+import pytest
+
+import photonrelax as pr
+from photonrelax.cli import main
+from photonrelax.imaging.image import Image, read_exr
+from photonrelax.rendering import error_target
+from photonrelax.rendering.error_target import Goal, divide_to_goal, estimate_error, render_to_goal
+
+SHAPE = (64, 64, 3)
+TRUTH = 1.0 + np.random.default_rng(5).random(SHAPE)
+PATTERN = np.random.default_rng(6).standard_normal(SHAPE)
+
+
+def image_of(n, seed, *, noise=1.0, bias=1.0):
+    """Truth with independent noise, and a bias that is always the same, both as N^-½."""
+    drawn = np.random.default_rng(seed).standard_normal(SHAPE)
+    values = TRUTH + (noise * drawn + bias * PATTERN) / np.sqrt(n)
+    stats = {"stages": {"render": {"seconds": 0.0}}}
+    return Image({"radiance": values, "Z": np.full(SHAPE[:2], np.inf)}, {}, stats)
+
+
+@pytest.mark.parametrize(("noise", "bias"), [(1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.2, 1.0)])
+def test_the_estimate_is_the_error_of_the_mean(noise, bias):
+    images = [image_of(n, n, noise=noise, bias=bias) for n in (500, 501, 1000)]
+    first, second, whole = (image.layers["radiance"] for image in images)
+    found = estimate_error(first, second, whole)
+    mean = found.weight * whole + (1.0 - found.weight) * 0.5 * (first + second)
+    error = np.abs(mean - TRUTH).sum() / TRUTH.sum()
+    assert found.total == pytest.approx(error, rel=0.1)
+    assert found.total == pytest.approx(np.hypot(found.noise, found.bias))
+
+
+def test_noise_alone_weighs_all_photons_alike_and_bias_alone_takes_the_most():
+    noise = [image_of(n, n, bias=0.0).layers["radiance"] for n in (500, 501, 1000)]
+    assert estimate_error(*noise).weight == pytest.approx(0.5, abs=0.1)
+    bias = [image_of(n, 1, noise=0.0).layers["radiance"] for n in (500, 500, 1000)]
+    assert estimate_error(*bias).weight == 1.0
+
+
+def test_black_images_have_no_error():
+    assert estimate_error(*np.zeros((3, *SHAPE))).total == 0.0
+
+
+def test_photons_are_added_until_the_error_is_reached():
+    image = render_to_goal(image_of, Goal(error=0.004), 1000, 0, "radiance")
+    reached = image.stats["error"]
+    assert reached["is_met"]
+    assert 0.002 < reached["estimate"] <= 0.004
+    error = np.abs(image.layers["radiance"] - TRUTH).sum() / TRUTH.sum()
+    assert error == pytest.approx(reached["estimate"], rel=0.2)
+    assert json.loads(image.metadata["photonrelax.error"]) == reached
+    assert np.isinf(image.layers["Z"]).all()
+
+
+def test_seeds_of_images_differ():
+    seeds = []
+
+    def render(n, seed):
+        seeds.append(seed)
+        return image_of(n, seed)
+
+    render_to_goal(render, Goal(error=0.004), 1000, 7, "radiance")
+    assert len(set(seeds)) == len(seeds) > 3
+
+
+@pytest.mark.parametrize("seconds", [1.0, 20.0, 600.0])
+def test_a_time_is_kept_and_used(monkeypatch, seconds):
+    now = [0.0]
+    monkeypatch.setattr(error_target, "perf_counter", lambda: now[0])
+
+    def render(n, seed):
+        now[0] += 0.02 + 1e-5 * n
+        return image_of(n, seed)
+
+    render_to_goal(render, Goal(seconds=seconds), 1000, 0, "radiance")
+    assert 0.7 * seconds < now[0] < seconds
+
+
+def test_what_is_reached_stays_where_more_does_not_fit_in_memory():
+    def render(n, seed):
+        if n > 10_000:
+            raise MemoryError
+        return image_of(n, seed)
+
+    reached = render_to_goal(render, Goal(error=1e-4), 1000, 0, "radiance").stats["error"]
+    assert not reached["is_met"]
+
+
+def test_envelopes_are_divided_until_the_error_is_reached():
+    def divide(misplaced, seed):
+        return image_of(1.0 / (0.1 * misplaced) ** 2, 1, noise=0.0)
+
+    image = divide_to_goal(divide, Goal(error=0.004), 0, "radiance")
+    reached = image.stats["error"]
+    assert reached["is_met"]
+    error = np.abs(image.layers["radiance"] - TRUTH).sum() / TRUTH.sum()
+    assert error == pytest.approx(reached["estimate"], rel=0.01)
+
+
+def test_an_envelope_is_rendered_to_an_error(ring):
+    assert pr.render(ring, method="envelope", error=0.05).stats["error"]["is_met"]
+
+
+def test_a_scene_is_rendered_to_an_error(ring):
+    reached = pr.render(ring, error=0.3).stats["error"]
+    assert reached["is_met"]
+    assert reached["asked"] == 0.3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"error": 0.0}, "error should be"),
+        ({"seconds": -1.0}, "seconds should be"),
+        ({"error": 0.1, "photons": "traced"}, "photons should not be given"),
+        ({"preset": "best"}, "preset should be one of draft"),
+    ],
+)
+def test_goals_that_cannot_be_reached_are_refused(ring, arguments, message):
+    if "photons" in arguments:
+        arguments = arguments | {"photons": pr.trace_photons(ring, 1000)}
+    with pytest.raises(ValueError, match=message):
+        pr.render(ring, **arguments)
+
+
+def test_the_command_line_says_what_was_reached(tmp_path, capsys):
+    command = ["render", "ring", "-o", str(tmp_path / "ring.exr"), "--width", "16"]
+    assert main([*command, "--error", "0.5", "--seconds", "60"]) == 0
+    told = capsys.readouterr().out
+    assert "(asked: 0.5" in told
+    assert "relative L1 of radiance: noise" in told
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--error", "0"],
+        ["--error", "0.1", "--photon-map", "x.npz"],
+        ["--error", "0.1", "--passes", "2"],
+    ],
+)
+def test_wrong_usage(tmp_path, options):
+    with pytest.raises(SystemExit):
+        main(["render", "ring", "-o", str(tmp_path / "ring.exr"), *options])
+
+
+def test_a_map_is_made_to_an_error(tmp_path, capsys):
+    path = tmp_path / "map.exr"
+    command = ["irradiance", "ring", "--on", "floor", "-o", str(path), "--texels", "16"]
+    assert main([*command, "--error", "0.3"]) == 0
+    assert "relative L1 of irradiance: noise" in capsys.readouterr().out
+    told = json.loads(read_exr(path).metadata["photonrelax.error"])
+    assert told["is_met"]
+    assert told["of"] == "irradiance"
+
+
+@pytest.mark.parametrize("options", [["--size", "0.1"], ["--method", "envelope"]])
+def test_maps_that_do_not_compare_are_wrong_usage(tmp_path, options):
+    command = ["irradiance", "ring", "--on", "floor", "-o", str(tmp_path / "map.exr")]
+    with pytest.raises(SystemExit):
+        main([*command, "--error", "0.3", *options])
