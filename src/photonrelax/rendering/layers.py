@@ -132,6 +132,12 @@ RECORDS = (
         _estimate("envelope.error"),
         channels=1,
     ),
+    Layer(
+        "envelope.photons",
+        "share of the light of an envelope that is of photons",
+        _estimate("envelope.photons"),
+        channels=1,
+    ),
 )
 LAYERS = {
     "radiance": f"{' + '.join(layer.name for layer in RECORDS if layer.is_light)}, W/(m² sr)",

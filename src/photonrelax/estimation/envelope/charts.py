@@ -17,9 +17,12 @@ from ..._util.validation import Floats
 from ...scene.emitters import CollimatedEmitter, Emitter
 from ...scene.materials import Dielectric, Mirror
 from ...scene.scene import Scene
+from ...transport.aim import LUMINANCE
 
 # Share of its sides by which a chart is larger than its casters.
 _MARGIN = 1e-3
+# Points along each side by which the power of a chart is summed.
+_MIDDLES = 256
 # Casters farther than this from the axis of a chart, as a tangent, get charts all around.
 _WIDEST = 2.0
 
@@ -69,9 +72,33 @@ class Chart:
         """Lengths (2,) of the sides."""
         return np.linalg.norm([self.u, self.v], axis=1)
 
+    @property
+    def coords_width(self) -> int:
+        """Number of emitter coordinates: 2 of a plane, 3 of directions."""
+        return 2 if self.emitter.point is None else 3
+
+    def coords(self, places: Floats) -> tuple[Floats, Floats]:
+        """Emitter coordinates (n, 2), m, or (n, 3) at places, and luminance (n,) per m² or sr."""
+        rays = self.rays(places)
+        area = float(np.prod(self.sides))
+        sent = rays.power @ LUMINANCE / area
+        if self.emitter.point is None:
+            axes = np.array([self.u, self.v]) / self.sides[:, np.newaxis]
+            return rays.origin @ axes.T, sent
+        distance = np.linalg.norm(self._at(places), axis=1)
+        return rays.direction, sent * distance**3
+
+    @property
+    def emitted(self) -> Floats:
+        """Flux (3,) through the chart, W, by the midpoint rule."""
+        middles = (np.arange(_MIDDLES) + 0.5) / _MIDDLES
+        u, v = np.meshgrid(middles, middles)
+        mean: Floats = self.rays(np.column_stack([u.ravel(), v.ravel()])).power.mean(axis=0)
+        return mean
+
     def rays(self, places: Floats) -> ChartRays:
         """Rays at places (n, 2) in the unit square."""
-        at = self.corner + places[:, :1] * self.u + places[:, 1:] * self.v
+        at = self._at(places)
         area = float(np.prod(self.sides))
         point = self.emitter.point
         if point is None:
@@ -85,14 +112,16 @@ class Chart:
         origin = point + self.start * direction
         return ChartRays(origin, direction, intensity * area / distance**3)
 
+    def _at(self, places: Floats) -> Floats:
+        """Points (n, 3) of the rectangle."""
+        at: Floats = self.corner + places[:, :1] * self.u + places[:, 1:] * self.v
+        return at
+
 
 def charts_of(scene: Scene) -> list[Chart]:
-    """Charts around all that casts caustics, for each emitter of a scene.
+    """Charts around all that casts caustics, of the emitters of a scene.
 
-    Raises
-    ------
-    ValueError
-        If an emitter is extended: its coordinates are more than two.
+    Those with a size have none: their coordinates are more than two.
     """
     casters = [
         np.asarray(item.mesh.vertices)[np.unique(item.mesh.faces)]
@@ -101,14 +130,9 @@ def charts_of(scene: Scene) -> list[Chart]:
     ]
     charts: list[Chart] = []
     for emitter_id, emitter in enumerate(scene.emitters):
-        if emitter.is_extended or not (
-            isinstance(emitter, CollimatedEmitter) or emitter.point is not None
-        ):
-            raise ValueError(
-                "envelopes should be of parallel light or of points, but emitter "
-                f"{emitter_id} is {type(emitter).__name__} with a size: use another method, "
-                "'parameterised' say"
-            )
+        has_chart = isinstance(emitter, CollimatedEmitter) or emitter.point is not None
+        if emitter.is_extended or not has_chart:
+            continue
         make = _parallel if emitter.point is None else _around_point
         charts += make(scene, emitter, emitter_id, casters)
     return charts
