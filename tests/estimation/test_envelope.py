@@ -10,6 +10,7 @@ import trimesh
 import photonrelax as pr
 from photonrelax import gallery
 from photonrelax._ext.estimation import envelope as kernel
+from photonrelax.transport import splitting
 from tests.helpers.tracing_scenes import DOWN, box, floor, slab
 
 NORMAL, LIGHT = np.array([0.0, -0.96, -0.28]), np.array([0.0, 0.6, -0.8])
@@ -87,10 +88,12 @@ def test_error_falls_with_rays_and_is_told():
     assert all(error < 2.0 * estimate for error, estimate in zip(errors, told, strict=True))
 
 
-@pytest.mark.parametrize("n_threads", [2, 7])
-def test_threads_do_not_matter(n_threads):
+@pytest.mark.parametrize(("n_threads", "batch"), [(2, 8192), (7, 1000)])
+def test_threads_and_batches_do_not_matter(monkeypatch, n_threads, batch):
     scene = gallery.scene("sphere", subdivisions=3)
-    one, many = (pr.trace_envelope(scene, error=0.1, n_threads=n) for n in (1, n_threads))
+    one = pr.trace_envelope(scene, error=0.1, n_threads=1)
+    monkeypatch.setattr(splitting, "_BATCH", batch)
+    many = pr.trace_envelope(scene, error=0.1, n_threads=n_threads)
     for name in ("position", "normal", "flux", "misplaced"):
         assert getattr(one, name).tobytes() == getattr(many, name).tobytes()
 

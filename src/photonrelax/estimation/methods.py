@@ -21,6 +21,7 @@ from ..relaxation.relax import relax as relax_photons
 from ..relaxation.rest_density import RestDensity, RestDensitySettings, rest_density
 from ..relaxation.structure import Structure, StructureSettings, detect_structure
 from ..scene.scene import Scene
+from ..transport.raycast import RayCaster
 from .diffusion import DiffusionField, DiffusionSettings
 from .envelope.envelope import Envelope, EnvelopeSettings
 from .envelope.field import EnvelopeField
@@ -186,6 +187,7 @@ class MethodInput:
     scene: Scene | None
     n_threads: int | None
     progress: Progress | None
+    caster: RayCaster | None = None
 
     @property
     def photons(self) -> PhotonMap:
@@ -383,7 +385,7 @@ def _envelope(inputs: MethodInput) -> EnvelopeField:
                 f"method='envelope', but photons is {type(envelope).__name__}"
             )
         settings = inputs.settings.of("envelope")
-        envelope = laid_envelope(inputs.scene, settings, inputs.n_threads)
+        envelope = laid_envelope(inputs.scene, settings, inputs.n_threads, inputs.caster)
     rest = None
     if envelope.rest is not None:
         rest = _gather_relaxed(_relax_to_rest, replace(inputs, elements=envelope.rest))

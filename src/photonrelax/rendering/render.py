@@ -226,7 +226,7 @@ class _Stages:
         # Photons of unknown objects cannot be held on these.
         known = photons is None or photons.object_id is not None
         scene = view.scene if known else None
-        inputs = MethodInput(photons, settings, scene, view.n_threads, self._progress)
+        inputs = MethodInput(photons, settings, scene, view.n_threads, self._progress, view.caster)
         self._caustic = prepare(method, inputs)
         n_photons = {} if photons is None else {"photons": len(photons)}
         for stage, seconds in self._caustic.seconds.items():

@@ -21,6 +21,8 @@ from ...transport.aim import LUMINANCE
 
 # Share of its sides by which a chart is larger than its casters.
 _MARGIN = 1e-3
+# Ratio of the variances of casters along two axes up to which they have none.
+_ROUND = 1.01
 # Points along each side by which the power of a chart is summed.
 _MIDDLES = 256
 # Casters farther than this from the axis of a chart, as a tangent, get charts all around.
@@ -143,14 +145,15 @@ def _parallel(
 ) -> list[Chart]:
     whole = scene.bounding_sphere()
     region = emitter.emission_region(whole, whole, scene.emitter_offset(emitter))
-    boxes = [_box((each - region.origin) @ region.frame[:2].T) for each in casters]
+    frame = _aligned(region.frame, [each - region.origin for each in casters])
+    boxes = [_box((each - region.origin) @ frame[:2].T) for each in casters]
     return [
         Chart(
             emitter,
             emitter_id,
-            region.origin + low @ region.frame[:2],
-            (high - low)[0] * region.frame[0],
-            (high - low)[1] * region.frame[1],
+            region.origin + low @ frame[:2],
+            (high - low)[0] * frame[0],
+            (high - low)[1] * frame[1],
         )
         for low, high in _disjoint(boxes)
     ]
@@ -165,7 +168,7 @@ def _around_point(
     units = [each / np.linalg.norm(each, axis=1)[:, np.newaxis] for each in towards]
     axis = sum(each.mean(axis=0) for each in units)
     length = np.linalg.norm(axis)
-    frame = _frame(axis / length) if length > 0.0 else np.eye(3)
+    frame = _aligned(_frame(axis / length), units) if length > 0.0 else np.eye(3)
     local = [each @ frame.T for each in towards]
     if all((np.hypot(p[:, 0], p[:, 1]) <= _WIDEST * p[:, 2]).all() for p in local):
         boxes = _disjoint([_box(p[:, :2] / p[:, 2:]) for p in local])
@@ -191,6 +194,23 @@ def _frame(w: Floats) -> Floats:
     u = np.cross(np.eye(3)[np.abs(w).argmin()], w)
     u /= np.linalg.norm(u)
     return np.array([u, np.cross(w, u), w])
+
+
+def _aligned(frame: Floats, casters: list[Floats]) -> Floats:
+    """A frame turned about its third axis to the axes of casters, so that charts turn with these.
+
+    It stays where casters are as wide along all directions across it.
+    """
+    across = np.concatenate(casters) @ frame[:2].T
+    across = across - across.mean(axis=0)
+    variance, axes = np.linalg.eigh(across.T @ across)
+    if variance[1] <= _ROUND * variance[0]:
+        return frame
+    u = axes[:, 1]
+    skewness = ((across @ u) ** 3).sum()
+    u = u if skewness >= 0.0 else -u
+    turned = u @ frame[:2]
+    return np.array([turned, np.cross(frame[2], turned), frame[2]])
 
 
 def _box(points: Floats) -> Floats:

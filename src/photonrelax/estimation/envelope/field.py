@@ -66,13 +66,15 @@ class EnvelopeField(Field):
     def layers(self) -> dict[str, Floats]:
         """Shares (n, 1) of the light of each, by the layer's name.
 
-        Of that which is misplaced, as is estimated, and of that of photons.
+        Of its error, as is estimated: misplaced light is missing in one place and too much in
+        another. And of that of photons.
         """
         n_photons = len(self.flux) - len(self.envelope)
         luminance = luminances(self.envelope.flux)
         share = np.divide(
             self.envelope.misplaced, luminance, out=np.zeros(len(luminance)), where=luminance > 0.0
         )
+        share = np.minimum(2.0 * share, 1.0)
         return {
             "envelope.error": np.append(share, np.full(n_photons, NOISE))[:, np.newaxis],
             "envelope.photons": np.repeat([0.0, 1.0], [len(share), n_photons])[:, np.newaxis],

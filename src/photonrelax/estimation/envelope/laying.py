@@ -14,9 +14,9 @@ from .borders import cut, joined
 from .elements import areas, bends, luminances, shape_functions, six_places
 from .refinement import Refinement
 
-# Share of all light that straight pieces of one image may misplace by a footprint, and the limits
-# of their distance from it, in footprints.
-_STRAIGHT, _TOLERANCES = 1e-6, (0.002, 0.5)
+# Share of the misplaced light that straight pieces may misplace besides, and the largest distance
+# of these from their image, in footprints.
+_STRAIGHT, _FARTHEST = 2.0, 0.5
 # Sides of an image are divided into at most so many.
 _MOST_PIECES = 16
 # Points of light that the square around each is as large as.
@@ -147,7 +147,7 @@ def _curved(refinement: Refinement, rows: NDArray[np.intp]) -> Laid:
         patches.sheet,
         refinement.scores[rows],
     )
-    n = _divisions(images, refinement.luminance, refinement.footprint)
+    n = _divisions(images, refinement.score, refinement.footprint)
     parts = [
         _divided(_Images(*(column[n == each] for column in images)), int(each))
         for each in np.unique(n)
@@ -175,12 +175,17 @@ class _Images(NamedTuple):
     score: Floats
 
 
-def _divisions(images: _Images, total: float, footprint: float) -> NDArray[np.intp]:
-    """Parts (n,) of the sides of images, of a luminance of all light."""
+def _divisions(images: _Images, misplaced: float, footprint: float) -> NDArray[np.intp]:
+    """Parts (n,) of the sides of images, whose chords misplace so much luminance, W.
+
+    Pieces are fewest, for Σ flux · distance given, at distances as (√bend / flux)^(2/3).
+    """
     bend, _ = bends(images.position)
-    flux = luminances(images.light[:, 3:].mean(axis=1))
-    tolerance = np.clip(_STRAIGHT * total / flux, *_TOLERANCES)
-    n = np.ceil(np.sqrt(bend / (tolerance * footprint)))
+    flux = np.maximum(luminances(images.light[:, 3:].mean(axis=1)), 1e-300)
+    weight = np.cbrt(bend) * flux ** (-2.0 / 3.0)
+    of_all = max(float(flux @ weight), 1e-300)
+    distance = footprint * np.minimum(weight * (_STRAIGHT * misplaced / of_all), _FARTHEST)
+    n = np.ceil(np.sqrt(bend / np.maximum(distance, 1e-300)))
     return np.clip(n, 1, _MOST_PIECES).astype(np.intp)
 
 

@@ -78,13 +78,25 @@ class Refinement:
     def light_of_sheets(self) -> Floats:
         """Luminance (k, 2) of each sheet that is followed, of all images and of rough ones, W."""
         flux = luminances(self._fluxes(self.leaves, self.patches))
-        sheets = self.lattice.followed.sheets
-        number = np.searchsorted(sheets, self.patches.sheet)
+        number, n = self._numbers, len(self.lattice.followed.sheets)
         is_rough = ~self.patches.is_whole | self.jumps
-        sums = [
-            np.bincount(number, each, minlength=len(sheets)) for each in (flux, flux * is_rough)
-        ]
-        return np.column_stack(sums)
+        return np.column_stack([np.bincount(number, each, n) for each in (flux, flux * is_rough)])
+
+    def rough_elements(self, is_rough: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """Elements (k, 2) on which sheets are rough, all, and those where no other sheet is.
+
+        `is_rough` (k,) are the sheets looked at, which the others are not.
+        """
+        number, n = self._numbers, len(self.lattice.followed.sheets)
+        rough = ~self.patches.is_whole | self.jumps
+        others = self.patches.element[rough & ~is_rough[number]]
+        alone = rough & ~np.isin(self.patches.element, others)
+        return np.column_stack([np.bincount(number[each], minlength=n) for each in (rough, alone)])
+
+    @property
+    def _numbers(self) -> NDArray[np.intp]:
+        """Rows (p,) of the images' sheets among those that are followed."""
+        return np.searchsorted(self.lattice.followed.sheets, self.patches.sheet)
 
     def drop_unfollowed(self) -> None:
         """Leave out images of sheets that are not followed any more."""

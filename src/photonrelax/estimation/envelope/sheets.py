@@ -24,7 +24,7 @@ _R2 = (0.7548776662466927, 0.5698402909980532)
 # Share of all light that is in sheets left to photons, unless these are rough.
 _LEFT = 0.0005
 # Standard errors, and share besides, by which the light of images may fall short of that explored.
-_SHORT, _SHORT_SHARE = 2.0, 0.05
+_SHORT, _SHORT_SHARE = 1.0, 0.05
 
 
 class Explored(NamedTuple):

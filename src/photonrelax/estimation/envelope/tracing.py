@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from time import perf_counter
 
@@ -34,8 +35,9 @@ _LEAST_THROUGHPUT = 1e-2
 _FOOTPRINTS = 400
 # Share of the misplaced light that is left to leaves not divided in a pass.
 _LEFT = 0.5
-# Sheets are given up if more than this share of their flux is torn or jumps after some divisions.
-_GIVEN_UP, _DIVISIONS = 0.9, 4
+# Sheets are given up if more than these shares of their flux, and of the elements on which they do
+# alone, are torn or jump after some divisions.
+_GIVEN_UP, _ALONE, _DIVISIONS = 0.9, 0.5, 4
 
 
 def trace_envelope(
@@ -47,6 +49,7 @@ def trace_envelope(
     footprint: float | None = None,
     n_photons: int | None = None,
     n_threads: int | None = None,
+    caster: RayCaster | None = None,
 ) -> Envelope:
     """Lay the light of the emitters of a scene over its images.
 
@@ -58,6 +61,8 @@ def trace_envelope(
         As of `EnvelopeSettings`.
     n_threads : int, optional
         Threads; all by default. The result does not depend on them.
+    caster : RayCaster, optional
+        Of the scene: building it takes time.
 
     Returns
     -------
@@ -70,15 +75,18 @@ def trace_envelope(
         If no light arrives, or a number is out of its range.
     """
     settings = EnvelopeSettings(n_rays, error, seconds, footprint, n_photons)
-    return laid_envelope(scene, settings, n_threads)
+    return laid_envelope(scene, settings, n_threads, caster)
 
 
 def laid_envelope(
-    scene: Scene, settings: EnvelopeSettings, n_threads: int | None = None
+    scene: Scene,
+    settings: EnvelopeSettings,
+    n_threads: int | None = None,
+    caster: RayCaster | None = None,
 ) -> Envelope:
     """Envelope of a scene; see `trace_envelope`."""
     started, threads = perf_counter(), thread_count(n_threads)
-    caster = RayCaster(scene.surfaces)
+    caster = caster or RayCaster(scene.surfaces)
     tracer = SplittingTracer(scene, _LEAST_THROUGHPUT, threads, caster=caster)
     charts = charts_of(scene)
     n_rays = np.inf if settings.n_rays is None else settings.n_rays
@@ -150,15 +158,12 @@ def _refine(
 ) -> None:
     """Divide elements, where most light is misplaced first, up to one of the limits."""
     end = np.inf if settings.seconds is None else started + settings.seconds
-    n_passes, dropped = 0, False
-    while True:
-        goes_on = perf_counter() < end and _divided(refinements, settings)
-        n_passes += goes_on
-        if not dropped and (n_passes == _DIVISIONS or not goes_on):
-            _drop_rough(followed, refinements)
-            dropped = True
-        elif not goes_on:
-            return
+    n_passes = 0
+    while perf_counter() < end and _divided(refinements, settings):
+        n_passes += 1
+        if n_passes == _DIVISIONS:
+            _drop(followed, refinements, _is_rough)
+    _drop(followed, refinements, _falls_short)
 
 
 def _divided(refinements: list[Refinement], settings: EnvelopeSettings) -> bool:
@@ -184,18 +189,35 @@ def _rays_left(refinements: list[Refinement], settings: EnvelopeSettings) -> flo
     return settings.n_rays - traced - sum(each.n_rays_of_borders for each in refinements)
 
 
-def _drop_rough(followed: list[FollowedSheets], refinements: list[Refinement]) -> None:
-    """Give up sheets of which hardly anything is smooth, or much has not been found."""
+def _drop(
+    followed: list[FollowedSheets],
+    refinements: list[Refinement],
+    is_given_up: Callable[[FollowedSheets, list[Refinement]], NDArray[np.bool_]],
+) -> None:
+    """Give up some sheets of each emitter."""
     for sheets in followed:
         mine = [each for each in refinements if each.lattice.followed is sheets]
         if not mine:
             continue
-        whole, rough = np.sum([each.light_of_sheets for each in mine], axis=0).T
-        given_up = (rough > _GIVEN_UP * whole) | sheets.falls_short(whole)
+        given_up = is_given_up(sheets, mine)
         if given_up.any():
             sheets.drop(sheets.sheets[given_up])
             for each in mine:
                 each.drop_unfollowed()
+
+
+def _is_rough(followed: FollowedSheets, refinements: list[Refinement]) -> NDArray[np.bool_]:
+    """Sheets of which hardly anything is smooth, and that take elements of their own for it."""
+    whole, rough = np.sum([each.light_of_sheets for each in refinements], axis=0).T
+    is_rough = rough > _GIVEN_UP * whole
+    n, n_alone = np.sum([each.rough_elements(is_rough) for each in refinements], axis=0).T
+    return is_rough & (n_alone > _ALONE * n)
+
+
+def _falls_short(followed: FollowedSheets, refinements: list[Refinement]) -> NDArray[np.bool_]:
+    """Sheets of whose light much has not been found."""
+    whole, _ = np.sum([each.light_of_sheets for each in refinements], axis=0).T
+    return followed.falls_short(whole)
 
 
 def _photons_wanted(
