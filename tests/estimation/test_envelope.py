@@ -165,15 +165,34 @@ def test_pictures_have_the_error_as_a_layer():
 def test_light_of_emitters_with_a_size_is_of_photons():
     """A sun beside parallel light of the same direction: no images, and as much light."""
     scene = mirrored()
-    sun = pr.CollimatedEmitter(LIGHT, (1.0, 2.0, 3.0), angular_radius=0.5)
+    sun = pr.CollimatedEmitter(LIGHT, (1.0, 2.0, 3.0), angular_radius=3.0)
     both = pr.Scene(scene.objects, [*scene.emitters, sun])
-    one, two = (field_of(each, error=0.05, n_photons=60_000) for each in (scene, both))
+    limits = {"error": 0.05, "footprint": 0.005, "n_photons": 60_000}
+    one, two = (field_of(each, **limits) for each in (scene, both))
     ledger = two.envelope.ledger
     np.testing.assert_allclose(ledger.images, one.envelope.ledger.images, rtol=1e-9)
     np.testing.assert_allclose(ledger.photons, ledger.images, rtol=0.05)
-    light = [floor_map(each, 1.5, centre=(0.0, 1.1)).sum() for each in (one, two)]
+    light = [floor_map(each, 1.5).sum() for each in (one, two)]
     assert light[1] == pytest.approx(2.0 * light[0], rel=0.03)
     np.testing.assert_array_equal(two.layers["envelope.photons"].sum(), len(two.envelope.rest))
+
+
+def test_a_small_sun_is_several_parallel_lights():
+    """The flux of one, and its edges as blurred as those of photons."""
+    scene = mirrored()
+    sun = pr.CollimatedEmitter(LIGHT, (1.0, 2.0, 3.0), angular_radius=1.0)
+    sunny = pr.Scene(scene.objects, [sun])
+    field = field_of(sunny, error=0.01, footprint=0.06)
+    assert 4 <= len(field.envelope.charts) <= 64
+    assert field.rest is None
+    parallel = field_of(scene, error=0.05)
+    np.testing.assert_allclose(field.flux.sum(axis=0), parallel.flux.sum(axis=0), rtol=5e-3)
+    photons = pr.irradiance_field(pr.trace_photons(sunny, 200_000), scene=sunny)
+    fields = photons, field, parallel
+    exact, found, hard = (floor_map(each, 0.45, 30, (0.0, -0.1)) for each in fields)
+    error, difference = (np.abs(each - exact).sum() / exact.sum() for each in (found, hard))
+    assert error < 0.05
+    assert error < 0.6 * difference
 
 
 @pytest.mark.parametrize(

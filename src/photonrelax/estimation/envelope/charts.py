@@ -125,25 +125,29 @@ def charts_of(scene: Scene) -> list[Chart]:
 
     Those with a size have none: their coordinates are more than two.
     """
-    casters = [
+    charts: list[Chart] = []
+    for emitter_id, emitter in enumerate(scene.emitters):
+        if emitter.is_extended:
+            continue
+        if isinstance(emitter, CollimatedEmitter):
+            charts += parallel_charts(scene, emitter, emitter_id)
+        elif emitter.point is not None:
+            charts += _charts_around_point(scene, emitter, emitter_id)
+    return charts
+
+
+def _casters(scene: Scene) -> list[Floats]:
+    """Vertices of each object that may cast a caustic, m."""
+    return [
         np.asarray(item.mesh.vertices)[np.unique(item.mesh.faces)]
         for item in scene.objects
         if isinstance(item.material, Dielectric | Mirror)
     ]
-    charts: list[Chart] = []
-    for emitter_id, emitter in enumerate(scene.emitters):
-        has_chart = isinstance(emitter, CollimatedEmitter) or emitter.point is not None
-        if emitter.is_extended or not has_chart:
-            continue
-        make = _parallel if emitter.point is None else _around_point
-        charts += make(scene, emitter, emitter_id, casters)
-    return charts
 
 
-def _parallel(
-    scene: Scene, emitter: Emitter, emitter_id: int, casters: list[Floats]
-) -> list[Chart]:
-    whole = scene.bounding_sphere()
+def parallel_charts(scene: Scene, emitter: CollimatedEmitter, emitter_id: int) -> list[Chart]:
+    """Charts of parallel light, which need not be that of the scene's emitter of the number."""
+    casters, whole = _casters(scene), scene.bounding_sphere()
     region = emitter.emission_region(whole, whole, scene.emitter_offset(emitter))
     frame = _aligned(region.frame, [each - region.origin for each in casters])
     boxes = [_box((each - region.origin) @ frame[:2].T) for each in casters]
@@ -159,10 +163,8 @@ def _parallel(
     ]
 
 
-def _around_point(
-    scene: Scene, emitter: Emitter, emitter_id: int, casters: list[Floats]
-) -> list[Chart]:
-    whole = scene.bounding_sphere()
+def _charts_around_point(scene: Scene, emitter: Emitter, emitter_id: int) -> list[Chart]:
+    casters, whole = _casters(scene), scene.bounding_sphere()
     region = emitter.emission_region(whole, whole, scene.emitter_offset(emitter))
     towards = [each - region.origin for each in casters]
     units = [each / np.linalg.norm(each, axis=1)[:, np.newaxis] for each in towards]

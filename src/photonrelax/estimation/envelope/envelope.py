@@ -39,7 +39,7 @@ class EnvelopeSettings:
     Attributes
     ----------
     n_rays : int, optional
-        Rays from emitters, at most.
+        Rays from emitters, at most; a million by default.
     error : float, optional
         Share of the light that may be misplaced; 0.01 unless rays or time are limited.
     seconds : float, optional

@@ -21,8 +21,9 @@ from .charts import Chart
 # share of all that may be traced.
 _MOST_EXPLORED, _LEAST_EXPLORED, _SHARE = 4096, 64, 0.125
 _R2 = (0.7548776662466927, 0.5698402909980532)
-# Share of all light that is in sheets left to photons, unless these are rough.
-_LEFT = 0.0005
+# Share of all light that is in sheets left to photons, unless these are rough, and share of the
+# light of each that makes a sheet worth its elements.
+_LEFT, _LEAST = 0.0005, 0.002
 # Standard errors, and share besides, by which the light of images may fall short of that explored.
 _SHORT, _SHORT_SHARE = 1.0, 0.05
 
@@ -112,11 +113,11 @@ class FollowedSheets:
 
 
 def followed_sheets(
-    charts: list[Chart], tracer: SplittingTracer, n_rays: float
+    charts: list[Chart], tracer: SplittingTracer, n_rays: int
 ) -> dict[int, FollowedSheets]:
     """Of each emitter the sheets of most light, all but a small share of the light of all.
 
-    `n_rays` are all that may be traced; infinite for any number.
+    `n_rays` are all that may be traced.
     """
     n = int(np.clip(_SHARE * n_rays, _LEAST_EXPLORED, _MOST_EXPLORED)) // max(len(charts), 1)
     found: dict[int, Explored] = {}
@@ -128,6 +129,7 @@ def followed_sheets(
     rest = luminance.sum() - np.cumsum(luminance[order])
     is_followed = np.zeros(len(order), dtype=bool)
     is_followed[order[: int(np.count_nonzero(rest > _LEFT * luminance.sum())) + 1]] = True
+    is_followed &= luminance >= _LEAST * luminance.sum()
     ends = np.cumsum([len(each.sheet) for each in found.values()])
     parts = np.split(is_followed, ends[:-1]) if found else []
     return {

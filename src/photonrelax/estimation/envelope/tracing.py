@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..._util.parallel import thread_count
 from ..._util.validation import Floats
+from ...scene.emitters import CollimatedEmitter
 from ...scene.scene import Scene
 from ...transport.raycast import RayCaster
 from ...transport.splitting import SplittingTracer
@@ -23,16 +24,15 @@ from .laying import Laid, Points, laid, squares
 from .refinement import Refinement
 from .rest import Rest, photons_wanted, rest_photons
 from .sheets import FollowedSheets, followed_sheets
+from .suns import FOOTPRINTS, extent, sun_charts
 
-# Photons to emit, at most, unless a render or settings tell.
-_MOST_PHOTONS = 1_000_000
+# Rays to trace and photons to emit, at most, unless settings or a render tell.
+_MOST_RAYS, _MOST_PHOTONS = 1_000_000, 1_000_000
 # Cells of the first grid of a chart, at most and at least, and the share of the rays that may be
 # traced that their nodes take, four each.
 _MOST_CELLS, _LEAST_CELLS, _OF_RAYS = 32 * 32, 16, 0.25 / 4
 # Branches of less of a node's light are followed as single photons.
 _LEAST_THROUGHPUT = 1e-2
-# Footprints across all light, where nothing says how fine it is looked at.
-_FOOTPRINTS = 400
 # Share of the misplaced light that is left to leaves not divided in a pass.
 _LEFT = 0.5
 # Sheets are given up if more than these shares of their flux, and of the elements on which they do
@@ -89,7 +89,10 @@ def laid_envelope(
     caster = caster or RayCaster(scene.surfaces)
     tracer = SplittingTracer(scene, _LEAST_THROUGHPUT, threads, caster=caster)
     charts = charts_of(scene)
-    n_rays = np.inf if settings.n_rays is None else settings.n_rays
+    for emitter_id, emitter in enumerate(scene.emitters):
+        if isinstance(emitter, CollimatedEmitter) and emitter.is_extended:
+            charts += sun_charts(scene, emitter_id, tracer, settings)
+    n_rays = settings.n_rays or _MOST_RAYS
     followed = followed_sheets(charts, tracer, n_rays)
     lattices = _lattices(charts, tracer, followed, n_rays)
     if len(followed) == len(scene.emitters) and not lattices:
@@ -98,7 +101,7 @@ def laid_envelope(
             f"of {tracer.n_segments:,} rays does"
         )
     if settings.footprint is None and lattices:
-        settings = replace(settings, footprint=_extent(lattices) / _FOOTPRINTS)
+        settings = replace(settings, footprint=_extent(lattices) / FOOTPRINTS)
     refinements = [Refinement(each, settings.footprint or 1.0) for each in lattices]
     _refine(refinements, list(followed.values()), settings, started)
     traced = perf_counter()
@@ -135,7 +138,7 @@ def _lattices(
     charts: list[Chart],
     tracer: SplittingTracer,
     followed: dict[int, FollowedSheets],
-    n_rays: float,
+    n_rays: int,
 ) -> list[Lattice]:
     """Lattices of the charts that light of followed sheets arrives from, with their first nodes."""
     most = _OF_RAYS * n_rays / max(len(charts), 1)
@@ -181,12 +184,14 @@ def _divided(refinements: list[Refinement], settings: EnvelopeSettings) -> bool:
     return any(divided)
 
 
-def _rays_left(refinements: list[Refinement], settings: EnvelopeSettings) -> float:
+def _rays_left(refinements: list[Refinement], settings: EnvelopeSettings) -> int:
     """Rays that may still be traced, without those of borders."""
-    if settings.n_rays is None:
-        return np.inf
     traced = refinements[0].lattice.n_traced if refinements else 0
-    return settings.n_rays - traced - sum(each.n_rays_of_borders for each in refinements)
+    return (
+        (settings.n_rays or _MOST_RAYS)
+        - traced
+        - sum(each.n_rays_of_borders for each in refinements)
+    )
 
 
 def _drop(
@@ -252,12 +257,9 @@ def _images(
 
 
 def _extent(lattices: list[Lattice]) -> float:
-    """Extent of most of the light, m: four deviations along the axis of the most."""
+    """Extent of most of the light, m."""
     position = np.concatenate([each.arrivals.position for each in lattices])
-    weight = luminances(np.concatenate([each.light for each in lattices]))
-    weight /= weight.sum()
-    spread = weight @ np.square(position - weight @ position)
-    return float(4.0 * np.sqrt(spread.max())) or 1.0
+    return extent(position, luminances(np.concatenate([each.light for each in lattices])))
 
 
 def _ledger(rest: Rest, charts: list[Chart], images: Laid, points: Floats) -> EnvelopeLedger:
