@@ -16,7 +16,7 @@ from .refinement import Refinement
 
 # Share of the misplaced light that straight pieces may misplace besides, and the largest distance
 # of these from their image, in footprints.
-_STRAIGHT, _FARTHEST = 2.0, 0.5
+_STRAIGHT, _FARTHEST = 1.0, 0.5
 # Sides of an image are divided into at most so many.
 _MOST_PIECES = 16
 # Points of light that the square around each is as large as.

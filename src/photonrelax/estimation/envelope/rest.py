@@ -20,7 +20,7 @@ from ...transport.trace import trace_photons
 # Relaxed photons of a map whose relative L1 error would be one: it falls with their root.
 _PHOTONS_OF_NOISE = 300.0
 # Photons stored at least: estimates of fewer do not keep their flux.
-_LEAST_STORED = 500.0
+_LEAST_STORED = 2000.0
 # Share of the misplaced light that that of photons may be, and that of light that is left out.
 _OF_ERROR, _LEFT_OUT = 1.0 / 3.0, 0.1
 
