@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .estimation.diffusion import DiffusionSettings as DiffusionSettings
     from .estimation.envelope.envelope import Envelope as Envelope
     from .estimation.envelope.envelope import EnvelopeSettings as EnvelopeSettings
-    from .estimation.envelope.envelope import trace_envelope as trace_envelope
+    from .estimation.envelope.tracing import trace_envelope as trace_envelope
     from .estimation.field import Field as Field
     from .estimation.frequency import FrequencySettings as FrequencySettings
     from .estimation.irradiance_map import irradiance_map as irradiance_map
@@ -135,7 +135,7 @@ _MODULE_OF = {
     "render_progressive": "rendering.progressive_render",
     "rest_density": "relaxation.rest_density",
     "save_scene": "io.save",
-    "trace_envelope": "estimation.envelope.envelope",
+    "trace_envelope": "estimation.envelope.tracing",
     "trace_photons": "transport.trace",
     "tradeoff": "evaluation.tradeoff",
 }

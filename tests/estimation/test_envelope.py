@@ -10,6 +10,7 @@ import trimesh
 import photonrelax as pr
 from photonrelax import gallery
 from photonrelax._ext.estimation import envelope as kernel
+from photonrelax.transport import splitting
 from tests.helpers.tracing_scenes import DOWN, box, floor, slab
 
 NORMAL, LIGHT = np.array([0.0, -0.96, -0.28]), np.array([0.0, 0.6, -0.8])
@@ -45,37 +46,35 @@ def test_light_behind_a_flat_mirror_is_even():
 
 
 def test_light_through_a_plate_is_even_but_for_faint_orders():
-    """(1 - R)² of the light directly, R⁴ of that by two reflections by roulette."""
-    field = field_of(pr.Scene([floor(), slab()], [DOWN]), error=0.05)
+    """(1 - R)² of the light directly; by two reflections, R² of that by photons."""
+    field = field_of(pr.Scene([floor(), slab()], [DOWN]), error=0.005)
     found = floor_map(field, 1.5)
     assert found.min() >= 0.96**2 * (1 - 1e-9)
     assert found.mean() == pytest.approx(0.96 / 1.04, abs=3e-4)
 
 
-@pytest.mark.parametrize("name", ["ring", "sphere"])
-def test_flux_is_that_of_photons(name):
-    scene = gallery.scene(name)
-    envelope = pr.trace_envelope(scene, n_rays=15_000, footprint=0.02)
-    photons = pr.trace_photons(scene, 200_000)
-    np.testing.assert_allclose(envelope.flux.sum(axis=0), photons.flux.sum(axis=0), rtol=3e-3)
+@pytest.fixture(scope="module")
+def bent():
+    """Field of the images of a bent mirror, all of whose light is of one sheet."""
+    field = field_of(gallery.scene("reflector", resolution=128), error=0.05)
+    assert field.rest is None
+    return field
 
 
-def test_a_map_holds_all_light_that_falls_on_it():
-    field = field_of(gallery.scene("ring"), error=0.05)
+def test_a_map_holds_all_light_that_falls_on_it(bent):
     half, n = 12.0, 40
-    held = floor_map(field, half, n).sum(axis=(0, 1)) * (2 * half / n) ** 2
-    np.testing.assert_allclose(held, field.envelope.flux.sum(axis=0), rtol=1e-9)
+    held = floor_map(bent, half, n).sum(axis=(0, 1)) * (2 * half / n) ** 2
+    np.testing.assert_allclose(held, bent.envelope.flux.sum(axis=0), rtol=1e-9)
 
 
-def test_texels_part_the_light_between_them():
-    field = field_of(gallery.scene("ring"), error=0.05)
-    fine, coarse = (floor_map(field, 1.5, n) for n in (60, 20))
+def test_texels_part_the_light_between_them(bent):
+    fine, coarse = (floor_map(bent, 1.5, n) for n in (60, 20))
     means = fine.reshape(20, 3, 20, 3, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(means, coarse, rtol=1e-9, atol=1e-12 * coarse.max())
 
 
 def test_error_falls_with_rays_and_is_told():
-    scene = gallery.scene("ring")
+    scene = gallery.scene("reflector", resolution=1024)
     exact = floor_map(field_of(scene, n_rays=150_000, footprint=0.03), 1.5, 100)
     errors, told = [], []
     for n_rays in (8000, 24_000):
@@ -89,10 +88,12 @@ def test_error_falls_with_rays_and_is_told():
     assert all(error < 2.0 * estimate for error, estimate in zip(errors, told, strict=True))
 
 
-@pytest.mark.parametrize("n_threads", [2, 7])
-def test_threads_do_not_matter(n_threads):
+@pytest.mark.parametrize(("n_threads", "batch"), [(2, 8192), (7, 1000)])
+def test_threads_and_batches_do_not_matter(monkeypatch, n_threads, batch):
     scene = gallery.scene("sphere", subdivisions=3)
-    one, many = (pr.trace_envelope(scene, error=0.1, n_threads=n) for n in (1, n_threads))
+    one = pr.trace_envelope(scene, error=0.1, n_threads=1)
+    monkeypatch.setattr(splitting, "_BATCH", batch)
+    many = pr.trace_envelope(scene, error=0.1, n_threads=n_threads)
     for name in ("position", "normal", "flux", "misplaced"):
         assert getattr(one, name).tobytes() == getattr(many, name).tobytes()
 
@@ -149,6 +150,10 @@ def test_pictures_have_the_error_as_a_layer():
     scene = replace(scene, camera=replace(scene.camera, width=24, height=24))
     image = pr.render(scene, method="envelope", envelope=pr.EnvelopeSettings(error=0.05))
     assert (image.layers["caustic"] > 0.0).any()
+    assert not image.layers["envelope.photons"].all()
+    ledger = {name: np.array(flux) for name, flux in image.stats["ledger"].items()}
+    emitted = ledger.pop("emitted")
+    np.testing.assert_allclose(sum(ledger.values()), emitted, rtol=1e-9)
     error = image.layers["envelope.error"]
     assert ((error >= 0.0) & (error <= 1.0)).all()
     assert error.max() > 0.0
@@ -157,11 +162,85 @@ def test_pictures_have_the_error_as_a_layer():
     assert means[0] == pytest.approx(means[1], rel=0.02)
 
 
-def test_emitters_with_a_size_are_refused():
+def test_light_of_emitters_with_a_size_is_of_photons():
+    """A sun beside parallel light of the same direction: no images, and as much light."""
     scene = mirrored()
-    sun = pr.CollimatedEmitter([0, 1, 0.1], angular_radius=1.0)
-    with pytest.raises(ValueError, match="should be of parallel light or of points"):
-        pr.trace_envelope(pr.Scene(scene.objects, [sun]))
+    sun = pr.CollimatedEmitter(LIGHT, (1.0, 2.0, 3.0), angular_radius=3.0)
+    both = pr.Scene(scene.objects, [*scene.emitters, sun])
+    limits = {"error": 0.05, "footprint": 0.005, "n_photons": 60_000}
+    one, two = (field_of(each, **limits) for each in (scene, both))
+    ledger = two.envelope.ledger
+    np.testing.assert_allclose(ledger.images, one.envelope.ledger.images, rtol=1e-9)
+    np.testing.assert_allclose(ledger.photons, ledger.images, rtol=0.05)
+    light = [floor_map(each, 1.5).sum() for each in (one, two)]
+    assert light[1] == pytest.approx(2.0 * light[0], rel=0.03)
+    np.testing.assert_array_equal(two.layers["envelope.photons"].sum(), len(two.envelope.rest))
+
+
+def test_a_small_sun_is_several_parallel_lights():
+    """The flux of one, and its edges as blurred as those of photons."""
+    scene = mirrored()
+    sun = pr.CollimatedEmitter(LIGHT, (1.0, 2.0, 3.0), angular_radius=1.0)
+    sunny = pr.Scene(scene.objects, [sun])
+    field = field_of(sunny, error=0.01, footprint=0.06)
+    assert 4 <= len(field.envelope.charts) <= 64
+    assert field.rest is None
+    parallel = field_of(scene, error=0.05)
+    np.testing.assert_allclose(field.flux.sum(axis=0), parallel.flux.sum(axis=0), rtol=5e-3)
+    photons = pr.irradiance_field(pr.trace_photons(sunny, 200_000), scene=sunny)
+    fields = photons, field, parallel
+    exact, found, hard = (floor_map(each, 0.45, 30, (0.0, -0.1)) for each in fields)
+    error, difference = (np.abs(each - exact).sum() / exact.sum() for each in (found, hard))
+    assert error < 0.05
+    assert error < 0.6 * difference
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [("ring", {}), ("sphere", {"subdivisions": 4}), ("ripples", {"resolution": 128})],
+)
+def test_flux_is_that_of_photons(name, parameters):
+    """Of images, points and photons together; with what is lost, all that is emitted."""
+    scene = gallery.scene(name, **parameters)
+    ledger = pr.trace_envelope(scene, n_rays=25_000, footprint=0.02).ledger
+    stored = ledger.images + ledger.points + ledger.photons
+    np.testing.assert_allclose(stored + ledger.lost, ledger.emitted, rtol=1e-9)
+    photons = pr.trace_photons(scene, 200_000)
+    np.testing.assert_allclose(stored, photons.flux.sum(axis=0), rtol=3e-3)
+
+
+@pytest.mark.parametrize("n", [1, 10, 20_000])
+def test_photons_of_an_envelope_have_all_its_light(bent, n):
+    photons = bent.envelope.photons(n)
+    assert len(photons) == n
+    np.testing.assert_allclose(photons.flux.sum(axis=0), bent.flux.sum(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(photons.flux, np.broadcast_to(photons.flux[0], (n, 3)), rtol=1e-9)
+
+
+def test_photons_of_an_envelope_are_where_their_coordinates_lead(bent):
+    """Traced photons of the same coordinates lie at the same places."""
+    photons = bent.envelope.photons(20_000)
+    traced = pr.trace_photons(gallery.scene("reflector", resolution=128), 20_000)
+    assert set(photons.path_signature) <= set(traced.path_signature)
+    for axis in range(2):
+        # Both coordinates are along the same axes, from other origins.
+        spread = [np.ptp(each.emitter_coords[:, axis]) for each in (photons, traced)]
+        assert spread[0] == pytest.approx(spread[1], rel=0.02)
+    density = np.median(photons.emitter_density * photons.flux[:, 0])
+    assert density == pytest.approx(np.median(traced.emitter_density * traced.flux[:, 0]), rel=0.06)
+
+
+def test_photons_of_an_envelope_are_well_spaced_and_relax(bent):
+    """A map of relaxed photons is near the envelope's own, as one of traced photons is."""
+    photons = bent.envelope.photons(40_000)
+    traced = pr.trace_photons(gallery.scene("reflector", resolution=128), 40_000)
+    exact = floor_map(bent, 2.0, 40)
+    errors = [
+        np.abs(floor_map(pr.irradiance_field(each), 2.0, 40) - exact).sum() / exact.sum()
+        for each in (photons, traced.subset(slice(0, len(photons))))
+    ]
+    assert errors[0] < 0.06
+    assert errors[0] < 1.2 * errors[1]
 
 
 def test_a_scene_without_caustics_is_refused():

@@ -32,7 +32,7 @@ def image(prism):
 
 def test_layers_are_those_promised(image):
     # Nothing in this scene is seen to emit, and light is of photons.
-    others = {"emission", "envelope.error"}
+    others = {"emission", "envelope.error", "envelope.photons"}
     assert list(image.layers) == [name for name in layers.LAYERS if name not in others]
     for name, layer in image.layers.items():
         colour = name not in ("Z", "photons.constraint", "photons.bounces")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from photonrelax._ext.transport.splitting import sheets
 
 import photonrelax as pr
 from photonrelax.transport.splitting import SplittingTracer
@@ -22,7 +23,7 @@ def down(n, seed=1):
 
 
 def arrivals(of, n=200, least=1e-12, n_threads=1):
-    return SplittingTracer(of, least, n_threads).trace(*down(n), 0)
+    return SplittingTracer(of, least, n_threads).explore(*down(n), 0)[0]
 
 
 def test_a_slab_passes_every_order_of_internal_reflection():
@@ -33,11 +34,11 @@ def test_a_slab_passes_every_order_of_internal_reflection():
         here = found[found.node == node]
         orders = (1.0 - reflectance) ** 2 * reflectance ** (2.0 * np.arange(len(here)))
         np.testing.assert_allclose(-np.sort(-here.throughput[:, 0]), orders, rtol=1e-9)
-        assert len(np.unique(here.signature)) == len(here) == 5
+        assert len(np.unique(here.sheet)) == len(here) == 5
         np.testing.assert_allclose(here.position[:, :2], down(5)[0][[node] * 5, :2], atol=1e-6)
     assert not found.is_single.any()
-    first = found[found.node == 0].signature
-    assert (np.sort(found[found.node == 4].signature) == np.sort(first)).all()
+    first = found[found.node == 0].sheet
+    assert (np.sort(found[found.node == 4].sheet) == np.sort(first)).all()
 
 
 @pytest.mark.parametrize("least", [1e-4, 1e-2, 0.5])
@@ -49,6 +50,27 @@ def test_roulette_loses_no_light_on_average(least):
     assert abs(light.mean() - exact) < 4.0 * light.std() / np.sqrt(n) + 1e-12 * exact
     assert found.throughput[found.is_single].max(initial=0.0) <= least * (1.0 + 1e-12)
     assert (found.throughput[~found.is_single].max(axis=1) >= least).all()
+
+
+def test_wanted_sheets_alone_are_followed():
+    """The same arrivals as of all paths, however faint, without rays of others."""
+    tracer = SplittingTracer(scene(slab(ior=1.5)), 1e-12, 1)
+    origin, direction, key = down(20)
+    found, signatures = tracer.explore(origin, direction, key, 0)
+    n_segments = tracer.n_segments
+    before = dict(signatures.tolist())
+    for order in (found[found.node == 0].throughput[:, 0].argmin(), 0):
+        wanted = found[found.node == 0][[order]]
+        path = int(sheets(wanted.sheet, wanted.object_id)[0])
+        followed = {int(wanted.sheet[0])}
+        while path:
+            followed.add(path)
+            path = before[path]
+        again = tracer.trace(origin, direction, np.array(sorted(followed), np.uint64), 0)
+        for name in vars(again):
+            expected = getattr(found[found.sheet == wanted.sheet[0]], name)
+            np.testing.assert_array_equal(getattr(again, name), expected)
+    assert tracer.n_segments < 2 * n_segments
 
 
 def test_light_that_meets_nothing_specular_does_not_arrive():
@@ -76,7 +98,7 @@ def test_rays_that_do_not_fit_are_refused():
     tracer = SplittingTracer(scene(slab()), 0.01, 1)
     origin, direction, key = down(10)
     with pytest.raises(ValueError, match="do not fit one another"):
-        tracer.trace(origin[:, :2].copy(), direction, key, 0)
+        tracer.explore(origin[:, :2].copy(), direction, key, 0)
     origin[3] = np.nan
     with pytest.raises(ValueError, match="should be finite"):
-        tracer.trace(origin, direction, key, 0)
+        tracer.explore(origin, direction, key, 0)

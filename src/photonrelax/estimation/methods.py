@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from time import perf_counter
 from typing import Any, NamedTuple, TypedDict, Unpack, get_args, get_type_hints
 
@@ -22,8 +23,9 @@ from ..relaxation.structure import Structure, StructureSettings, detect_structur
 from ..scene.scene import Scene
 from ..transport.raycast import RayCaster
 from .diffusion import DiffusionField, DiffusionSettings
-from .envelope.envelope import Envelope, EnvelopeSettings, laid_envelope
+from .envelope.envelope import Envelope, EnvelopeSettings
 from .envelope.field import EnvelopeField
+from .envelope.tracing import laid_envelope
 from .field import Field, PhotonField
 from .frequency import FrequencyField, FrequencySettings
 from .nearest import GatherSettings, IrradianceField
@@ -337,19 +339,22 @@ def _relaxing_method(
     defaults: Mapping[str, Any] | None = None,
 ) -> Method:
     """The method that gathers from relaxed photons."""
-
-    def prepare(inputs: MethodInput) -> PhotonField:
-        relaxed = relax(inputs)
-        return IrradianceField(
-            relaxed.photons,
-            inputs.settings.of("gather"),
-            structure=relaxed.structure,
-            seconds=relaxed.seconds,
-            used=relaxed.used,
-            n_threads=inputs.n_threads,
-        )
-
+    prepare = partial(_gather_relaxed, relax)
     return Method(name, (*stages, "relax", "gather"), prepare, relax=relax, defaults=defaults or {})
+
+
+def _gather_relaxed(
+    relax: Callable[[MethodInput], RelaxedPhotons], inputs: MethodInput
+) -> PhotonField:
+    relaxed = relax(inputs)
+    return IrradianceField(
+        relaxed.photons,
+        inputs.settings.of("gather"),
+        structure=relaxed.structure,
+        seconds=relaxed.seconds,
+        used=relaxed.used,
+        n_threads=inputs.n_threads,
+    )
 
 
 def _diffusion(inputs: MethodInput, *, isotropic: bool = False) -> PhotonField:
@@ -389,10 +394,15 @@ def _envelope(inputs: MethodInput) -> EnvelopeField:
                 f"method='envelope', but photons is {type(envelope).__name__}"
             )
         settings = inputs.settings.of("envelope")
-        envelope = laid_envelope(inputs.scene, settings, inputs.n_threads)
-    return EnvelopeField(envelope, n_threads=inputs.n_threads)
+        envelope = laid_envelope(inputs.scene, settings, inputs.n_threads, inputs.caster)
+    rest = None
+    if envelope.rest is not None:
+        rest = _gather_relaxed(_relax_to_rest, replace(inputs, elements=envelope.rest))
+        rest.surface = _surface_of(inputs.scene, envelope.rest, inputs.n_threads)
+    return EnvelopeField(envelope, rest, n_threads=inputs.n_threads)
 
 
+_TO_REST = {"relax": RelaxSettings((5, 5), step=2.0)}
 _RECORDS = (
     Method("standard", ("gather",), _standard),
     _relaxing_method("relaxation", ("gradient",), _relax_by_gradient),
@@ -401,7 +411,7 @@ _RECORDS = (
         "mapped",
         ("structure", "rest_density"),
         _relax_to_rest,
-        {"relax": RelaxSettings((5, 5), step=2.0)},
+        _TO_REST,
     ),
     Method("diffusion", ("diffusion",), _diffusion),
     Method("isotropic-diffusion", ("diffusion",), _isotropic_diffusion),
@@ -413,7 +423,13 @@ _RECORDS = (
         needs_spectra=True,
         splits_passes=True,
     ),
-    Method("envelope", ("envelope",), _envelope, needs_photons=False),
+    Method(
+        "envelope",
+        ("structure", "rest_density", "relax", "gather", "envelope"),
+        _envelope,
+        defaults=_TO_REST,
+        needs_photons=False,
+    ),
 )
 METHODS = {method.name: method for method in _RECORDS}
 """All methods by name."""
@@ -465,10 +481,16 @@ def prepare(name: str, inputs: MethodInput) -> Field:
     """Do the preparation of the method of a name; raises ValueError if there is none."""
     method = method_named(name)
     field = method.prepare(_completed(method, inputs))
-    if inputs.scene is not None and method.needs_photons:
-        lit = lit_objects(inputs.scene, inputs.photons)
-        field.surface = Surface(inputs.scene, thread_count(inputs.n_threads), lit)
+    if method.needs_photons:
+        field.surface = _surface_of(inputs.scene, inputs.photons, inputs.n_threads)
     return field
+
+
+def _surface_of(scene: Scene | None, photons: PhotonMap, n_threads: int | None) -> Surface | None:
+    """Surfaces that photons light; None if the scene is not known."""
+    if scene is None:
+        return None
+    return Surface(scene, thread_count(n_threads), lit_objects(scene, photons))
 
 
 def _completed(method: Method, inputs: MethodInput) -> MethodInput:

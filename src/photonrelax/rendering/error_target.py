@@ -24,7 +24,7 @@ from .._util import validation
 from .._util.frozen import set_field
 from .._util.validation import Floats
 from ..imaging.image import Image
-from .progressive_render import pass_seed
+from .passes import pass_seed
 
 # Bias of an image of half as many photons, and what it has more than that of the whole.
 _HALF, _MORE = 2.0**0.5, 2.0**0.5 - 1.0

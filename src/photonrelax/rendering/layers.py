@@ -128,8 +128,14 @@ RECORDS = (
     ),
     Layer(
         "envelope.error",
-        "estimated share of the light of an envelope that lies elsewhere by a pixel or more",
+        "estimated error of the light of an envelope over that light, in [0, 1]",
         _estimate("envelope.error"),
+        channels=1,
+    ),
+    Layer(
+        "envelope.photons",
+        "share of the light of an envelope that is of photons",
+        _estimate("envelope.photons"),
         channels=1,
     ),
 )

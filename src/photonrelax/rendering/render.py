@@ -15,6 +15,7 @@ from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, check_choice, check_seed, count
 from .._util.workers import Workers, checked_executor
 from ..estimation.envelope.envelope import EnvelopeSettings
+from ..estimation.envelope.field import EnvelopeField
 from ..estimation.field import Field
 from ..estimation.indirect import IndirectField
 from ..estimation.methods import (
@@ -303,12 +304,14 @@ class _Stages:
         self._prepare(method, self._photons, settings)
 
     def _to_pixels(self, settings: Settings) -> Settings:
-        """Settings of envelopes that are resolved to pixels, unless something else is given."""
+        """Settings of envelopes resolved to pixels, with photons as planned, if none are given."""
         given = settings.of("envelope")
-        if given.footprint is not None:
-            return settings
-        footprint = self._view.pixel_side()
-        return Settings(**{**settings.given, "envelope": replace(given, footprint=footprint)})
+        changed = replace(
+            given,
+            footprint=given.footprint or self._view.pixel_side(),
+            n_photons=given.n_photons or self._plan.n_emitted or None,
+        )
+        return Settings(**{**settings.given, "envelope": changed})
 
     def _prepare(self, method: str, photons: PhotonMap | None, settings: Settings) -> None:
         view = self._view
@@ -339,12 +342,11 @@ class _Stages:
         )
         self._record("indirect", perf_counter() - started, photons=len(photons))
         if n_rays:
-            if self._photons is None and self._caustic is not None:
-                raise ValueError(
-                    "final_gather should be 0 with a method without photons, whose caustics it "
-                    f"cannot read, but is {n_rays}: take another method"
-                )
-            maps = [photons] if self._photons is None else [photons, self._photons]
+            caustic = self._photons
+            if isinstance(self._caustic, EnvelopeField):
+                n_photons = self._plan.n_emitted
+                caustic = self._caustic.envelope.photons(n_photons, n_threads=view.n_threads)
+            maps = [photons] if caustic is None else [photons, caustic]
             self._gather = FinalGather(view, _joined(maps), n_rays, self._sequence["seed"])
 
     def _trace(self, stage: str, n_emitted: int, **options: Any) -> PhotonMap:
@@ -368,9 +370,15 @@ class _Stages:
         """Image of the view, with all that is known of it."""
         layers = self._layers()
         total = sum(stage["seconds"] for stage in self._stages.values())
-        ledger = None if self._photons is None else ledger_values(self._photons)
-        stats = {"stages": self._stages, "seconds": total, "ledger": ledger}
+        stats = {"stages": self._stages, "seconds": total, "ledger": self._ledger()}
         return Image(layers, self._metadata(method), stats)
+
+    def _ledger(self) -> dict[str, Any] | None:
+        """Balance of the flux of caustics, for JSON; None if it is not known."""
+        if isinstance(self._caustic, EnvelopeField):
+            ledger = self._caustic.envelope.ledger._asdict()
+            return {name: flux.tolist() for name, flux in ledger.items()}
+        return None if self._photons is None else ledger_values(self._photons)
 
     def _layers(self) -> dict[str, Floats]:
         started, view = perf_counter(), self._view
@@ -398,7 +406,7 @@ class _Stages:
         others["settings"] = used | self._view.settings
         others |= {"scene": self._view.scene.name, "method": method}
         if self._photons is None:
-            return metadata(**self._sequence, **others)
+            return metadata(**self._sequence, ledger=self._ledger(), **others)
         return photon_metadata(self._photons, **others)
 
     def _record(self, stage: str, seconds: float, **counts: int) -> None:

@@ -192,6 +192,7 @@ class View:
     def __getstate__(self) -> dict[str, Any]:
         # The caster is kept by processes that unpickle it.
         return state_without_caches(self) | {"caster": self.caster}
+
     def variant(self, *, seed: int | None = None, supersampling: int | None = None) -> View:
         """The view with another seed of shadow rays, or other samples, and the same ray caster."""
         other = View(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,8 @@ from .._util.validation import Floats
 from ..scene.scene import Scene
 from .media import MediaFinder
 from .raycast import RayCaster
+
+Signatures = NDArray[np.uint64]
 
 # Rays traced together.
 _BATCH = 8192
@@ -29,8 +33,8 @@ class Arrivals:
     ----------
     node : (m,) int64
         Row of the ray that the light left its emitter by.
-    signature : (m,) uint64
-        Of the path: objects met, and whether light was reflected, entered or left.
+    sheet : (m,) uint64
+        Path, objects met and whether light was reflected, entered or left, and surface it is on.
     position, normal : (m, 3) float64
         m, and the geometric normal on the side of the light.
     throughput : (m, 3) float64
@@ -42,7 +46,7 @@ class Arrivals:
     """
 
     node: NDArray[np.int64]
-    signature: NDArray[np.uint64]
+    sheet: NDArray[np.uint64]
     position: Floats
     normal: Floats
     throughput: Floats
@@ -79,6 +83,14 @@ class Arrivals:
         )
 
 
+class _Batch(NamedTuple):
+    """Arrivals of some rays; signatures (k, 2) as of `SplittingTracer.explore`; rays cast."""
+
+    arrivals: Arrivals
+    signatures: Signatures
+    n_segments: int
+
+
 class SplittingTracer:
     """A scene prepared for following both branches of rays at dielectrics.
 
@@ -93,8 +105,8 @@ class SplittingTracer:
 
     Attributes
     ----------
-    n_segments : int
-        Rays cast so far.
+    n_rays, n_segments : int
+        Rays from emitters so far, and all that were cast.
     """
 
     def __init__(
@@ -115,48 +127,76 @@ class SplittingTracer:
         self._caster = caster or RayCaster(scene.surfaces)
         self._media = MediaFinder(scene, self._caster, self._materials).at_emitters()
         self._least_throughput, self._n_threads = least_throughput, n_threads
-        self.n_segments = 0
+        self.n_rays = self.n_segments = 0
+
+    def explore(
+        self, origin: Floats, direction: Floats, key: NDArray[np.uint64], emitter_id: int
+    ) -> tuple[Arrivals, Signatures]:
+        """Arrivals of rays (n, 3) of an emitter along all paths, by node.
+
+        `key` (n,) seeds what roulette draws. The second are the signatures of all paths (k, 2),
+        and of those one event before, in ascending order.
+        """
+        found = self._traced((origin, direction, key), None, emitter_id)
+        before = np.unique(np.concatenate([part.signatures for part in found]), axis=0)
+        return Arrivals.concatenate([part.arrivals for part in found]), before
 
     def trace(
-        self, origin: Floats, direction: Floats, key: NDArray[np.uint64], emitter_id: int
+        self, origin: Floats, direction: Floats, followed: Signatures, emitter_id: int
     ) -> Arrivals:
-        """Arrivals of rays (n, 3) of an emitter, by node; `key` (n,) seeds what roulette draws."""
-        with thread_executor(self._n_threads) as executor:
-            batches = [slice(first, first + _BATCH) for first in range(0, len(key), _BATCH)]
-            parts = ordered_map(
-                lambda rows: self._batch(origin, direction, key, rows, emitter_id),
-                batches,
-                executor,
-                max_pending=2 * self._n_threads,
-            )
-            arrivals = []
-            for part, n_segments in parts:
-                arrivals.append(part)
-                self.n_segments += n_segments
-        return Arrivals.concatenate(arrivals)
+        """Arrivals of rays (n, 3) of an emitter by some paths, by node.
 
-    def _batch(
-        self,
-        origin: Floats,
-        direction: Floats,
-        key: NDArray[np.uint64],
-        rows: slice,
-        emitter_id: int,
-    ) -> tuple[Arrivals, int]:
-        paths = SplitPaths(
+        `followed` (k,) are the sheets, and the signatures of paths that lead to them, ascending.
+        """
+        unused = np.zeros(len(origin), np.uint64)
+        found = self._traced((origin, direction, unused), followed, emitter_id)
+        return Arrivals.concatenate([part.arrivals for part in found])
+
+    def _traced(
+        self, rays: tuple[Floats, Floats, Signatures], followed: Signatures | None, emitter_id: int
+    ) -> list[_Batch]:
+        """Batches of rays: their origins, directions and keys."""
+        media = int(self._media[emitter_id])
+
+        def traced(first: int) -> _Batch:
+            some = [column[first : first + _BATCH] for column in rays]
+            return self._batch(self._paths(followed), some, first, media)
+
+        with thread_executor(self._n_threads) as executor:
+            firsts = range(0, max(len(rays[2]), 1), _BATCH)
+            found = list(ordered_map(traced, firsts, executor, max_pending=2 * self._n_threads))
+        self.n_rays += len(rays[0])
+        self.n_segments += sum(part.n_segments for part in found)
+        return found
+
+    def _paths(self, followed: Signatures | None) -> SplitPaths:
+        return SplitPaths(
             self._materials,
             self._caster.frame,
             self._caster.triangles,
             least_throughput=self._least_throughput,
             max_bounces=MAX_BOUNCES,
+            followed=followed,
         )
-        paths.start(origin[rows], direction[rows], key[rows], media=int(self._media[emitter_id]))
-        n_segments = 0
+
+    def _batch(
+        self,
+        paths: SplitPaths,
+        rays: Sequence[NDArray],
+        first: int,
+        media: int,
+    ) -> _Batch:
+        """Arrivals of rays, whose nodes are counted from `first` on."""
+        paths.start(*rays, media=media)
+        n_segments, signatures = 0, [np.empty((0, 2), np.uint64)]
         while paths.n_live:
             n_segments += paths.n_live
             paths.advance(self._caster.find_paths(paths))
+            if paths.follows_all:
+                signatures.append(paths.signatures())
         columns = paths.arrivals()
         order = np.argsort(columns["node"], kind="stable")
         columns = {name: column[order] for name, column in columns.items()}
-        columns["node"] = columns["node"].astype(np.int64) + (rows.start or 0)
-        return Arrivals(**columns), n_segments
+        columns["node"] = columns["node"].astype(np.int64) + first
+        before = np.unique(np.concatenate(signatures), axis=0)
+        return _Batch(Arrivals(**columns), before, n_segments)

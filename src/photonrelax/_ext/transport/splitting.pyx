@@ -1,9 +1,10 @@
 """Rays that follow both branches at dielectrics, from emitters to diffuse surfaces.
 
 A ray is known by its node, a point of an emitter's chart, and by the signature of its path. The
-throughput of a branch is that of all light of its node that takes it. Branches below a threshold
-go on as single photons, by roulette: from then on they take one branch of two, by a random number
-of their node and path.
+throughput of a branch is that of all light of its node that takes it. Either all branches are
+followed: those below a threshold go on as single photons, by roulette, and from then on take one
+branch of two, by a random number of their node and path. Or those are that lead to given sheets:
+light of one path on one surface.
 """
 
 cimport cython
@@ -37,7 +38,7 @@ cdef struct SplitRay:
     double[3] origin
     double[3] direction
     double[3] throughput
-    uint64_t key, signature, media
+    uint64_t key, signature, parent, media
     int32_t node
     int16_t n_specular
     bint is_single
@@ -48,7 +49,7 @@ cdef struct Arrived:
     double[3] position
     double[3] normal
     double[3] throughput
-    uint64_t signature
+    uint64_t sheet
     int32_t node, object_id
     bint is_single
 
@@ -57,6 +58,22 @@ cdef struct Meeting:
     SplitRay ray
     Hit hit
     bint inside
+
+
+cdef inline uint64_t sheet_of(uint64_t signature, int32_t object_id) noexcept nogil:
+    """Light of one path on one surface."""
+    return signature ^ (<uint64_t>(object_id + 1) * <uint64_t>0x9E3779B97F4A7C15)
+
+
+def sheets(const uint64_t[::1] signature, const int32_t[::1] object_id):
+    """Sheets (n,) of light of path signatures on the surfaces of objects (n,)."""
+    cdef Py_ssize_t i, n = signature.shape[0]
+    cdef uint64_t[::1] out = np.empty(n, np.uint64)
+    if object_id.shape[0] != n:
+        raise ValueError("signatures and objects do not fit one another")
+    for i in range(n):
+        out[i] = sheet_of(signature[i], object_id[i])
+    return out.base
 
 
 @cython.final
@@ -71,9 +88,14 @@ cdef class SplitPaths(LiveRays):
         Branches of less in every channel are followed as single photons.
     max_bounces : int
         Events after which a ray ends.
+    followed : (k,) uint64 array, optional
+        Sheets, and the signatures of paths that lead to them, ascending: others are not followed,
+        and none as single photons.
     """
 
     cdef double least_throughput
+    cdef const uint64_t[::1] followed
+    cdef readonly bint follows_all
     cdef int max_bounces
     cdef unsigned char[::1] memory, next_memory, arrived_memory
     cdef SplitRay* ray
@@ -83,9 +105,11 @@ cdef class SplitPaths(LiveRays):
 
     def __init__(
         self, Materials materials, EmbreeFrame frame, Triangles triangles, *,
-        double least_throughput, int max_bounces,
+        double least_throughput, int max_bounces, const uint64_t[::1] followed=None,
     ):
         LiveRays.__init__(self, materials, frame, triangles)
+        self.follows_all = followed is None
+        self.followed = np.empty(0, np.uint64) if followed is None else followed
         self.least_throughput, self.max_bounces = least_throughput, max_bounces
         self.memory = self.next_memory = self.arrived_memory = np.empty(0, np.uint8)
         self.origins = np.empty((0, 3), np.float32)
@@ -109,7 +133,7 @@ cdef class SplitPaths(LiveRays):
                 for c in range(3):
                     self.ray[i].origin[c], self.ray[i].direction[c] = origin[i, c], direction[i, c]
                     self.ray[i].throughput[c] = 1.0
-                self.ray[i].key, self.ray[i].signature = key[i], 0
+                self.ray[i].key, self.ray[i].signature, self.ray[i].parent = key[i], 0, 0
                 self.ray[i].media = media
                 self.ray[i].node = <int32_t>i
                 self.ray[i].n_specular = 0
@@ -130,6 +154,14 @@ cdef class SplitPaths(LiveRays):
             copy(&direction[i, 0], self.ray[i].direction)
         return node.base, origin.base, direction.base
 
+    def signatures(self):
+        """Signatures (n_live, 2) of the live rays, and of their paths one event before."""
+        cdef Py_ssize_t i
+        cdef uint64_t[:, ::1] out = np.empty((self.n_live, 2), np.uint64)
+        for i in range(self.n_live):
+            out[i, 0], out[i, 1] = self.ray[i].signature, self.ray[i].parent
+        return out.base
+
     def advance(self, EmbreeHits found):
         """Process the hit of every live ray; return the number of their continuations."""
         cdef Py_ssize_t i, live = 0
@@ -148,20 +180,20 @@ cdef class SplitPaths(LiveRays):
         """Columns (m, …) of the light that has arrived, in the order of the passes."""
         cdef Py_ssize_t i, m = self.n_arrived
         cdef int32_t[::1] node = np.empty(m, np.int32), object_id = np.empty(m, np.int32)
-        cdef uint64_t[::1] signature = np.empty(m, np.uint64)
+        cdef uint64_t[::1] sheet = np.empty(m, np.uint64)
         cdef uint8_t[::1] is_single = np.empty(m, np.uint8)
         cdef double[:, ::1] position = np.empty((m, 3)), normal = np.empty((m, 3))
         cdef double[:, ::1] throughput = np.empty((m, 3))
         with nogil:
             for i in range(m):
                 node[i], object_id[i] = self.arrived[i].node, self.arrived[i].object_id
-                signature[i], is_single[i] = self.arrived[i].signature, self.arrived[i].is_single
+                sheet[i], is_single[i] = self.arrived[i].sheet, self.arrived[i].is_single
                 copy(&position[i, 0], self.arrived[i].position)
                 copy(&normal[i, 0], self.arrived[i].normal)
                 copy(&throughput[i, 0], self.arrived[i].throughput)
         return {
             "node": node.base,
-            "signature": signature.base,
+            "sheet": sheet.base,
             "position": position.base,
             "normal": normal.base,
             "throughput": throughput.base,
@@ -229,11 +261,14 @@ cdef class SplitPaths(LiveRays):
 
     cdef void arrive(self, const Meeting* at) noexcept nogil:
         cdef Arrived* light = &self.arrived[self.n_arrived]
+        cdef uint64_t sheet = sheet_of(at.ray.signature, at.hit.object_id)
         cdef double side = -1.0 if at.inside else 1.0
         cdef int c
+        if not (self.follows_all or contains(self.followed, sheet)):
+            return
         self.n_arrived += 1
         light.node, light.object_id = at.ray.node, at.hit.object_id
-        light.signature, light.is_single = at.ray.signature, at.ray.is_single
+        light.sheet, light.is_single = sheet, at.ray.is_single
         copy(light.position, at.hit.position)
         copy(light.throughput, at.ray.throughput)
         for c in range(3):
@@ -273,13 +308,20 @@ cdef class SplitPaths(LiveRays):
         self, const Meeting* at, Py_ssize_t target, const Interface* to, double* throughput,
         int kind,
     ) noexcept nogil:
-        """Write a ray that leaves a surface; false if roulette ends it."""
+        """Write a ray that leaves a surface; false if it is not followed."""
         cdef SplitRay* ray = &self.next_ray[target]
         cdef double most = max(throughput[0], max(throughput[1], throughput[2]))
         cdef bint is_single = at.ray.is_single
+        cdef uint64_t signature = mix(
+            at.ray.signature
+            + (4 * <uint64_t>at.hit.object_id + kind + 1) * <uint64_t>0x9E3779B97F4A7C15
+        )
         cdef double[3] offset
         cdef int c
-        if most < self.least_throughput:
+        if not self.follows_all:
+            if not contains(self.followed, signature):
+                return False
+        elif most < self.least_throughput:
             if random(at, OF_ROULETTE + kind) * self.least_throughput >= most:
                 return False
             for c in range(3):
@@ -294,10 +336,7 @@ cdef class SplitPaths(LiveRays):
         ray.key, ray.node, ray.is_single = at.ray.key, at.ray.node, is_single
         ray.n_specular = at.ray.n_specular + 1
         ray.media = at.ray.media if kind == REFLECTED else to.beyond
-        ray.signature = mix(
-            at.ray.signature
-            + (4 * <uint64_t>at.hit.object_id + kind + 1) * <uint64_t>0x9E3779B97F4A7C15
-        )
+        ray.signature, ray.parent = signature, at.ray.signature
         for c in range(3):
             offset[c] = at.hit.step * at.hit.geometric[c]
         self.to_embree(target, ray.origin, ray.direction, offset)
@@ -307,3 +346,15 @@ cdef class SplitPaths(LiveRays):
 cdef double random(const Meeting* at, int number) noexcept nogil:
     """Random number of an event of a path from a node."""
     return uniform(mix(at.ray.key ^ at.ray.signature), number)
+
+
+cdef bint contains(const uint64_t[::1] values, uint64_t wanted) noexcept nogil:
+    """True if a value is among those that ascend."""
+    cdef Py_ssize_t low = 0, high = values.shape[0], middle
+    while low < high:
+        middle = (low + high) // 2
+        if values[middle] < wanted:
+            low = middle + 1
+        else:
+            high = middle
+    return low < values.shape[0] and values[low] == wanted

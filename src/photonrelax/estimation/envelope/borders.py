@@ -9,19 +9,72 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._util.validation import Floats
-from ...transport.splitting import Arrivals
+from ...transport.splitting import Arrivals, Signatures
 from .elements import PARTS, Elements, Patches, areas, six_places
-from .lattice import Ids, Lattice, sheets_of
+from .lattice import Ids, Lattice, Places
 
 # Halvings of a side on which a sheet ends.
 STEPS = 5
 
 
-Columns = TypeVar("Columns", bound=tuple[Floats, ...])
+Columns = TypeVar("Columns", bound=tuple[NDArray, ...])
+
+
+class Pieces(NamedTuple):
+    """Images of triangles of a chart that are straight.
+
+    Attributes
+    ----------
+    position : (n, 3, 3) float64
+        Corners, m.
+    normal : (n, 3) float64
+        Of the surface, of any length.
+    flux : (n, 3) float64
+        W.
+    place : (n, 3, 2) float64
+        Corners in the chart's unit square.
+    sheet : (n,) uint64
+    """
+
+    position: Floats
+    normal: Floats
+    flux: Floats
+    place: Floats
+    sheet: Signatures
+
+
+class _Corners(NamedTuple):
+    """Corners of triangles: places (n, 3, 2), arrivals (n, 3), -1 for none; sheets (n,)."""
+
+    place: Places
+    arrival: Ids
+    sheet: Signatures
+
+    def of(self, rows: NDArray[np.bool_]) -> _Corners:
+        """Those of some rows."""
+        return _Corners(self.place[rows], self.arrival[rows], self.sheet[rows])
+
+    def sides(self, seen: list[int], unseen: list[int]) -> _Sides:
+        """Two sides of each, from corners that are seen to corners that are not."""
+        return _Sides(
+            self.place[:, seen].reshape(-1, 2).astype(np.float64),
+            self.place[:, unseen].reshape(-1, 2).astype(np.float64),
+            self.arrival[:, seen].reshape(-1),
+            np.repeat(self.sheet, 2),
+        )
+
+
+class _Sides(NamedTuple):
+    """Sides that sheets (n,) end on: places (n, 2), and arrivals (n,) at the ends that are seen."""
+
+    seen: Floats
+    unseen: Floats
+    arrival: Ids
+    sheet: Signatures
 
 
 class Ends(NamedTuple):
-    """Last light of a sheet on sides of elements from which it is seen at one end only.
+    """Last light of a sheet on sides from elements of which it is seen at one end only.
 
     Attributes
     ----------
@@ -37,131 +90,113 @@ class Ends(NamedTuple):
     light: Floats
 
 
-class Pieces(NamedTuple):
-    """Images of triangles of a chart that are straight.
-
-    Attributes
-    ----------
-    position : (n, 3, 3) float64
-        Corners, m.
-    normal : (n, 3) float64
-        Of the surface, of any length.
-    flux : (n, 3) float64
-        W.
-    """
-
-    position: Floats
-    normal: Floats
-    flux: Floats
-
-
 def joined(kind: Callable[..., Columns], parts: list[Columns]) -> Columns:
     """Columns of all parts of a kind, in their order."""
     return kind(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def cut(lattice: Lattice, leaves: Elements, torn: Patches) -> Pieces:
-    """Pieces of images that are not seen from all nodes of their elements."""
-    places = six_places(leaves.corners)[torn.element][:, PARTS].reshape(-1, 3, 2)
-    arrival = torn.arrival[:, PARTS].reshape(-1, 3)
-    sheet = np.repeat(torn.sheet, 4)
-    seen = arrival >= 0
-    some = seen.any(axis=1)
-    places, arrival, sheet, seen = places[some], arrival[some], sheet[some], seen[some]
-    n_seen = seen.sum(axis=1)
-    pieces = [_whole(lattice, places[n_seen == 3], arrival[n_seen == 3])]
-    for n in (1, 2):
-        rows = np.flatnonzero(n_seen == n)
-        # The corner that differs from the two others comes first.
-        lone = np.argmax(seen[rows] == (n == 1), axis=1)
-        turned = (lone[:, np.newaxis] + np.arange(3)) % 3
-        at = rows[:, np.newaxis], turned
-        pieces.append(_cut(lattice, places[at], arrival[at], sheet[rows], n))
+def cut(lattice: Lattice, leaves: Elements, torn: Patches, n_rays: float) -> Pieces:
+    """Pieces of images that are not seen from all nodes of their elements.
+
+    Their borders are found by at most so many rays.
+    """
+    corners = _Corners(
+        six_places(leaves.corners)[torn.element][:, PARTS].reshape(-1, 3, 2),
+        torn.arrival[:, PARTS].reshape(-1, 3),
+        np.repeat(torn.sheet, 4),
+    )
+    n_seen = np.count_nonzero(corners.arrival >= 0, axis=1)
+    one = _lone_first(corners.of(n_seen == 1), is_seen=True)
+    two = _lone_first(corners.of(n_seen == 2), is_seen=False)
+    # Triangles of both kinds share sides.
+    sides = joined(_Sides, [one.sides([0, 0], [1, 2]), two.sides([1, 2], [0, 0])])
+    ends = _ends(lattice, sides, lattice.n_traced + n_rays)
+    n = 2 * len(one.sheet)
+    pieces = [
+        _whole(lattice, corners.of(n_seen == 3)),
+        _cut(lattice, one, [0], Ends(*(column[:n] for column in ends))),
+        _cut(lattice, two, [1, 2], Ends(*(column[n:] for column in ends))),
+    ]
     return joined(Pieces, pieces)
 
 
-def _whole(lattice: Lattice, places: Floats, arrival: Ids) -> Pieces:
+def _lone_first(corners: _Corners, *, is_seen: bool) -> _Corners:
+    """Corners turned so that the only one that is seen, or is not, comes first."""
+    lone = np.argmax((corners.arrival >= 0) == is_seen, axis=1)
+    turned = (lone[:, np.newaxis] + np.arange(3)) % 3
+    at = np.arange(len(lone))[:, np.newaxis], turned
+    return _Corners(corners.place[at], corners.arrival[at], corners.sheet)
+
+
+def _whole(lattice: Lattice, corners: _Corners) -> Pieces:
     return _pieces(
         lattice,
-        places,
-        lattice.arrivals.position[arrival],
-        lattice.arrivals.normal[arrival],
-        lattice.light[arrival],
+        corners.sheet,
+        corners.place,
+        lattice.arrivals.position[corners.arrival],
+        lattice.arrivals.normal[corners.arrival],
+        lattice.light[corners.arrival],
     )
 
 
 def _pieces(
-    lattice: Lattice, places: Floats, position: Floats, normal: Floats, light: Floats
+    lattice: Lattice, sheet: Signatures, places: Floats | Places, *columns: Floats
 ) -> Pieces:
+    """Pieces between places (n, 3, 2), of the positions, normals and light (n, 3, 3) there."""
+    position, normal, light = columns
     flux = areas(lattice, places)[:, np.newaxis] * light.mean(axis=1)
-    return Pieces(position, normal.mean(axis=1), flux)
+    return Pieces(position, normal.mean(axis=1), flux, lattice.in_unit(places), sheet)
 
 
-def _cut(
-    lattice: Lattice, places: Floats, arrival: Ids, sheet: NDArray[np.uint64], n_seen: int
-) -> Pieces:
-    """Pieces of triangles of which the first corner is seen alone, or alone is not."""
-    inside, outside = ([0, 0], [1, 2]) if n_seen == 1 else ([1, 2], [0, 0])
-    ends = _ends(
-        lattice,
-        places[:, inside].reshape(-1, 2).astype(np.float64),
-        places[:, outside].reshape(-1, 2).astype(np.float64),
-        arrival[:, inside].reshape(-1),
-        np.repeat(sheet, 2),
-    )
-    seen = [0] if n_seen == 1 else [1, 2]
-    at = arrival[:, seen]
+def _cut(lattice: Lattice, corners: _Corners, seen: list[int], ends: Ends) -> Pieces:
+    """Pieces of triangles between the corners seen and the ends on two sides from there."""
+    n, at = len(corners.sheet), corners.arrival[:, seen]
     columns = [
-        np.concatenate([known, found.reshape(len(places), 2, -1)], axis=1)
+        np.concatenate([known, found.reshape(n, 2, found.shape[1])], axis=1)
         for known, found in (
-            (places[:, seen].astype(np.float64), ends.place),
+            (corners.place[:, seen].astype(np.float64), ends.place),
             (lattice.arrivals.position[at], ends.position),
             (lattice.arrivals.normal[at], ends.normal),
             (lattice.light[at], ends.light),
         )
     ]
-    if n_seen == 1:
-        return _pieces(lattice, *columns)
+    if len(seen) == 1:
+        return _pieces(lattice, corners.sheet, *columns)
     # Corners 1 and 2, and the ends on the sides from them.
-    halves = [_pieces(lattice, *(c[:, rows] for c in columns)) for rows in ([0, 1, 3], [0, 3, 2])]
+    halves = [
+        _pieces(lattice, corners.sheet, *(column[:, rows] for column in columns))
+        for rows in ([0, 1, 3], [0, 3, 2])
+    ]
     return joined(Pieces, halves)
 
 
-def _ends(
-    lattice: Lattice, inside: Floats, outside: Floats, arrival: Ids, sheet: NDArray[np.uint64]
-) -> Ends:
-    """Ends of sheets on sides from places (n, 2) where they are seen to places where not."""
-    row = np.column_stack([inside, outside, sheet.astype(np.float64)])
+def _ends(lattice: Lattice, sides: _Sides, most: float) -> Ends:
+    """Ends of sheets on sides, which are halved as long as at most `most` rays are traced."""
+    row = np.column_stack([sides.seen, sides.unseen, sides.sheet.astype(np.float64)])
     _, first, inverse = np.unique(row, axis=0, return_index=True, return_inverse=True)
-    inside, outside, sheet = inside[first].copy(), outside[first].copy(), sheet[first]
-    position = lattice.arrivals.position[arrival[first]]
-    normal = lattice.arrivals.normal[arrival[first]]
-    light = lattice.light[arrival[first]]
+    inside, outside = sides.seen[first], sides.unseen[first]
+    arrival, sheet = sides.arrival[first], sides.sheet[first]
+    position = lattice.arrivals.position[arrival]
+    normal, light = lattice.arrivals.normal[arrival], lattice.light[arrival]
     for _ in range(STEPS if len(first) else 0):
-        middle = 0.5 * (inside + outside)
-        node, found, power = _traced(lattice, middle)
+        middle, node = np.unique(0.5 * (inside + outside), axis=0, return_inverse=True)
+        if lattice.n_traced + len(middle) > most:
+            break
+        node = node.ravel()
+        found, power = lattice.trace(middle)
         rows, at = _seen(node, found, sheet)
-        hit = np.zeros(len(middle), dtype=bool)
+        hit = np.zeros(len(first), dtype=bool)
         hit[rows] = True
-        inside[hit], outside[~hit] = middle[hit], middle[~hit]
+        inside[hit], outside[~hit] = middle[node[hit]], middle[node[~hit]]
         position[rows], normal[rows] = found.position[at], found.normal[at]
         light[rows] = found.throughput[at] * power[found.node[at]]
-    ends = Ends(0.5 * (inside + outside), position, normal, light)
-    inverse = inverse.ravel()
-    return Ends(*(column[inverse] for column in ends))
+    each = inverse.ravel()
+    return Ends(0.5 * (inside + outside)[each], position[each], normal[each], light[each])
 
 
-def _traced(lattice: Lattice, places: Floats) -> tuple[Ids, Arrivals, Floats]:
-    """Rays at places (n, 2), each once: the ray of each place, arrivals, and power."""
-    unique, node = np.unique(places, axis=0, return_inverse=True)
-    key = unique.view(np.uint64)
-    found, power = lattice.trace(unique, key[:, 0] ^ (key[:, 1] << np.uint64(1)))
-    return node.ravel(), found[~found.is_single], power
-
-
-def _seen(node: Ids, found: Arrivals, sheet: NDArray[np.uint64]) -> tuple[Ids, Ids]:
+def _seen(node: Ids, found: Arrivals, sheet: Signatures) -> tuple[Ids, Ids]:
     """Rows of the sheets (n,) seen from rays `node` (n,), and of their arrivals."""
-    sheets, rank = np.unique(np.concatenate([sheet, sheets_of(found)]), return_inverse=True)
+    sheets, rank = np.unique(np.concatenate([sheet, found.sheet]), return_inverse=True)
     wanted = node * len(sheets) + rank[: len(sheet)]
     there = found.node * len(sheets) + rank[len(sheet) :]
     order = np.argsort(there, kind="stable")

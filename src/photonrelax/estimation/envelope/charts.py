@@ -17,9 +17,14 @@ from ..._util.validation import Floats
 from ...scene.emitters import CollimatedEmitter, Emitter
 from ...scene.materials import Dielectric, Mirror
 from ...scene.scene import Scene
+from ...transport.aim import LUMINANCE
 
 # Share of its sides by which a chart is larger than its casters.
 _MARGIN = 1e-3
+# Ratio of the variances of casters along two axes up to which they have none.
+_ROUND = 1.01
+# Points along each side by which the power of a chart is summed.
+_MIDDLES = 256
 # Casters farther than this from the axis of a chart, as a tangent, get charts all around.
 _WIDEST = 2.0
 
@@ -69,9 +74,33 @@ class Chart:
         """Lengths (2,) of the sides."""
         return np.linalg.norm([self.u, self.v], axis=1)
 
+    @property
+    def coords_width(self) -> int:
+        """Number of emitter coordinates: 2 of a plane, 3 of directions."""
+        return 2 if self.emitter.point is None else 3
+
+    def coords(self, places: Floats) -> tuple[Floats, Floats]:
+        """Emitter coordinates (n, 2), m, or (n, 3) at places, and luminance (n,) per m² or sr."""
+        rays = self.rays(places)
+        area = float(np.prod(self.sides))
+        sent = rays.power @ LUMINANCE / area
+        if self.emitter.point is None:
+            axes = np.array([self.u, self.v]) / self.sides[:, np.newaxis]
+            return rays.origin @ axes.T, sent
+        distance = np.linalg.norm(self._at(places), axis=1)
+        return rays.direction, sent * distance**3
+
+    @property
+    def emitted(self) -> Floats:
+        """Flux (3,) through the chart, W, by the midpoint rule."""
+        middles = (np.arange(_MIDDLES) + 0.5) / _MIDDLES
+        u, v = np.meshgrid(middles, middles)
+        mean: Floats = self.rays(np.column_stack([u.ravel(), v.ravel()])).power.mean(axis=0)
+        return mean
+
     def rays(self, places: Floats) -> ChartRays:
         """Rays at places (n, 2) in the unit square."""
-        at = self.corner + places[:, :1] * self.u + places[:, 1:] * self.v
+        at = self._at(places)
         area = float(np.prod(self.sides))
         point = self.emitter.point
         if point is None:
@@ -85,63 +114,63 @@ class Chart:
         origin = point + self.start * direction
         return ChartRays(origin, direction, intensity * area / distance**3)
 
+    def _at(self, places: Floats) -> Floats:
+        """Points (n, 3) of the rectangle."""
+        at: Floats = self.corner + places[:, :1] * self.u + places[:, 1:] * self.v
+        return at
+
 
 def charts_of(scene: Scene) -> list[Chart]:
-    """Charts around all that casts caustics, for each emitter of a scene.
+    """Charts around all that casts caustics, of the emitters of a scene.
 
-    Raises
-    ------
-    ValueError
-        If an emitter is extended: its coordinates are more than two.
+    Those with a size have none: their coordinates are more than two.
     """
-    casters = [
+    charts: list[Chart] = []
+    for emitter_id, emitter in enumerate(scene.emitters):
+        if emitter.is_extended:
+            continue
+        if isinstance(emitter, CollimatedEmitter):
+            charts += parallel_charts(scene, emitter, emitter_id)
+        elif emitter.point is not None:
+            charts += _charts_around_point(scene, emitter, emitter_id)
+    return charts
+
+
+def _casters(scene: Scene) -> list[Floats]:
+    """Vertices of each object that may cast a caustic, m."""
+    return [
         np.asarray(item.mesh.vertices)[np.unique(item.mesh.faces)]
         for item in scene.objects
         if isinstance(item.material, Dielectric | Mirror)
     ]
-    charts: list[Chart] = []
-    for emitter_id, emitter in enumerate(scene.emitters):
-        if emitter.is_extended or not (
-            isinstance(emitter, CollimatedEmitter) or emitter.point is not None
-        ):
-            raise ValueError(
-                "envelopes should be of parallel light or of points, but emitter "
-                f"{emitter_id} is {type(emitter).__name__} with a size: use another method, "
-                "'parameterised' say"
-            )
-        make = _parallel if emitter.point is None else _around_point
-        charts += make(scene, emitter, emitter_id, casters)
-    return charts
 
 
-def _parallel(
-    scene: Scene, emitter: Emitter, emitter_id: int, casters: list[Floats]
-) -> list[Chart]:
-    whole = scene.bounding_sphere()
+def parallel_charts(scene: Scene, emitter: CollimatedEmitter, emitter_id: int) -> list[Chart]:
+    """Charts of parallel light, which need not be that of the scene's emitter of the number."""
+    casters, whole = _casters(scene), scene.bounding_sphere()
     region = emitter.emission_region(whole, whole, scene.emitter_offset(emitter))
-    boxes = [_box((each - region.origin) @ region.frame[:2].T) for each in casters]
+    frame = _aligned(region.frame, [each - region.origin for each in casters])
+    boxes = [_box((each - region.origin) @ frame[:2].T) for each in casters]
     return [
         Chart(
             emitter,
             emitter_id,
-            region.origin + low @ region.frame[:2],
-            (high - low)[0] * region.frame[0],
-            (high - low)[1] * region.frame[1],
+            region.origin + low @ frame[:2],
+            (high - low)[0] * frame[0],
+            (high - low)[1] * frame[1],
         )
         for low, high in _disjoint(boxes)
     ]
 
 
-def _around_point(
-    scene: Scene, emitter: Emitter, emitter_id: int, casters: list[Floats]
-) -> list[Chart]:
-    whole = scene.bounding_sphere()
+def _charts_around_point(scene: Scene, emitter: Emitter, emitter_id: int) -> list[Chart]:
+    casters, whole = _casters(scene), scene.bounding_sphere()
     region = emitter.emission_region(whole, whole, scene.emitter_offset(emitter))
     towards = [each - region.origin for each in casters]
     units = [each / np.linalg.norm(each, axis=1)[:, np.newaxis] for each in towards]
     axis = sum(each.mean(axis=0) for each in units)
     length = np.linalg.norm(axis)
-    frame = _frame(axis / length) if length > 0.0 else np.eye(3)
+    frame = _aligned(_frame(axis / length), units) if length > 0.0 else np.eye(3)
     local = [each @ frame.T for each in towards]
     if all((np.hypot(p[:, 0], p[:, 1]) <= _WIDEST * p[:, 2]).all() for p in local):
         boxes = _disjoint([_box(p[:, :2] / p[:, 2:]) for p in local])
@@ -167,6 +196,23 @@ def _frame(w: Floats) -> Floats:
     u = np.cross(np.eye(3)[np.abs(w).argmin()], w)
     u /= np.linalg.norm(u)
     return np.array([u, np.cross(w, u), w])
+
+
+def _aligned(frame: Floats, casters: list[Floats]) -> Floats:
+    """A frame turned about its third axis to the axes of casters, so that charts turn with these.
+
+    It stays where casters are as wide along all directions across it.
+    """
+    across = np.concatenate(casters) @ frame[:2].T
+    across = across - across.mean(axis=0)
+    variance, axes = np.linalg.eigh(across.T @ across)
+    if variance[1] <= _ROUND * variance[0]:
+        return frame
+    u = axes[:, 1]
+    skewness = ((across @ u) ** 3).sum()
+    u = u if skewness >= 0.0 else -u
+    turned = u @ frame[:2]
+    return np.array([turned, np.cross(frame[2], turned), frame[2]])
 
 
 def _box(points: Floats) -> Floats:

@@ -143,7 +143,7 @@ def patches_of(lattice: Lattice, nodes: Ids) -> Patches:
     arrival = np.repeat(lattice.first[flat] - (np.cumsum(count) - count), count)
     arrival += np.arange(len(slot))
     element, node = slot // 6, slot % 6
-    sheet = lattice.sheet[arrival]
+    sheet = lattice.arrivals.sheet[arrival]
     order = np.lexsort((sheet, element))
     element, sheet = element[order], sheet[order]
     new = np.ones(len(order), dtype=bool)

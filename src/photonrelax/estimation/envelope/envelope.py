@@ -2,43 +2,35 @@
 
 A caustic is the image of an emitter under a map from its coordinates to where light lands, one map
 for each path signature. A chart of the coordinates is divided into triangles; each carries its
-flux to its image, and images add up. Nothing is random, and no density is estimated.
-docs/methods/envelope.md has the derivation.
+flux to its image, and images add up. Nothing is random, and no density is estimated. Light without
+smooth images is that of photons. docs/methods/envelope.md has the derivation.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..._util import validation
 from ..._util.frozen import set_field
 from ..._util.parallel import thread_count
 from ..._util.parcels import state_without_caches
 from ..._util.validation import Floats
-from ...scene.scene import Scene
+from ...photons.photon_map import PhotonMap
 from ...spatial.box_tree import BoxTree
-from ...transport.splitting import SplittingTracer
-from .borders import joined
-from .charts import charts_of
-from .elements import areas, first_corners, luminances, six_places
-from .lattice import Lattice
-from .laying import Laid, Points, laid, squares
-from .refinement import Refinement
+from ...transport.splitting import Signatures
+from .charts import Chart
+from .elements import luminances
+from .sampling import envelope_photons
 
-# Cells of the first grid of a chart.
-_FIRST_CELLS = 32 * 32
-# Branches of less of a node's light are followed as single photons.
-_LEAST_THROUGHPUT = 1e-2
-# Footprints across all light, where nothing says how fine it is looked at.
-_FOOTPRINTS = 400
 # Misplaced light, over all, unless asked for.
 _ERROR = 0.01
-# Share of the misplaced light that is left to leaves not divided in a pass.
-_LEFT = 0.5
+# Share of the light of photons that lies elsewhere, from the errors of maps of relaxed photons.
+NOISE = 0.1
 
 
 @dataclass(frozen=True)
@@ -48,7 +40,7 @@ class EnvelopeSettings:
     Attributes
     ----------
     n_rays : int, optional
-        Rays from emitters, at most.
+        Rays from emitters, at most; a million by default.
     error : float, optional
         Share of the light that may be misplaced; 0.01 unless rays or time are limited.
     seconds : float, optional
@@ -56,17 +48,22 @@ class EnvelopeSettings:
     footprint : float, optional
         Length that images are resolved to, m: the side of a texel, say. By default that of the
         pixels of a render, or 1/400 of the extent of the light.
+    n_photons : int, optional
+        Photons to emit for light without images, at most; by default as many as for other methods,
+        a million unless a render is told.
     """
 
     n_rays: int | None = None
     error: float | None = None
     seconds: float | None = None
     footprint: float | None = None
+    n_photons: int | None = None
 
     def __post_init__(self) -> None:
-        if self.n_rays is not None:
-            n_rays = validation.count(self.n_rays, "EnvelopeSettings.n_rays")
-            set_field(self, "n_rays", n_rays)
+        for name in ("n_rays", "n_photons"):
+            if getattr(self, name) is not None:
+                number = validation.count(getattr(self, name), f"EnvelopeSettings.{name}")
+                set_field(self, name, number)
         for name in ("error", "seconds", "footprint"):
             if getattr(self, name) is not None:
                 value = validation.positive(getattr(self, name), f"EnvelopeSettings.{name}")
@@ -80,9 +77,33 @@ class EnvelopeSettings:
         return _ERROR if self.n_rays is None and self.seconds is None else 0.0
 
 
+class EnvelopeLedger(NamedTuple):
+    """Flux (3,) of all emitters, W; `emitted` is the sum of the others.
+
+    Attributes
+    ----------
+    emitted : (3,) float64
+        Through the charts, and by emitters without one.
+    images : (3,) float64
+        Laid down over images.
+    points : (3,) float64
+        Laid down around points, as images jump.
+    photons : (3,) float64
+        Of photons.
+    lost : (3,) float64
+        Absorbed or escaped, or of no sheet that was found.
+    """
+
+    emitted: Floats
+    images: Floats
+    points: Floats
+    photons: Floats
+    lost: Floats
+
+
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """Images of all emitters of a scene as straight triangles.
+    """Images of all emitters of a scene as straight triangles, and photons of all other light.
 
     Attributes
     ----------
@@ -92,12 +113,22 @@ class Envelope:
         Unit normals of the surfaces they lie on, on the side of the light.
     flux : (n, 3) float64
         W, even over each triangle.
+    place : (n, 3, 2) float32
+        Corners in the unit squares of their charts.
+    sheet : (n,) uint64
+        Path and surface of the light.
+    chart : (n,) int32
+        Rows of `charts`.
     misplaced : (n,) float64
         Estimated luminance of each that lies elsewhere by a footprint or more, W.
-    emitted : (3,) float64
-        Flux that left through the charts, W.
-    torn : (3,) float64
-        Flux laid down around points, as it has no image that is smooth, W.
+    charts : list of Chart
+    objects : dict of int to int
+        Surface of each sheet.
+    surface_ids : (k,) int32
+        Ids of the objects whose surfaces they are.
+    rest : PhotonMap, optional
+        Photons of sheets that have no images, and of emitters without a chart.
+    ledger : EnvelopeLedger
     settings : EnvelopeSettings
         Those used.
     n_rays, n_segments : int
@@ -109,9 +140,15 @@ class Envelope:
     position: Floats
     normal: Floats
     flux: Floats
+    place: NDArray[np.float32]
+    sheet: Signatures
     misplaced: Floats
-    emitted: Floats
-    torn: Floats
+    chart: NDArray[np.int32]
+    charts: list[Chart]
+    objects: dict[int, int]
+    surface_ids: NDArray[np.int32]
+    rest: PhotonMap | None
+    ledger: EnvelopeLedger
     settings: EnvelopeSettings
     n_rays: int
     n_segments: int
@@ -125,112 +162,34 @@ class Envelope:
     @property
     def error(self) -> float:
         """Estimated share of the light that is misplaced."""
-        total = float(luminances(self.flux).sum())
-        return float(self.misplaced.sum()) / total if total else 0.0
+        of_photons = 0.0 if self.rest is None else float(luminances(self.rest.flux).sum())
+        total = float(luminances(self.flux).sum()) + of_photons
+        return (float(self.misplaced.sum()) + NOISE * of_photons) / total if total else 0.0
 
     @cached_property
     def tree(self) -> BoxTree:
         """Boxes of the triangles."""
         return BoxTree(self.position.min(axis=1), self.position.max(axis=1))
 
+    def photons(self, n: int, *, n_threads: int | None = None) -> PhotonMap:
+        """Photons of the light, well spaced and with emitter coordinates.
 
-def trace_envelope(
-    scene: Scene,
-    *,
-    n_rays: int | None = None,
-    error: float | None = None,
-    seconds: float | None = None,
-    footprint: float | None = None,
-    n_threads: int | None = None,
-) -> Envelope:
-    """Lay the light of the emitters of a scene over its images.
+        Parameters
+        ----------
+        n : int
+            Number of photons. All have the same luminance, but for those of light without images,
+            of which there are as many as that has, and no more than were traced.
+        n_threads : int, optional
+            Threads; all by default. The result does not depend on them.
 
-    Parameters
-    ----------
-    scene : Scene
-        Its emitters are parallel or points.
-    n_rays, error, seconds, footprint : int, float, float, float, optional
-        As of `EnvelopeSettings`.
-    n_threads : int, optional
-        Threads; all by default. The result does not depend on them.
+        Returns
+        -------
+        PhotonMap
+            Its flux is that of the envelope.
 
-    Returns
-    -------
-    Envelope
-        For ``irradiance_field(envelope, method="envelope")``.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If an emitter is extended, no light arrives, or a number is out of its range.
-    """
-    return laid_envelope(scene, EnvelopeSettings(n_rays, error, seconds, footprint), n_threads)
-
-
-def laid_envelope(
-    scene: Scene, settings: EnvelopeSettings, n_threads: int | None = None
-) -> Envelope:
-    """Envelope of a scene; see `trace_envelope`."""
-    started = perf_counter()
-    tracer = SplittingTracer(scene, _LEAST_THROUGHPUT, thread_count(n_threads))
-    lattices = [Lattice(chart, tracer, _FIRST_CELLS) for chart in charts_of(scene)]
-    for lattice in lattices:
-        lattice.nodes(six_places(first_corners(lattice)).reshape(-1, 2))
-    if not any(len(lattice.arrivals) for lattice in lattices):
-        raise ValueError(
-            "light should arrive on a Diffuse surface by way of a specular one, but none of that "
-            f"of {sum(map(len, lattices)):,} rays does"
-        )
-    footprint = settings.footprint or _extent(lattices) / _FOOTPRINTS
-    settings = replace(settings, footprint=footprint)
-    refinements = [Refinement(lattice, footprint) for lattice in lattices]
-    _refine(refinements, settings, started)
-    traced = perf_counter()
-    found = [laid(each) for each in refinements]
-    scattered = joined(Points, [points for _, points in found])
-    around = squares(scattered, footprint)
-    return Envelope(
-        *joined(Laid, [*(images for images, _ in found), around]),
-        emitted=np.sum([_emitted(each) for each in refinements], axis=0),
-        torn=scattered.flux.sum(axis=0),
-        settings=settings,
-        n_rays=sum(len(lattice) for lattice in lattices),
-        n_segments=tracer.n_segments,
-        seconds={"trace envelope": traced - started, "lay": perf_counter() - traced},
-    )
-
-
-def _refine(refinements: list[Refinement], settings: EnvelopeSettings, started: float) -> None:
-    """Divide elements, where most light is misplaced first, up to one of the limits."""
-    end = np.inf if settings.seconds is None else started + settings.seconds
-    most = np.inf if settings.n_rays is None else settings.n_rays
-    while perf_counter() < end:
-        score = np.array([each.score for each in refinements])
-        allowed = settings.misplaced * sum(each.luminance for each in refinements)
-        left = most - sum(each.n_rays for each in refinements)
-        if score.sum() <= allowed or left < 0:
-            return
-        share = score / score.sum()
-        divided = [
-            each.divide(_LEFT * allowed * part, left * part)
-            for each, part in zip(refinements, share, strict=True)
-        ]
-        if not any(divided):
-            return
-
-
-def _extent(lattices: list[Lattice]) -> float:
-    """Extent of most of the light, m: four deviations along the axis of the most."""
-    position = np.concatenate([each.arrivals.position for each in lattices])
-    weight = luminances(np.concatenate([each.light for each in lattices]))
-    weight /= weight.sum()
-    spread = weight @ np.square(position - weight @ position)
-    return float(4.0 * np.sqrt(spread.max())) or 1.0
-
-
-def _emitted(refinement: Refinement) -> Floats:
-    """Flux (3,) that leaves through a chart, W."""
-    area = areas(refinement.lattice, refinement.leaves.corners)
-    power = refinement.lattice.power[refinement.leaves.nodes[:, 3:]].mean(axis=1)
-    total: Floats = area @ power
-    return total
+        Raises
+        ------
+        TypeError, ValueError
+            If n is not an integer from 1 on.
+        """
+        return envelope_photons(self, n, thread_count(n_threads))

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ..._util.validation import Floats
 from ...transport.splitting import Arrivals, SplittingTracer
 from .charts import Chart
+from .sheets import FollowedSheets
 
 Ids = NDArray[np.intp]
 Places = NDArray[np.int64]
@@ -25,12 +26,10 @@ class Lattice:
     ----------
     cells : (2,) int
         Cells of the first grid along u and v; each is 2**14 places wide.
+    followed : FollowedSheets
+        Those that nodes have arrivals of.
     arrivals : Arrivals
-        Of all nodes, by node; without single photons.
-    singles : Arrivals
-        Single photons.
-    sheet : (m,) uint64
-        Signature and receiver of the arrivals.
+        Of all nodes, by node.
     light : (m, 3) float64
         W per area of the chart that arrives around them.
     first, count : (n_nodes,) intp
@@ -39,8 +38,10 @@ class Lattice:
         W per area of the chart.
     """
 
-    def __init__(self, chart: Chart, tracer: SplittingTracer, n_cells: int) -> None:
-        self._chart, self._tracer = chart, tracer
+    def __init__(
+        self, chart: Chart, tracer: SplittingTracer, followed: FollowedSheets, n_cells: int
+    ) -> None:
+        self.chart, self.followed, self._tracer = chart, followed, tracer
         aspect = chart.sides / np.sqrt(np.prod(chart.sides))
         cells = np.maximum(np.rint(np.sqrt(n_cells) * aspect), 1.0)
         self.cells: NDArray[np.int64] = cells.astype(np.int64)
@@ -48,9 +49,13 @@ class Lattice:
         self._rows = np.empty(0, np.intp)
         self.first = self.count = np.empty(0, np.intp)
         self.power = np.empty((0, 3))
-        self.arrivals = self.singles = Arrivals.none()
-        self.sheet = np.empty(0, np.uint64)
+        self.arrivals = Arrivals.none()
         self.light = np.empty((0, 3))
+
+    @property
+    def n_traced(self) -> int:
+        """Rays traced so far, those of other lattices of the scene among them."""
+        return self._tracer.n_rays
 
     def __len__(self) -> int:
         return len(self._keys)
@@ -78,33 +83,32 @@ class Lattice:
         found: Ids = rows[inverse]
         return found
 
-    def trace(self, places: Floats, key: NDArray[np.uint64]) -> tuple[Arrivals, Floats]:
+    def trace(self, places: Floats | Places) -> tuple[Arrivals, Floats]:
         """Arrivals of rays at places (n, 2) that may lie between nodes, and their power."""
-        rays = self._chart.rays(self.in_unit(places))
-        return (
-            self._tracer.trace(rays.origin, rays.direction, key, self._chart.emitter_id),
-            rays.power,
+        rays = self.chart.rays(self.in_unit(places))
+        found = self._tracer.trace(
+            rays.origin, rays.direction, self.followed.paths, self.chart.emitter_id
         )
+        return found, rays.power
+
+    def drop_unfollowed(self) -> Ids:
+        """Leave out the arrivals of sheets that are not followed; new rows (m,) of the others."""
+        kept = np.isin(self.arrivals.sheet, self.followed.sheets)
+        self.arrivals, self.light = self.arrivals[kept], self.light[kept]
+        self.count = np.bincount(self.arrivals.node, minlength=len(self))
+        self.first = np.cumsum(self.count) - self.count
+        rows: Ids = np.where(kept, np.cumsum(kept) - 1, -1)
+        return rows
 
     def _add(self, new: NDArray[np.int64], at: Ids) -> None:
         n_before = len(self)
         places = np.column_stack([new >> 32, new & 0xFFFFFFFF])
-        found, power = self.trace(places, new.astype(np.uint64))
+        found, power = self.trace(places)
         self._keys = np.insert(self._keys, at, new)
         self._rows = np.insert(self._rows, at, n_before + np.arange(len(new)))
         self.power = np.concatenate([self.power, power])
-        singles, kept = found[found.is_single], found[~found.is_single]
-        count = np.bincount(kept.node, minlength=len(new))
+        count = np.bincount(found.node, minlength=len(new))
         first = len(self.arrivals) + np.cumsum(count) - count
         self.first, self.count = np.append(self.first, first), np.append(self.count, count)
-        self.sheet = np.append(self.sheet, sheets_of(kept))
-        self.light = np.concatenate([self.light, kept.throughput * power[kept.node]])
-        self.arrivals = Arrivals.concatenate([self.arrivals, kept.moved(n_before)])
-        self.singles = Arrivals.concatenate([self.singles, singles.moved(n_before)])
-
-
-def sheets_of(arrivals: Arrivals) -> NDArray[np.uint64]:
-    """Numbers (m,) that tell paths and the surfaces that light arrived on apart."""
-    receiver = arrivals.object_id.astype(np.uint64) + np.uint64(1)
-    sheets: NDArray[np.uint64] = arrivals.signature ^ (receiver * np.uint64(0x9E3779B97F4A7C15))
-    return sheets
+        self.light = np.concatenate([self.light, found.throughput * power[found.node]])
+        self.arrivals = Arrivals.concatenate([self.arrivals, found.moved(n_before)])

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from ..._util.validation import Floats
 from ...spatial.kdtree import KDTree
+from ...transport.splitting import Signatures
 from .borders import cut, joined
-from .elements import areas, bends, luminances, shape_functions
+from .elements import areas, bends, luminances, shape_functions, six_places
 from .refinement import Refinement
 
-# Share of all light that straight pieces of one image may misplace by a footprint, and the limits
-# of their distance from it, in footprints.
-_STRAIGHT, _TOLERANCES = 1e-6, (0.002, 0.5)
+# Share of the misplaced light that straight pieces may misplace besides, and the largest distance
+# of these from their image, in footprints.
+_STRAIGHT, _FARTHEST = 1.0, 0.5
 # Sides of an image are divided into at most so many.
 _MOST_PIECES = 16
 # Points of light that the square around each is as large as.
@@ -23,46 +24,77 @@ _NEIGHBOURS = 8
 
 
 class Laid(NamedTuple):
-    """Triangles (n, 3, 3), m, with their normals (n, 3) and fluxes (n, 3), W.
+    """Straight triangles of light.
 
-    `misplaced` (n,) is the luminance of each that may lie a footprint away, W.
+    Attributes
+    ----------
+    position : (n, 3, 3) float64
+        Corners, m.
+    normal, flux : (n, 3) float64
+        Unit normals, and W.
+    place : (n, 3, 2) float32
+        Corners in the unit square of the chart.
+    sheet : (n,) uint64
+    misplaced : (n,) float64
+        Luminance of each that may lie a footprint away, W.
     """
 
     position: Floats
     normal: Floats
     flux: Floats
+    place: NDArray[np.float32]
+    sheet: Signatures
     misplaced: Floats
 
 
 class Points(NamedTuple):
-    """Positions (n, 3), m, normals (n, 3) and fluxes (n, 3), W, of light that has no image."""
+    """Positions (n, 3), m, normals (n, 3) and fluxes (n, 3), W, of light that has no image.
+
+    `place` (n, 2) is in the unit square of the chart, `sheet` (n,) as of `Laid`.
+    """
 
     position: Floats
     normal: Floats
     flux: Floats
+    place: Floats
+    sheet: Signatures
+
+    @classmethod
+    def none(cls) -> Points:
+        """No points."""
+        vectors = np.empty((0, 3))
+        return cls(vectors, vectors, vectors, np.empty((0, 2)), np.empty(0, np.uint64))
 
 
-def laid(refinement: Refinement) -> tuple[Laid, Points]:
-    """Triangles of all light of a chart, and points of that without smooth images."""
+def laid(refinement: Refinement, n_rays: float) -> tuple[Laid, Points]:
+    """Triangles of all light of a chart, and points of that without smooth images.
+
+    Borders are cut by at most so many rays.
+    """
     whole = refinement.patches.is_whole
-    smooth = whole & ~refinement.jumps & ~refinement.is_given_up
-    torn = ~whole & ~refinement.is_given_up
-    pieces = cut(refinement.lattice, refinement.leaves, refinement.patches[torn])
+    smooth = whole & ~refinement.jumps
+    pieces = cut(refinement.lattice, refinement.leaves, refinement.patches[~whole], n_rays)
     # What borders misplace is told where they are.
-    lost = np.zeros(len(pieces.flux)) if not torn.any() else luminances(pieces.flux)
-    total = refinement.scores[torn].sum()
+    lost = luminances(pieces.flux)
     if lost.sum() > 0.0:
-        lost *= min(total / lost.sum(), 1.0)
-    borders = Laid(pieces.position, _unit(pieces.normal), pieces.flux, lost)
-    points = joined(Points, [_of_images(refinement, ~(smooth | torn)), _singles(refinement)])
-    return joined(Laid, [_curved(refinement, np.flatnonzero(smooth)), borders]), points
+        lost *= min(refinement.scores[~whole].sum() / lost.sum(), 1.0)
+    borders = Laid(
+        pieces.position,
+        _unit(pieces.normal),
+        pieces.flux,
+        pieces.place.astype(np.float32),
+        pieces.sheet,
+        lost,
+    )
+    return (
+        joined(Laid, [_curved(refinement, np.flatnonzero(smooth)), borders]),
+        _of_images(refinement, whole & refinement.jumps),
+    )
 
 
 def squares(points: Points, footprint: float) -> Laid:
     """Squares around points, each as large as that to its eighth neighbour, or a footprint."""
     n = len(points.position)
-    if n == 0:
-        return Laid(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
     side = np.full(n, footprint)
     if n > _NEIGHBOURS:
         distance = KDTree(points.position).query_self(_NEIGHBOURS).distance
@@ -74,6 +106,8 @@ def squares(points: Points, footprint: float) -> Laid:
         corners[:, [[0, 1, 2], [2, 3, 0]]].reshape(-1, 3, 3),
         np.repeat(points.normal, 2, axis=0),
         np.repeat(0.5 * points.flux, 2, axis=0),
+        np.repeat(points.place, 6, axis=0).reshape(-1, 3, 2).astype(np.float32),
+        np.repeat(points.sheet, 2),
         np.repeat(0.5 * luminances(points.flux), 2),
     )
 
@@ -87,66 +121,90 @@ def square_edges(normals: Floats, side: Floats) -> Floats:
 
 
 def _of_images(refinement: Refinement, rows: NDArray[np.bool_]) -> Points:
-    """Light of images that jump or whose sheets are given up, at their nodes."""
+    """Light of images at the nodes in the middle of their sides."""
     lattice, patches = refinement.lattice, refinement.patches[rows]
-    area = areas(lattice, refinement.leaves.corners)[patches.element]
-    weight = np.zeros((len(patches), 6))
-    whole = patches.is_whole
-    weight[whole, 3:] = 1.0 / 3.0
-    weight[~whole] = 1.0 / 6.0
-    image, node = np.nonzero((weight > 0.0) & (patches.arrival >= 0))
-    arrival = patches.arrival[image, node]
-    flux = lattice.light[arrival] * (area[image] * weight[image, node])[:, np.newaxis]
-    return Points(lattice.arrivals.position[arrival], lattice.arrivals.normal[arrival], flux)
-
-
-def _singles(refinement: Refinement) -> Points:
-    """Single photons of the nodes that count in the quadrature over the leaves."""
-    lattice, leaves = refinement.lattice, refinement.leaves
-    area = np.repeat(areas(lattice, leaves.corners) / 3.0, 3)
-    weight = np.bincount(leaves.nodes[:, 3:].ravel(), area, minlength=len(lattice))
-    node = lattice.singles.node
-    flux = lattice.singles.throughput * lattice.power[node] * weight[node, np.newaxis]
-    used = weight[node] > 0.0
-    return Points(lattice.singles.position[used], lattice.singles.normal[used], flux[used])
+    area = np.repeat(areas(lattice, refinement.leaves.corners)[patches.element] / 3.0, 3)
+    arrival = patches.arrival[:, 3:].ravel()
+    place = six_places(refinement.leaves.corners[patches.element])[:, 3:].reshape(-1, 2)
+    return Points(
+        lattice.arrivals.position[arrival],
+        lattice.arrivals.normal[arrival],
+        lattice.light[arrival] * area[:, np.newaxis],
+        lattice.in_unit(place),
+        np.repeat(patches.sheet, 3),
+    )
 
 
 def _curved(refinement: Refinement, rows: NDArray[np.intp]) -> Laid:
     """Smooth images as straight triangles, as many as their curvature asks for."""
-    lattice = refinement.lattice
-    patches, score = refinement.patches[rows], refinement.scores[rows]
-    position = lattice.arrivals.position[patches.arrival]
-    normal = _unit(lattice.arrivals.normal[patches.arrival].sum(axis=1))
-    light = lattice.light[patches.arrival]
-    area = areas(lattice, refinement.leaves.corners)[patches.element]
-    bend, _ = bends(position)
-    flux = luminances(area[:, np.newaxis] * light[:, 3:].mean(axis=1))
-    tolerance = np.clip(_STRAIGHT * refinement.luminance / flux, *_TOLERANCES)
-    n = np.ceil(np.sqrt(bend / (tolerance * refinement.footprint)))
-    n = np.clip(n, 1, _MOST_PIECES).astype(np.intp)
-    parts = []
-    for divided in np.unique(n):
-        mine = np.flatnonzero(n == divided)
-        corners, centres = _grid(int(divided))
-        at = np.einsum("tks,psc->ptkc", corners, position[mine])
-        flux = np.einsum("ts,psc->ptc", centres, light[mine])
-        flux *= (area[mine] / divided**2)[:, np.newaxis, np.newaxis]
-        # The sum over the parts is the quadrature over the whole.
-        wanted = area[mine, np.newaxis] * light[mine, 3:].mean(axis=1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            scale = np.where(wanted > 0.0, wanted / flux.sum(axis=1), 0.0)
-        m = divided**2
-        parts.append(
-            Laid(
-                at.reshape(-1, 3, 3),
-                np.repeat(normal[mine], m, axis=0),
-                (flux * scale[:, np.newaxis]).reshape(-1, 3),
-                np.repeat(score[mine] / m, m),
-            )
-        )
-    if not parts:
-        return squares(Points(*np.empty((3, 0, 3))), refinement.footprint)
-    return joined(Laid, parts)
+    patches = refinement.patches[rows]
+    area = areas(refinement.lattice, refinement.leaves.corners)[patches.element]
+    images = _Images(
+        refinement.lattice.arrivals.position[patches.arrival],
+        _unit(refinement.lattice.arrivals.normal[patches.arrival].sum(axis=1)),
+        refinement.lattice.light[patches.arrival] * area[:, np.newaxis, np.newaxis],
+        refinement.lattice.in_unit(six_places(refinement.leaves.corners[patches.element])),
+        patches.sheet,
+        refinement.scores[rows],
+    )
+    n = _divisions(images, refinement.score, refinement.footprint)
+    parts = [
+        _divided(_Images(*(column[n == each] for column in images)), int(each))
+        for each in np.unique(n)
+    ]
+    return joined(Laid, parts or [_divided(images, 1)])
+
+
+class _Images(NamedTuple):
+    """Smooth images of elements.
+
+    Attributes
+    ----------
+    position, light : (n, 6, 3)
+        Of the nodes, m, and W if all light were as there.
+    normal : (n, 3)
+    place : (n, 6, 2)
+    sheet, score : (n,)
+    """
+
+    position: Floats
+    normal: Floats
+    light: Floats
+    place: Floats
+    sheet: Signatures
+    score: Floats
+
+
+def _divisions(images: _Images, misplaced: float, footprint: float) -> NDArray[np.intp]:
+    """Parts (n,) of the sides of images, whose chords misplace so much luminance, W.
+
+    Pieces are fewest, for Σ flux · distance given, at distances as (√bend / flux)^(2/3).
+    """
+    bend, _ = bends(images.position)
+    flux = np.maximum(luminances(images.light[:, 3:].mean(axis=1)), 1e-300)
+    weight = np.cbrt(bend) * flux ** (-2.0 / 3.0)
+    of_all = max(float(flux @ weight), 1e-300)
+    distance = footprint * np.minimum(weight * (_STRAIGHT * misplaced / of_all), _FARTHEST)
+    n = np.ceil(np.sqrt(bend / np.maximum(distance, 1e-300)))
+    return np.clip(n, 1, _MOST_PIECES).astype(np.intp)
+
+
+def _divided(images: _Images, n: int) -> Laid:
+    """Images, each in n² straight triangles."""
+    corners, centres = _grid(n)
+    flux = np.einsum("ts,psc->ptc", centres, images.light) / n**2
+    # The sum over the parts is the quadrature over the whole.
+    wanted = images.light[:, 3:].mean(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scale = np.where(wanted > 0.0, wanted / flux.sum(axis=1), 0.0)
+    return Laid(
+        np.einsum("tks,psc->ptkc", corners, images.position).reshape(-1, 3, 3),
+        np.repeat(images.normal, n**2, axis=0),
+        (flux * scale[:, np.newaxis]).reshape(-1, 3),
+        np.einsum("tks,psc->ptkc", corners, images.place).reshape(-1, 3, 2).astype(np.float32),
+        np.repeat(images.sheet, n**2),
+        np.repeat(images.score / n**2, n**2),
+    )
 
 
 def _grid(n: int) -> tuple[Floats, Floats]:

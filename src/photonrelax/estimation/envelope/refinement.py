@@ -26,14 +26,12 @@ _OF_MISFIT, _OF_BEND = 0.125, 0.25
 _OF_TORN = 0.1
 # Images that bend by more than this share of their longest side, and a footprint, jump.
 _JUMP = 0.35
-# Rays that a torn image costs when its border is cut.
-_RAYS_OF_BORDER = 6
+# Rays that an element with torn images costs, at most, when their borders are cut.
+_RAYS_OF_BORDER = 12
 # Leaves divided in one pass have at least this share of the largest score.
 _GREED = 0.05
 # New nodes of a divided leaf, most of which it shares with neighbours.
 _RAYS_OF_LEAF = 5
-# Sheets are given up if more than this share of their flux is torn or jumps after some divisions.
-_GIVEN_UP, _DIVISIONS = 0.9, 4
 
 
 class Refinement:
@@ -55,8 +53,6 @@ class Refinement:
 
     def __init__(self, lattice: Lattice, footprint: float) -> None:
         self.lattice, self.footprint = lattice, footprint
-        self._given_up = np.empty(0, np.uint64)
-        self._n_divisions = 0
         corners = first_corners(lattice)
         self.leaves = self._elements(corners, np.zeros(len(corners), np.int8))
         self.patches = patches_of(lattice, self.leaves.nodes)
@@ -73,16 +69,44 @@ class Refinement:
         return float(luminances(self._fluxes(self.leaves, self.patches)).sum())
 
     @property
-    def n_rays(self) -> int:
-        """Nodes so far, and rays that cutting borders would take."""
-        torn = ~self.patches.is_whole & ~self.is_given_up
-        return len(self.lattice) + _RAYS_OF_BORDER * int(np.count_nonzero(torn))
+    def n_rays_of_borders(self) -> int:
+        """Rays that cutting borders would take."""
+        torn = self.patches.element[~self.patches.is_whole]
+        return _RAYS_OF_BORDER * len(np.unique(torn))
 
     @property
-    def is_given_up(self) -> NDArray[np.bool_]:
-        """(p,) true for images of sheets that are not divided."""
-        given_up: NDArray[np.bool_] = np.isin(self.patches.sheet, self._given_up)
-        return given_up
+    def light_of_sheets(self) -> Floats:
+        """Luminance (k, 2) of each sheet that is followed, of all images and of rough ones, W."""
+        flux = luminances(self._fluxes(self.leaves, self.patches))
+        number, n = self._numbers, len(self.lattice.followed.sheets)
+        is_rough = ~self.patches.is_whole | self.jumps
+        return np.column_stack([np.bincount(number, each, n) for each in (flux, flux * is_rough)])
+
+    def rough_elements(self, is_rough: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """Elements (k, 2) on which sheets are rough, all, and those where no other sheet is.
+
+        `is_rough` (k,) are the sheets looked at, which the others are not.
+        """
+        number, n = self._numbers, len(self.lattice.followed.sheets)
+        rough = ~self.patches.is_whole | self.jumps
+        others = self.patches.element[rough & ~is_rough[number]]
+        alone = rough & ~np.isin(self.patches.element, others)
+        return np.column_stack([np.bincount(number[each], minlength=n) for each in (rough, alone)])
+
+    @property
+    def _numbers(self) -> NDArray[np.intp]:
+        """Rows (p,) of the images' sheets among those that are followed."""
+        return np.searchsorted(self.lattice.followed.sheets, self.patches.sheet)
+
+    def drop_unfollowed(self) -> None:
+        """Leave out images of sheets that are not followed any more."""
+        rows = self.lattice.drop_unfollowed()
+        kept = np.isin(self.patches.sheet, self.lattice.followed.sheets)
+        patches = self.patches[kept]
+        # The last row is that of nodes without an arrival.
+        arrival = np.append(rows, -1)[patches.arrival]
+        self.patches = Patches(patches.element, patches.sheet, arrival)
+        self.scores, self.jumps = self.scores[kept], self.jumps[kept]
 
     def divide(self, misplaced: float, n_rays: float) -> bool:
         """Divide leaves of the largest scores once; false if there are none.
@@ -122,18 +146,6 @@ class Refinement:
         )
         self.scores = np.concatenate([self.scores[~of_parents], scores])
         self.jumps = np.concatenate([self.jumps[~of_parents], jumps])
-        self._n_divisions += 1
-        if self._n_divisions == _DIVISIONS:
-            self._give_up()
-        self.scores[self.is_given_up] = 0.0
-
-    def _give_up(self) -> None:
-        """Note the sheets of which hardly anything is smooth."""
-        flux = luminances(self._fluxes(self.leaves, self.patches))
-        sheets, number = np.unique(self.patches.sheet, return_inverse=True)
-        rough = flux * (~self.patches.is_whole | self.jumps)
-        share = np.bincount(number, rough) / np.maximum(np.bincount(number, flux), 1e-300)
-        self._given_up = sheets[share > _GIVEN_UP]
 
     def _elements(self, corners: NDArray[np.int64], level: NDArray[np.int8]) -> Elements:
         places = six_places(corners).reshape(-1, 2)

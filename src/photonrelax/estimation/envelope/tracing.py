@@ -1,0 +1,270 @@
+"""Tracing of envelopes: charts, the sheets that are followed, their division, and what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._util.parallel import thread_count
+from ..._util.validation import Floats
+from ...scene.emitters import CollimatedEmitter
+from ...scene.scene import Scene
+from ...transport.raycast import RayCaster
+from ...transport.splitting import SplittingTracer
+from .borders import joined
+from .charts import Chart, charts_of
+from .elements import first_corners, luminances, six_places
+from .envelope import Envelope, EnvelopeLedger, EnvelopeSettings
+from .lattice import Lattice
+from .laying import Laid, Points, laid, squares
+from .refinement import Refinement
+from .rest import Rest, photons_wanted, rest_photons
+from .sheets import FollowedSheets, followed_sheets
+from .suns import FOOTPRINTS, extent, sun_charts
+
+# Rays to trace and photons to emit, at most, unless settings or a render tell.
+_MOST_RAYS, _MOST_PHOTONS = 1_000_000, 1_000_000
+# Cells of the first grid of a chart, at most and at least, and the share of the rays that may be
+# traced that their nodes take, four each.
+_MOST_CELLS, _LEAST_CELLS, _OF_RAYS = 32 * 32, 16, 0.25 / 4
+# Branches of less of a node's light are followed as single photons.
+_LEAST_THROUGHPUT = 1e-2
+# Share of the misplaced light that is left to leaves not divided in a pass.
+_LEFT = 0.5
+# Sheets are given up if more than these shares of their flux, and of the elements on which they do
+# alone, are torn or jump after some divisions.
+_GIVEN_UP, _ALONE, _DIVISIONS = 0.9, 0.5, 4
+
+
+def trace_envelope(
+    scene: Scene,
+    *,
+    n_rays: int | None = None,
+    error: float | None = None,
+    seconds: float | None = None,
+    footprint: float | None = None,
+    n_photons: int | None = None,
+    n_threads: int | None = None,
+    caster: RayCaster | None = None,
+) -> Envelope:
+    """Lay the light of the emitters of a scene over its images.
+
+    Parameters
+    ----------
+    scene : Scene
+        Light of emitters with a size, and of sheets that are not smooth, is that of photons.
+    n_rays, error, seconds, footprint, n_photons : int, float, float, float, int, optional
+        As of `EnvelopeSettings`.
+    n_threads : int, optional
+        Threads; all by default. The result does not depend on them.
+    caster : RayCaster, optional
+        Of the scene: building it takes time.
+
+    Returns
+    -------
+    Envelope
+        For ``irradiance_field(envelope, method="envelope")``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If no light arrives, or a number is out of its range.
+    """
+    settings = EnvelopeSettings(n_rays, error, seconds, footprint, n_photons)
+    return laid_envelope(scene, settings, n_threads, caster)
+
+
+def laid_envelope(
+    scene: Scene,
+    settings: EnvelopeSettings,
+    n_threads: int | None = None,
+    caster: RayCaster | None = None,
+) -> Envelope:
+    """Envelope of a scene; see `trace_envelope`."""
+    started, threads = perf_counter(), thread_count(n_threads)
+    caster = caster or RayCaster(scene.surfaces)
+    tracer = SplittingTracer(scene, _LEAST_THROUGHPUT, threads, caster=caster)
+    charts = charts_of(scene)
+    for emitter_id, emitter in enumerate(scene.emitters):
+        if isinstance(emitter, CollimatedEmitter) and emitter.is_extended:
+            charts += sun_charts(scene, emitter_id, tracer, settings)
+    n_rays = settings.n_rays or _MOST_RAYS
+    followed = followed_sheets(charts, tracer, n_rays)
+    lattices = _lattices(charts, tracer, followed, n_rays)
+    if len(followed) == len(scene.emitters) and not lattices:
+        raise ValueError(
+            "light should arrive on a Diffuse surface by way of a specular one, but none of that "
+            f"of {tracer.n_segments:,} rays does"
+        )
+    if settings.footprint is None and lattices:
+        settings = replace(settings, footprint=_extent(lattices) / FOOTPRINTS)
+    refinements = [Refinement(each, settings.footprint or 1.0) for each in lattices]
+    _refine(refinements, list(followed.values()), settings, started)
+    traced = perf_counter()
+    images, chart, points = _images(refinements, settings)
+    laid_down = perf_counter()
+    rest = rest_photons(
+        scene,
+        _photons_wanted(followed, refinements, settings),
+        {emitter_id: each.sheets for emitter_id, each in followed.items()},
+        n_photons=settings.n_photons or _MOST_PHOTONS,
+        n_threads=threads,
+        caster=caster,
+    )
+    return Envelope(
+        *images,
+        chart=chart,
+        charts=[each.chart for each in lattices],
+        objects={k: v for each in followed.values() for k, v in each.surfaces.items()},
+        surface_ids=scene.surface_ids,
+        rest=rest.photons,
+        ledger=_ledger(rest, charts, images, points),
+        settings=settings,
+        n_rays=tracer.n_rays,
+        n_segments=tracer.n_segments,
+        seconds={
+            "trace envelope": traced - started,
+            "lay": laid_down - traced,
+            "trace rest": perf_counter() - laid_down,
+        },
+    )
+
+
+def _lattices(
+    charts: list[Chart],
+    tracer: SplittingTracer,
+    followed: dict[int, FollowedSheets],
+    n_rays: int,
+) -> list[Lattice]:
+    """Lattices of the charts that light of followed sheets arrives from, with their first nodes."""
+    most = _OF_RAYS * n_rays / max(len(charts), 1)
+    n_cells = int(np.clip(most, _LEAST_CELLS, _MOST_CELLS))
+    lattices = [
+        Lattice(chart, tracer, followed[chart.emitter_id], n_cells)
+        for chart in charts
+        if len(followed[chart.emitter_id].sheets)
+    ]
+    for lattice in lattices:
+        lattice.nodes(six_places(first_corners(lattice)).reshape(-1, 2))
+    return [lattice for lattice in lattices if len(lattice.arrivals)]
+
+
+def _refine(
+    refinements: list[Refinement],
+    followed: list[FollowedSheets],
+    settings: EnvelopeSettings,
+    started: float,
+) -> None:
+    """Divide elements, where most light is misplaced first, up to one of the limits."""
+    end = np.inf if settings.seconds is None else started + settings.seconds
+    n_passes = 0
+    while perf_counter() < end and _divided(refinements, settings):
+        n_passes += 1
+        if n_passes == _DIVISIONS:
+            _drop(followed, refinements, _is_rough)
+    _drop(followed, refinements, _falls_short)
+
+
+def _divided(refinements: list[Refinement], settings: EnvelopeSettings) -> bool:
+    """Divide elements once; false if none are to be."""
+    score = np.array([each.score for each in refinements])
+    allowed = settings.misplaced * sum(each.luminance for each in refinements)
+    left = _rays_left(refinements, settings)
+    if score.sum() <= allowed or left <= 0.0:
+        return False
+    share = score / score.sum()
+    divided = [
+        each.divide(_LEFT * allowed * part, left * part)
+        for each, part in zip(refinements, share, strict=True)
+    ]
+    return any(divided)
+
+
+def _rays_left(refinements: list[Refinement], settings: EnvelopeSettings) -> int:
+    """Rays that may still be traced, without those of borders."""
+    traced = refinements[0].lattice.n_traced if refinements else 0
+    return (
+        (settings.n_rays or _MOST_RAYS)
+        - traced
+        - sum(each.n_rays_of_borders for each in refinements)
+    )
+
+
+def _drop(
+    followed: list[FollowedSheets],
+    refinements: list[Refinement],
+    is_given_up: Callable[[FollowedSheets, list[Refinement]], NDArray[np.bool_]],
+) -> None:
+    """Give up some sheets of each emitter."""
+    for sheets in followed:
+        mine = [each for each in refinements if each.lattice.followed is sheets]
+        if not mine:
+            continue
+        given_up = is_given_up(sheets, mine)
+        if given_up.any():
+            sheets.drop(sheets.sheets[given_up])
+            for each in mine:
+                each.drop_unfollowed()
+
+
+def _is_rough(followed: FollowedSheets, refinements: list[Refinement]) -> NDArray[np.bool_]:
+    """Sheets of which hardly anything is smooth, and that take elements of their own for it."""
+    whole, rough = np.sum([each.light_of_sheets for each in refinements], axis=0).T
+    is_rough = rough > _GIVEN_UP * whole
+    n, n_alone = np.sum([each.rough_elements(is_rough) for each in refinements], axis=0).T
+    return is_rough & (n_alone > _ALONE * n)
+
+
+def _falls_short(followed: FollowedSheets, refinements: list[Refinement]) -> NDArray[np.bool_]:
+    """Sheets of whose light much has not been found."""
+    whole, _ = np.sum([each.light_of_sheets for each in refinements], axis=0).T
+    return followed.falls_short(whole)
+
+
+def _photons_wanted(
+    followed: dict[int, FollowedSheets], refinements: list[Refinement], settings: EnvelopeSettings
+) -> dict[int, float]:
+    """Photons to emit for the sheets of each emitter that are not followed."""
+    misplaced = sum(each.score for each in refinements)
+    luminance = sum(each.luminance for each in refinements)
+    reached = misplaced / luminance if luminance else 0.0
+    total = sum(each.luminance for each in followed.values())
+    return {
+        emitter_id: photons_wanted(each.left / total if total else 0.0, reached)
+        for emitter_id, each in followed.items()
+    }
+
+
+def _images(
+    refinements: list[Refinement], settings: EnvelopeSettings
+) -> tuple[Laid, NDArray[np.int32], Floats]:
+    """Triangles of all images, their charts, and the flux (3,) laid down around points."""
+    left = _rays_left(refinements, settings) + sum(each.n_rays_of_borders for each in refinements)
+    footprint = settings.footprint or 1.0
+    found = [laid(each, left / len(refinements)) for each in refinements]
+    parts = [images for images, _ in found]
+    parts += [squares(points, footprint) for _, points in found]
+    chart = np.tile(np.arange(len(found), dtype=np.int32), 2)
+    return (
+        joined(Laid, parts or [squares(Points.none(), footprint)]),
+        np.repeat(chart, [len(each.flux) for each in parts]),
+        np.sum([points.flux.sum(axis=0) for _, points in found] or [np.zeros(3)], axis=0),
+    )
+
+
+def _extent(lattices: list[Lattice]) -> float:
+    """Extent of most of the light, m."""
+    position = np.concatenate([each.arrivals.position for each in lattices])
+    return extent(position, luminances(np.concatenate([each.light for each in lattices])))
+
+
+def _ledger(rest: Rest, charts: list[Chart], images: Laid, points: Floats) -> EnvelopeLedger:
+    emitted = rest.emitted + np.sum([each.emitted for each in charts] or [np.zeros(3)], axis=0)
+    photons = np.zeros(3) if rest.photons is None else rest.photons.flux.sum(axis=0)
+    of_images = images.flux.sum(axis=0) - points
+    lost = emitted - of_images - points - photons
+    return EnvelopeLedger(emitted, of_images, points, photons, lost)
