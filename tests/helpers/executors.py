@@ -27,6 +27,8 @@ def loky_pool():
 def dask_cluster():
     """A cluster of two processes on the loopback interface."""
     distributed = pytest.importorskip("distributed")
+    # Processes start slowly beside other tests.
+    pytest.importorskip("dask").config.set({"distributed.comm.timeouts.connect": "120s"})
     return distributed.LocalCluster(
         n_workers=N_WORKERS,
         threads_per_worker=1,

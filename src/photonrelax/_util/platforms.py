@@ -6,7 +6,6 @@ import platform
 import warnings
 from collections.abc import Collection
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +23,9 @@ class Platform(NamedTuple):
 @cache
 def platform_of_process() -> Platform:
     """The platform that this process runs on."""
+    # Workers alone need it.
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
         embreex = version("embreex")
     except PackageNotFoundError:
