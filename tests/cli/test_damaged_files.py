@@ -117,7 +117,7 @@ def test_columns_of_photon_maps_are_checked(name, wrong, photon_map, refused):
         {"sampler": 3},
         {"paths": np.array(["caustic", "all"])},
         {"well_spaced": 1.0},
-        {"photonmap_version": 2},
+        {"photonmap_version": 3},
         {"photonmap_version": np.float64(1.0)},
         {"photonmap_version": None},
         {"ledger_emitted": None},
