@@ -162,6 +162,22 @@ def test_pictures_have_the_error_as_a_layer():
     assert means[0] == pytest.approx(means[1], rel=0.02)
 
 
+def test_the_final_gather_reads_photons_of_the_envelope():
+    """Light that a wall takes from a caustic, as of traced photons but for noise."""
+    scene = mirrored()
+    wall = pr.SceneObject(box([2.0, 0.1, 2.0], (0.0, 1.2, 1.0)), pr.Diffuse(0.7))
+    camera = pr.Camera((1.5, -2.5, 1.5), (0.0, 0.3, 0.3), vertical_fov=50.0, width=16, height=16)
+    scene = pr.Scene([*scene.objects, wall], scene.emitters, camera)
+    limits = {"n_emitted": 20_000, "final_gather": 32}
+    settings = pr.EnvelopeSettings(error=0.1)
+    images = (
+        pr.render(scene, method="envelope", envelope=settings, **limits),
+        pr.render(scene, **limits),
+    )
+    found, expected = (image.layers["indirect"].mean() for image in images)
+    assert found == pytest.approx(expected, rel=0.3)
+
+
 def test_light_of_emitters_with_a_size_is_of_photons():
     """A sun beside parallel light of the same direction: no images, and as much light."""
     scene = mirrored()

@@ -343,8 +343,10 @@ class _Stages:
         self._record("indirect", perf_counter() - started, photons=len(photons))
         if n_rays:
             caustic = self._photons
-            if isinstance(self._caustic, EnvelopeField):
-                n_photons = self._plan.n_emitted
+            if isinstance(self._caustic, EnvelopeField) and len(photons):
+                # As bright as those of indirect light, with which they are gathered.
+                n_photons = round(self._caustic.flux.sum() / photons.flux.sum() * len(photons))
+                n_photons = min(max(n_photons, 1), self._plan.n_emitted)
                 caustic = self._caustic.envelope.photons(n_photons, n_threads=view.n_threads)
             maps = [photons] if caustic is None else [photons, caustic]
             self._gather = FinalGather(view, _joined(maps), n_rays, self._sequence["seed"])
