@@ -8,6 +8,7 @@ sees the file says so, and the task is sent again with the value itself.
 from __future__ import annotations
 
 import pickle
+import signal
 import tempfile
 import traceback
 import warnings
@@ -17,6 +18,7 @@ from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future,
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from types import FrameType
 from typing import Any, NamedTuple, TypeVar
 from uuid import uuid4
 
@@ -246,6 +248,41 @@ def _named_death() -> Iterator[None]:
 
 # --- in a worker ----------------------------------------------------------------------------------
 
+ENDING = (signal.SIGINT, signal.SIGTERM)
+"""Signals that are blocked where a worker starts that is to hear of endings."""
+_is_running, _has_ended = False, False
+
+
+def hear_endings() -> None:
+    """Let SIGTERM end the task that this process is at, and all that follow.
+
+    A process that ended while it sends a result would leave its executor waiting for the rest.
+    Ctrl-C, which goes to all processes of a terminal, is left to the one that has the executor.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _end)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    global _has_ended
+    _has_ended = True
+    if _is_running:
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def _until_ended() -> Iterator[None]:
+    """A task, in which SIGTERM raises KeyboardInterrupt if this process hears of endings."""
+    global _is_running
+    _is_running = True
+    try:
+        if _has_ended:
+            raise KeyboardInterrupt
+        yield
+    finally:
+        _is_running = False
+
 
 def _run(
     release: tuple[str, int],
@@ -269,7 +306,8 @@ def _run(
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             work, job = pickle.loads(payload)
-            result = work(value, job)
+            with _until_ended():
+                result = work(value, job)
     except Exception as error:
         return _Reply("failed", (_picklable(error), traceback.format_exc()), platform)
     given = tuple((str(each.message), each.category) for each in caught)

@@ -33,14 +33,22 @@ def executor_of(options: argparse.Namespace) -> Iterator[Executor | None]:
 
 @contextmanager
 def _processes(n: int) -> Iterator[Executor]:
-    """Yield an executor of processes; after an error they are ended with what they are doing."""
+    """Yield an executor of processes; after an error they end the tasks that they are at."""
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import active_children, get_context
 
+    from .._util.workers import ENDING, hear_endings
+
     others = set(active_children())
     # OpenMP does not survive a fork.
-    pool = ProcessPoolExecutor(n, mp_context=get_context("spawn"), initializer=_leave_interrupts)
+    pool = ProcessPoolExecutor(n, mp_context=get_context("spawn"), initializer=hear_endings)
     try:
+        # The first task starts all processes. Signals wait until they are heard there.
+        signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+        try:
+            pool.submit(int)
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
         yield pool
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
@@ -48,11 +56,6 @@ def _processes(n: int) -> Iterator[Executor]:
             process.terminate()
         raise
     pool.shutdown()
-
-
-def _leave_interrupts() -> None:
-    """Leave Ctrl-C, which goes to all processes of a terminal, to the one that has the work."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
