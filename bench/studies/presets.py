@@ -52,7 +52,7 @@ def presets(folders: Iterable[Path]) -> dict[str, Any]:
     found = {}
     for name, scenes in by_class.items():
         # Classes without a sweep have the presets of all scenes.
-        found[name] = _of_class([sweeps[scene] for scene in scenes or sweeps])
+        found[name] = _of_class([sweeps[scene] for scene in scenes or sweeps], bool(scenes))
     return {
         "version": __version__,
         "date": date.today().isoformat(),
@@ -66,11 +66,11 @@ def _sweep(folder: Path) -> tuple[str, list[Point]]:
     return data["about"]["scene"], [Point.from_dict(each) for each in data["points"]]
 
 
-def _of_class(sweeps: list[list[Point]]) -> dict[str, Any]:
-    """Rows of each preset by method, the best first."""
-    rows = _common(sweeps)
+def _of_class(sweeps: list[list[Point]], measured: bool) -> dict[str, Any]:
+    """Rows of each preset by method, the best first; `measured` if on scenes of the class."""
+    rows = [row | {"measured": measured} for row in _common(sweeps)]
     found: dict[str, Any] = {name: _preset(rows, error) for name, error in ERRORS.items()}
-    paper = {"n_emitted": _PHOTONS, "supersampling": 2, "stages": {}}
+    paper = {"n_emitted": _PHOTONS, "supersampling": 2, "stages": {}, "measured": False}
     return found | {PRESETS[-1]: dict.fromkeys(PAPER, paper)}
 
 

@@ -34,6 +34,15 @@ def test_all_classes_have_all_presets_with_version_and_date():
     assert data["date"] > "2026"
 
 
+def test_rows_that_no_scene_of_the_class_was_measured_for_say_so():
+    data = preset_data()
+    for name, of_class in data["presets"].items():
+        for each, rows in of_class.items():
+            measured = bool(data["measured_on"][name]) and each != "paper"
+            assert {row["measured"] for row in rows.values()} == {measured}
+            assert not measured or all("error" in row for row in rows.values())
+
+
 @pytest.mark.parametrize("choice", ROWS)
 def test_rows_are_settings_of_their_methods(choice):
     assert choice.settings.given.keys() == choice.stages.keys()
