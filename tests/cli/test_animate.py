@@ -1,11 +1,14 @@
 """`photonrelax animate`: frames, those that are there, and the movie."""
 
+import json
+
 import pytest
 from PIL import Image
 
 from photonrelax import gallery
 from photonrelax.cli import main
 from photonrelax.imaging.image import read_exr
+from photonrelax.rendering.presets import preset_data
 
 
 @pytest.fixture
@@ -51,6 +54,27 @@ def test_frames_that_are_there_are_kept(animate, tmp_path):
     assert animate(*arguments) == 0
     assert kept.stat().st_mtime_ns == before
     assert redone.read_bytes() == content
+
+
+@pytest.mark.parametrize("goal", [("--error", "0.5"), ("--seconds", "0.5")])
+def test_frames_have_as_many_photons_as_those_that_are_there(animate, tmp_path, goal):
+    arguments = ("pool", "--frames", "2", "-o", "a.%d.exr", *goal)
+    assert animate(*arguments) == 0
+    redone = tmp_path / "a.0.exr"
+    content = redone.read_bytes()
+    redone.unlink()
+    assert animate(*arguments) == 0
+    assert redone.read_bytes() == content
+
+
+def test_a_preset_of_frames(animate):
+    arguments = ("pool", "--frames", "2", "-o", "a.%d.exr", "--preset", "draft")
+    assert animate(*arguments, "--method", "standard") == 0
+    used = json.loads(read_exr("a.1.exr").metadata["photonrelax.settings"])
+    assert (
+        used["gather"]["k"]
+        == preset_data()["presets"]["sharp"]["draft"]["standard"]["stages"]["gather"]["k"]
+    )
 
 
 @pytest.mark.parametrize(

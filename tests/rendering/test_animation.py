@@ -98,3 +98,42 @@ def test_scenes_with_and_without_casters_have_no_common_targets():
     dark = pr.Scene(moving(0.0).objects[:1], moving(0.0).emitters)
     with pytest.raises(ValueError, match="specular objects, or none, but of 2 scenes 1 have some"):
         common_targets([moving(0.0).targets, dark.targets])
+
+
+SMALL = {"components": ["direct", "caustic"], "method": "standard", "supersampling": 1}
+
+
+@pytest.fixture(scope="module")
+def to_an_error():
+    return Animation(moving, [0.0, 0.5], error=0.2, n_emitted=4000, gather=RADIUS, **SMALL)
+
+
+def test_a_goal_of_the_first_frame_fixes_the_photons_of_all(to_an_error):
+    emitted = {
+        image.metadata["photonrelax.photons_emitted"] for image in to_an_error.frames([1, 0])
+    }
+    assert to_an_error.reached["is_met"]
+    assert emitted == {str(to_an_error.reached["photons_of_image"])}
+
+
+def test_what_does_not_move_does_not_change_with_a_goal(to_an_error):
+    first, last = (image.layers["radiance"] for image in to_an_error.frames([0, 1]))
+    np.testing.assert_allclose(last[:, :20], first[:, :20], atol=1e-9)
+
+
+def test_frames_are_as_exact_as_the_first_is_estimated_to_be(to_an_error):
+    truth = Animation(moving, [0.0, 0.5], n_emitted=200_000, **SMALL).frame(0).layers["radiance"]
+    error = np.abs(to_an_error.frame(0).layers["radiance"] - truth).sum() / truth.sum()
+    assert error <= 1.25 * to_an_error.reached["estimate"]
+
+
+def test_frames_of_a_preset_are_renders_of_it():
+    chosen = {"preset": "draft", "method": "mapped", "n_global": 0, "n_emitted": 2000}
+    animation = Animation(moving, [0.0], **chosen)
+    expected = pr.render(animation.scene(0), **chosen).layers["radiance"]
+    np.testing.assert_array_equal(animation.frame(0).layers["radiance"], expected)
+
+
+def test_a_goal_needs_photons():
+    with pytest.raises(ValueError, match="envelope has none: take another method"):
+        Animation(moving, [0.0], error=0.1, method="envelope")

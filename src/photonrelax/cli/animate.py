@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from .. import gallery
 from .._util.files import check_distinct, output_path, whole_file
-from .arguments import PHOTONS, SAMPLER, SUPERSAMPLING
 from .interrupts import Interrupts
 from .progress_bar import ProgressBars
 from .scenes import is_file, scene_of
@@ -29,42 +28,58 @@ def animate(options: argparse.Namespace, interrupts: Interrupts) -> None:
     movie = None if options.movie is None else _movie_path(options.movie)
     check_distinct({"the first frame": paths[0].with_suffix(".png"), "--movie": movie})
     missing = [number for number, path in enumerate(paths) if not path.exists()]
+    lines = []
     if missing:
         with ProgressBars(options.quiet, interrupts) as bars, executor_of(options) as executor:
-            animation = _animation(options, bars)
+            animation = _animation(options, bars, paths)
             images = animation.frames(missing, executor)
             for number, image in zip(missing, images, strict=True):
                 interrupts.check()
                 _write_frame(image, paths[number], options.exposure)
+        lines = _reached_lines(animation)
     if movie is not None:
         _write_movie(paths, movie, options)
     if not options.quiet:
         there = len(paths) - len(missing)
-        write_lines(f"wrote {len(missing)} frames to {options.output}; {there} were there already")
+        lines.append(f"wrote {len(missing)} frames to {options.output}; {there} were there already")
+        write_lines(*lines)
 
 
-def _animation(options: argparse.Namespace, bars: ProgressBars) -> Animation:
+def _animation(options: argparse.Namespace, bars: ProgressBars, paths: list[Path]) -> Animation:
     from ..rendering.animation import Animation
-    from .settings import settings_from_options
+    from ..rendering.presets import choose
+    from .render_arguments import render_arguments
 
-    settings = settings_from_options(options, (options.method,), ("gather", "progressive"))
     times = [options.start + number / options.fps for number in range(options.frames)]
-    return Animation(
-        _scene_at(options),
-        times,
-        method=options.method,
-        n_emitted=options.photons or PHOTONS,
-        n_global=options.n_global,
-        components=options.components,
-        final_gather=options.final_gather,
-        seed=options.seed or 0,
-        sampler=options.sampler or SAMPLER,
-        supersampling=options.supersampling or SUPERSAMPLING,
-        memory=options.memory,
-        n_threads=options.threads,
-        progress=bars,
-        **settings.given,
-    )
+    scene_at = _scene_at(options)
+    method = choose(scene_at(times[0]), options.method, options.preset, options.error).method
+    animation = Animation(scene_at, times, **render_arguments(options, method, bars))
+    if (options.error, options.seconds) != (None, None):
+        n_emitted = _photons_there(paths)
+        if n_emitted is not None:
+            animation.fix_photons(n_emitted)
+    return animation
+
+
+def _photons_there(paths: list[Path]) -> int | None:
+    """Photons of the first frame that is there, None if there is none or it has none."""
+    from ..imaging.image import read_exr
+
+    there = next((path for path in paths if path.exists()), None)
+    if there is None:
+        return None
+    n_emitted = read_exr(there).metadata.get("photonrelax.photons_emitted")
+    return None if n_emitted is None else int(n_emitted)
+
+
+def _reached_lines(animation: Animation) -> list[str]:
+    """The error of the first frame, if it was rendered to a goal."""
+    from .reports import reached_line
+
+    reached = animation.reached
+    if reached is None:
+        return []
+    return [f"first frame: {reached_line(reached)}; {reached['photons_of_image']:,} photons each"]
 
 
 def _scene_at(options: argparse.Namespace) -> SceneAt:

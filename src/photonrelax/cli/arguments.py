@@ -37,21 +37,11 @@ def parser(commands: Mapping[str, Callable[..., int | None]]) -> argparse.Argume
 
 
 def _add_render(parser: argparse.ArgumentParser) -> None:
-    from ..estimation.methods import DEFAULT_METHOD, METHODS, PLAIN_METHOD
-    from ..rendering.presets import PRESETS
+    from ..estimation.methods import PLAIN_METHOD
 
     add_scene(parser)
     _add_output(parser, "FILE.exr")
-    parser.add_argument(
-        "--method", choices=METHODS, help=f"default: {DEFAULT_METHOD}, or that of --preset"
-    )
-    _add_emission(parser)
-    parser.add_argument(
-        "--preset",
-        choices=PRESETS,
-        help="method, photons, samples and settings, unless they are given",
-    )
-    _add_goal(parser)
+    _add_choice(parser)
     parser.add_argument(
         "--photon-map",
         type=Path,
@@ -76,6 +66,22 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
     )
     _add_workers(parser)
     _add_common(parser)
+
+
+def _add_choice(parser: argparse.ArgumentParser) -> None:
+    from ..estimation.methods import DEFAULT_METHOD, METHODS
+    from ..rendering.presets import PRESETS
+
+    parser.add_argument(
+        "--method", choices=METHODS, help=f"default: {DEFAULT_METHOD}, or that of --preset"
+    )
+    _add_emission(parser)
+    parser.add_argument(
+        "--preset",
+        choices=PRESETS,
+        help="method, photons, samples and settings, unless they are given",
+    )
+    _add_goal(parser)
 
 
 def _add_goal(parser: argparse.ArgumentParser) -> None:
@@ -122,8 +128,6 @@ def _add_final_gather(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_animate(parser: argparse.ArgumentParser) -> None:
-    from ..estimation.methods import DEFAULT_METHOD, METHODS
-
     moving = ", ".join(name for name in gallery.names() if gallery.moves(name))
     parser.add_argument(
         "scene",
@@ -151,10 +155,7 @@ def _add_animate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--movie", type=Path, metavar="FILE.webp", help="write an animated WebP or PNG file too"
     )
-    parser.add_argument(
-        "--method", choices=METHODS, default=DEFAULT_METHOD, help="default: %(default)s"
-    )
-    _add_emission(parser)
+    _add_choice(parser)
     _add_components(parser)
     _add_final_gather(parser)
     _add_sampler(parser)

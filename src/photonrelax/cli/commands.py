@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from ..estimation.field import Field
-    from ..estimation.methods import Settings
     from ..evaluation import ComparisonRequest
     from ..evaluation.reference import ReferenceSettings
     from ..rendering.object_map import ObjectMap
@@ -161,8 +160,9 @@ def _check_render_options(options: argparse.Namespace) -> None:
 
 def _render_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
     from ..rendering.view import resized
+    from .settings import settings_from_options
 
-    settings = _render_settings(options, options.method)
+    settings = settings_from_options(options, (options.method,), ("gather", "progressive"))
 
     def write(image: pr.Image) -> None:
         with ExitStack() as files:
@@ -193,41 +193,21 @@ def _render_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Im
 def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
     from ..rendering.presets import choose
     from ..rendering.view import resized
+    from .render_arguments import render_arguments
 
     photons = None if options.photon_map is None else pr.PhotonMap.load(options.photon_map)
     scene = resized(scene_of(options.scene, options), options.width, options.height)
     method = choose(scene, options.method, options.preset, options.error).method
-    settings = _render_settings(options, method)
     with ProgressBars(options.quiet, interrupts) as bars, executor_of(options) as executor:
         return pr.render(
             scene,
-            method=method,
-            n_emitted=options.photons,
-            n_global=options.n_global,
-            components=options.components,
-            final_gather=options.final_gather,
-            seed=options.seed or 0,
-            sampler=options.sampler or SAMPLER,
-            supersampling=options.supersampling,
             max_depth=options.max_depth,
             light_samples=options.light_samples,
             indirect=_indirect_settings(options),
             photons=photons,
-            preset=options.preset,
-            error=options.error,
-            seconds=options.seconds,
-            memory=options.memory,
-            n_threads=options.threads,
-            progress=bars,
             executor=executor,
-            **settings.given,
+            **render_arguments(options, method, bars),
         )
-
-
-def _render_settings(options: argparse.Namespace, method: str) -> Settings:
-    from .settings import settings_from_options
-
-    return settings_from_options(options, (method,), ("gather", "progressive"))
 
 
 def _indirect_settings(options: argparse.Namespace) -> pr.GatherSettings | None:

@@ -1,0 +1,34 @@
+"""Arguments of `render` from options that `render` and `animate` share."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from .._util.progress import Progress
+from .arguments import SAMPLER
+from .settings import settings_from_options
+
+
+def render_arguments(
+    options: argparse.Namespace, method: str, progress: Progress
+) -> dict[str, Any]:
+    """Arguments of `render` that images and frames of animations are rendered with, by name."""
+    settings = settings_from_options(options, (method,), ("gather", "progressive"))
+    return {
+        "method": method,
+        "n_emitted": options.photons,
+        "n_global": options.n_global,
+        "components": options.components,
+        "final_gather": options.final_gather,
+        "seed": options.seed or 0,
+        "sampler": options.sampler or SAMPLER,
+        "supersampling": options.supersampling,
+        "preset": options.preset,
+        "error": options.error,
+        "seconds": options.seconds,
+        "memory": options.memory,
+        "n_threads": options.threads,
+        "progress": progress,
+        **settings.given,
+    }
