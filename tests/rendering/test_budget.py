@@ -6,7 +6,7 @@ import pytest
 
 import photonrelax as pr
 from photonrelax.cli import main
-from photonrelax.rendering.budget import check_render_fits, memory_limit
+from photonrelax.rendering.budget import check_map_fits, check_render_fits, memory_limit
 from photonrelax.rendering.view import View
 
 
@@ -37,6 +37,44 @@ def test_too_large_an_image_is_refused(ring):
 
 def test_methods_without_photons_need_no_memory_for_them(ring):
     assert pr.render(ring, method="envelope", n_emitted=10**8, memory=1e9).layers["caustic"].any()
+
+
+def test_photons_that_are_given_are_counted_without_their_place(ring):
+    view = View(ring)
+    check_render_fits(view, {}, 2e9, n_given=10**6)
+    with pytest.raises(MemoryError, match=r"10,000,000 photons given about 4.04 GB .* \(photons\)"):
+        check_render_fits(view, {}, 2e9, n_given=10**7)
+    photons = pr.trace_photons(ring, 2000)
+    with pytest.raises(MemoryError, match=f"{len(photons):,} photons given"):
+        pr.render(ring, photons=photons, memory=1e6)
+
+
+def test_rays_of_envelopes_that_are_asked_for_are_counted(ring):
+    with pytest.raises(MemoryError, match=r"envelope of 1,000,000 rays .*: trace at most [\d,]+"):
+        pr.render(ring, method="envelope", memory=2e9, envelope=pr.EnvelopeSettings(n_rays=10**6))
+    # An error ends them long before.
+    settings = pr.EnvelopeSettings(n_rays=10**6, error=0.1)
+    assert pr.render(ring, method="envelope", memory=1e9, envelope=settings)
+
+
+def test_maps_are_refused_with_numbers_that_fit(ring):
+    check_map_fits(ring, 1000, 64, 1e9)
+    with pytest.raises(MemoryError, match="take fewer texels"):
+        check_map_fits(ring, 1000, 10_000, 1e9)
+    with pytest.raises(MemoryError, match=r"emit at most") as refused:
+        check_map_fits(ring, 10**8, 64, 1e9)
+    fits = int(re.search(r"at most ([\d,]+)", str(refused.value))[1].replace(",", ""))
+    check_map_fits(ring, fits, 64, 1e9)
+    with pytest.raises(MemoryError):
+        check_map_fits(ring, int(1.1 * fits), 64, 1e9)
+
+
+def test_memory_of_a_map_on_the_command_line(tmp_path, capsys):
+    command = ["irradiance", "ring", "--on", "floor", "-o", str(tmp_path / "map.exr"), "--quiet"]
+    sizes = ["--photons", "1000", "--texels", "16"]
+    assert main([*command, *sizes, "--memory", "1G"]) == 0
+    assert main([*command, *sizes, "--memory", "1M"]) == 1
+    assert "but memory is 1 MB" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("size", "code"), [("8G", 0), ("1k", 1), ("0", 2), ("x", 2), ("", 2)])

@@ -370,6 +370,7 @@ def _add_irradiance(parser: argparse.ArgumentParser) -> None:
     _add_sampler(parser)
     _add_settings(parser)
     _add_exposure(parser)
+    _add_memory(parser)
     add_caster_options(parser)
     _add_workers(parser)
     _add_common(parser)

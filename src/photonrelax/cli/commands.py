@@ -410,12 +410,17 @@ def _object_map(
     executor: Executor | None,
 ) -> tuple[ObjectMap, pr.Image]:
     """Map of an object, the last of several with --error or --seconds, and the image to write."""
+    from ..rendering.budget import check_map_fits
     from ..rendering.error_target import Goal, render_to_goal
     from ..rendering.object_map import ObjectMap
+    from .settings import settings_from_options
 
     found: list[ObjectMap] = []
+    settings = settings_from_options(options, (options.method,))
+    n_rays = settings.of("envelope").n_rays_certain
 
     def once(n_emitted: int, seed: int) -> pr.Image:
+        check_map_fits(scene, n_emitted, options.texels, options.memory, n_rays=n_rays)
         emission = n_emitted, seed
         radius = gather_radius(options, size)
         field, photons = _field_of_scene(

@@ -1,11 +1,13 @@
-"""Memory of a render, estimated before it is allocated; what does not fit is refused."""
+"""Memory of renders and maps, estimated before it is allocated; what does not fit is refused."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
 
 from .._util.memory import available_memory, size_text
 from .._util.validation import positive
+from ..scene.scene import Scene
 from ..transport.trace import stored_per_path
 from .view import View
 
@@ -13,16 +15,37 @@ from .view import View
 # relaxation to rest densities and diffusion for caustics, gathering for indirect light. See
 # docs/measurements/memory.md.
 _BYTES = {"caustic": 560, "indirect": 280}
+# Of these, its place in the map, which photons that are given have already.
+_PLACE_BYTES = 156
+# Bytes of an envelope for each ray that is traced for it.
+_RAY_BYTES = 3600
 # Bytes of the layers of a pixel and of their bands, of a sample of a band, and of libraries.
 _PIXEL_BYTES, _SAMPLE_BYTES, _LIBRARY_BYTES = 350, 1500, 200e6
 # Samples of a band, at most; a row has more if it is wide.
 _SAMPLES = 400_000
-# Paths that store a photon of indirect light more than once do so a few times.
+# Bytes of a texel of a map and of its image, of one of a band; texels of a band, at most.
+_TEXEL_BYTES, _BAND_TEXEL_BYTES, _BAND_TEXELS = 150, 300, 1 << 18
+# Paths that store a photon of indirect light more than once do so a few times; so does each sensor.
 _MOST_PER_PATH = 4.0
 # Share of the free memory that is taken, unless a limit is given.
 _SHARE = 0.9
 _PATHS = {"caustic": "caustic", "indirect": "global"}
 _ARGUMENTS = {"caustic": "n_emitted", "indirect": "n_global"}
+_SMALLER_IMAGE = "make the image smaller (width, height)"
+_PASSES = "render in passes of fresh photons (--passes, render_progressive), "
+
+
+class _Need(NamedTuple):
+    """Bytes of `n` things alike; `remedy` says that there should be at most `{most}` of them."""
+
+    text: str
+    n: int
+    each: float
+    remedy: str
+
+    @property
+    def n_bytes(self) -> float:
+        return self.n * self.each
 
 
 def memory_limit(memory: float | None) -> float:
@@ -32,7 +55,14 @@ def memory_limit(memory: float | None) -> float:
     return positive(memory, "memory")
 
 
-def check_render_fits(view: View, emitted: Mapping[str, int], memory: float | None) -> None:
+def check_render_fits(
+    view: View,
+    emitted: Mapping[str, int],
+    memory: float | None,
+    *,
+    n_given: int = 0,
+    n_rays: int = 0,
+) -> None:
     """Raise MemoryError if a render is estimated to take more memory than it may.
 
     Parameters
@@ -43,14 +73,50 @@ def check_render_fits(view: View, emitted: Mapping[str, int], memory: float | No
         Photons to emit by component.
     memory : float, optional
         Bytes that may be taken, by default nine tenths of what is free.
+    n_given, n_rays : int
+        Photons that are there already, and rays of envelopes.
     """
-    limit, image = memory_limit(memory), _image_bytes(view)
-    if image + _MOST_PER_PATH * sum(_BYTES[name] * n for name, n in emitted.items()) <= limit:
+    limit, (height, width) = memory_limit(memory), view.shape
+    image = _Need(f"an image of {width} x {height} pixels", 1, _image_bytes(view), _SMALLER_IMAGE)
+    others = [_of_given(n_given), _of_rays(n_rays)]
+    sure = image.n_bytes + sum(need.n_bytes for need in others)
+    if sure + _MOST_PER_PATH * sum(_BYTES[name] * n for name, n in emitted.items()) <= limit:
         return
-    per_path = {name: _bytes_per_path(view, name) if n else 0.0 for name, n in emitted.items()}
-    photons = {name: per_path[name] * n for name, n in emitted.items()}
-    if image + sum(photons.values()) > limit:
-        raise MemoryError(_refusal(view, image, photons, emitted, limit))
+    photons = [
+        _of_emitted(name, n, _stored(view, name) if n else 0.0) for name, n in emitted.items()
+    ]
+    _check(limit, image, [*photons, *others], _PASSES)
+
+
+def check_map_fits(
+    scene: Scene,
+    n_emitted: int,
+    n_texels: int,
+    memory: float | None,
+    *,
+    n_rays: int = 0,
+) -> None:
+    """Raise MemoryError if an irradiance map is estimated to take more memory than it may.
+
+    Parameters
+    ----------
+    scene : Scene
+    n_emitted, n_texels : int
+        Photons to emit, and texels along the longer side, those of a square counted.
+    memory : float, optional
+        Bytes that may be taken, by default nine tenths of what is free.
+    n_rays : int
+        Of envelopes.
+    """
+    limit = memory_limit(memory)
+    texels = n_texels**2
+    n_bytes = _LIBRARY_BYTES + _TEXEL_BYTES * texels + _BAND_TEXEL_BYTES * min(texels, _BAND_TEXELS)
+    image = _Need(f"a map of {n_texels} texels a side", 1, n_bytes, "take fewer texels (texels)")
+    rays, most = _of_rays(n_rays), _MOST_PER_PATH * (1 + len(scene.sensors))
+    if n_bytes + rays.n_bytes + _of_emitted("caustic", n_emitted, most).n_bytes <= limit:
+        return
+    stored = stored_per_path(scene, "caustic", sensors=True)
+    _check(limit, image, [_of_emitted("caustic", n_emitted, stored), rays])
 
 
 def _image_bytes(view: View) -> float:
@@ -61,33 +127,41 @@ def _image_bytes(view: View) -> float:
     return _LIBRARY_BYTES + _PIXEL_BYTES * height * width + _SAMPLE_BYTES * band
 
 
-def _bytes_per_path(view: View, component: str) -> float:
-    """Bytes of photons for each one emitted, by those that the first few thousand paths store."""
-    paths = _PATHS[component]
-    return _BYTES[component] * stored_per_path(view.scene, paths, view.caster, view.n_threads)
+def _stored(view: View, component: str) -> float:
+    """Photons that each path stores, by the first few thousand."""
+    return stored_per_path(view.scene, _PATHS[component], view.caster, view.n_threads)
 
 
-def _refusal(
-    view: View,
-    image: float,
-    photons: Mapping[str, float],
-    emitted: Mapping[str, int],
-    limit: float,
-) -> str:
-    """The numbers, and what would fit."""
-    parts = [f"an image of {view.shape[1]} x {view.shape[0]} pixels about {size_text(image)}"]
-    parts += [
-        f"the photons of {emitted[name]:,} emitted for {name} light about {size_text(n_bytes)}"
-        for name, n_bytes in photons.items()
-        if n_bytes
-    ]
-    largest = max(photons, key=lambda name: photons[name])
-    others = image + sum(photons.values()) - photons[largest]
-    remedy = "make the image smaller (width, height)"
-    if others < limit and photons[largest]:
-        most = int(emitted[largest] * (limit - others) / photons[largest])
-        remedy = f"emit at most {most:,} ({_ARGUMENTS[largest]})"
-    return (
-        f"{' and '.join(parts)} of memory, but memory is {size_text(limit)}: {remedy}, "
-        "render in passes of fresh photons (--passes, render_progressive), or allow more (memory)"
+def _of_emitted(component: str, n: int, stored: float) -> _Need:
+    return _Need(
+        f"the photons of {n:,} emitted for {component} light",
+        n,
+        _BYTES[component] * stored,
+        f"emit at most {{most:,}} ({_ARGUMENTS[component]})",
+    )
+
+
+def _of_given(n: int) -> _Need:
+    each = _BYTES["caustic"] - _PLACE_BYTES
+    return _Need(f"the stages of {n:,} photons given", n, each, "give at most {most:,} (photons)")
+
+
+def _of_rays(n: int) -> _Need:
+    remedy = "trace at most {most:,} (EnvelopeSettings.n_rays)"
+    return _Need(f"the envelope of {n:,} rays", n, _RAY_BYTES, remedy)
+
+
+def _check(limit: float, image: _Need, needs: Iterable[_Need], otherwise: str = "") -> None:
+    """Raise MemoryError, with the numbers and what would fit, if needs are above the limit."""
+    needs = [image, *(need for need in needs if need.n_bytes)]
+    total = sum(need.n_bytes for need in needs)
+    if total <= limit:
+        return
+    largest = max(needs[1:], key=lambda need: need.n_bytes, default=image)
+    most = int((limit - total + largest.n_bytes) / largest.each)
+    remedy = largest.remedy if most > 0 else image.remedy
+    parts = [f"{need.text} about {size_text(need.n_bytes)}" for need in needs]
+    raise MemoryError(
+        f"{' and '.join(parts)} of memory, but memory is {size_text(limit)}: "
+        f"{remedy.format(most=most)}, {otherwise}or allow more (memory)"
     )

@@ -151,7 +151,7 @@ def render(
             sampler=sampler,
         )
         stages.plan(photons, n_emitted, n_global, components)
-        stages.check_fits(choice.method, memory)
+        stages.check_fits(choice.method, Settings(**given | changed), memory)
         stages.prepare_caustic(choice.method, Settings(**given | changed))
         stages.prepare_indirect(indirect, final_gather)
         return stages.image(choice.method)
@@ -283,11 +283,14 @@ class _Stages:
             n_threads=view.n_threads,
         )
 
-    def check_fits(self, method: str, memory: float | None) -> None:
+    def check_fits(self, method: str, settings: Settings, memory: float | None) -> None:
         """Raise MemoryError if more memory is estimated to be taken than may be."""
-        n_emitted = self._plan.n_emitted if method_named(method).needs_photons else 0
+        record = method_named(method)
+        n_emitted = self._plan.n_emitted if record.needs_photons else 0
         emitted = {"caustic": n_emitted, "indirect": self._plan.n_global}
-        check_render_fits(self._view, emitted, memory)
+        n_given = 0 if self._photons is None or not record.needs_photons else len(self._photons)
+        n_rays = settings.of("envelope").n_rays_certain
+        check_render_fits(self._view, emitted, memory, n_given=n_given, n_rays=n_rays)
 
     def prepare_caustic(self, method: str, settings: Settings) -> None:
         """Trace the photons of caustics, unless they are given, and prepare their field."""

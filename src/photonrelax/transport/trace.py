@@ -196,10 +196,18 @@ def check_photons_fit(scene: Scene, n_emitted: int, caster: RayCaster | None = N
 
 
 def stored_per_path(
-    scene: Scene, paths: str, caster: RayCaster | None = None, n_threads: int = 1
+    scene: Scene,
+    paths: str,
+    caster: RayCaster | None = None,
+    n_threads: int = 1,
+    *,
+    sensors: bool = False,
 ) -> float:
-    """Photons of a kind of light stored on surfaces for each path, of the first few thousand."""
-    settings = _checked_settings(paths, None, 0.0, sensors=False)
+    """Photons of a kind of light stored for each path, of the first few thousand.
+
+    They are those on surfaces, and on sensors if these are asked for.
+    """
+    settings = _checked_settings(paths, None, 0.0, sensors=sensors)
     return _stored_per_path(scene, settings, caster, n_threads)
 
 

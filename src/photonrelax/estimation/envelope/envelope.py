@@ -76,6 +76,11 @@ class EnvelopeSettings:
             return self.error
         return _ERROR if self.n_rays is None and self.seconds is None else 0.0
 
+    @property
+    def n_rays_certain(self) -> int:
+        """Rays that are traced whatever the scene; 0 if an error or a time may end them before."""
+        return self.n_rays or 0 if (self.error, self.seconds) == (None, None) else 0
+
 
 class EnvelopeLedger(NamedTuple):
     """Flux (3,) of all emitters, W; `emitted` is the sum of the others.
