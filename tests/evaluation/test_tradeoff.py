@@ -1,6 +1,7 @@
 """Sweeps: fronts of points, what goes on, and files that are whole and resumed."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from photonrelax.cli import main
 from photonrelax.evaluation import tradeoff as sweeps
 from photonrelax.evaluation.reference import ReferenceSettings
 from photonrelax.evaluation.tradeoff import Point, TradeoffRequest, front, seconds_for, survivors
+from photonrelax.imaging.image import read_exr
 from photonrelax.imaging.metrics import Errors
 from photonrelax.rendering.presets import Choice
 
@@ -73,6 +75,33 @@ def test_what_is_measured_is_read_again(found, monkeypatch):
     again = pr.tradeoff(scene, folder, SMALL)
     assert [each.choice for each in again.points] == [each.choice for each in trade.points]
     assert [each.errors for each in again.points] == [each.errors for each in trade.points]
+
+
+def test_workers_compute_the_reference_alone(found, tmp_path):
+    scene, folder, _ = found
+    tasks = []
+
+    class Recorder(ThreadPoolExecutor):
+        def submit(self, *arguments, **named):
+            tasks.append(arguments[0])
+            return super().submit(*arguments, **named)
+
+    settings = TradeoffRequest(1000, ("standard",), 0, SMALL.reference)
+    with Recorder(2) as executor:
+        pr.tradeoff(scene, tmp_path, settings, executor=executor)
+        made = (each / sweeps.REFERENCE for each in (tmp_path, folder))
+        one, other = (read_exr(path).layers["caustic"].tobytes() for path in made)
+        assert one == other
+        assert tasks
+        tasks.clear()
+        (tmp_path / sweeps.STATE).unlink()
+        assert pr.tradeoff(scene, tmp_path, settings, executor=executor).of("standard")
+        assert not tasks
+
+
+def test_an_executor_is_one():
+    with pytest.raises(TypeError, match="executor should be"):
+        pr.tradeoff(pr.gallery.scene("ring", pixels=4), ".", executor=2)
 
 
 def test_a_damaged_sweep_is_named(found, tmp_path):

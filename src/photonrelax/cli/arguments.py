@@ -321,6 +321,7 @@ def _add_tradeoff(parser: argparse.ArgumentParser) -> None:
     _add_emission(parser)
     _add_size(parser)
     _add_reference(parser)
+    _add_workers(parser)
     _add_common(parser)
 
 

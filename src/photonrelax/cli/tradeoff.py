@@ -9,6 +9,7 @@ from .interrupts import Interrupts
 from .progress_bar import ProgressBars
 from .scenes import scene_of
 from .streams import write_lines
+from .workers import executor_of
 
 # Import lazily, so that Ctrl-C during an import reaches `main`.
 if TYPE_CHECKING:
@@ -32,8 +33,8 @@ def tradeoff(options: argparse.Namespace, interrupts: Interrupts) -> None:
     sweep = Sweep(scene, options.output, settings, reference, options.threads)
     if not options.quiet:
         write_lines(f"this takes about {_duration(sweep.estimated_seconds())}")
-    with ProgressBars(options.quiet, interrupts) as bars:
-        found = sweep.run(bars)
+    with ProgressBars(options.quiet, interrupts) as bars, executor_of(options) as executor:
+        found = sweep.run(bars, executor)
     shown = front.write(found, options.output)
     if not options.quiet:
         write_lines(shown.text(), f"wrote {options.output / front.PAGE}")

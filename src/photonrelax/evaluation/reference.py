@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from glob import escape
 from hashlib import blake2b
@@ -291,11 +292,13 @@ def cached_reference(
     request: ComparisonRequest,
     settings: ReferenceSettings | None = None,
     progress: Progress | None = None,
+    executor: Executor | None = None,
 ) -> Image:
     """The exact image of the subject if it has one; otherwise the reference cached at a path.
 
     The reference is computed if there is none, or one of another scene, view or settings. While it
-    is computed, the runs are saved beside it; an interrupted reference is resumed.
+    is computed, the runs are saved beside it; an interrupted reference is resumed. An executor
+    renders its passes, as in `photonrelax.render_progressive`.
 
     Raises
     ------
@@ -311,7 +314,7 @@ def cached_reference(
     check_cached(path)
     cached = read_exr(path) if path.exists() else None
     if cached is None or cached.metadata.get(_KEY) != key:
-        _computed(path, request, settings, progress).write_exr(path)
+        _computed(path, request, settings, progress, executor).write_exr(path)
         _remove_runs(path)
         # Read again: the float32 values of the file are what later comparisons get.
         cached = read_exr(path)
@@ -365,10 +368,11 @@ def _computed(
     request: ComparisonRequest,
     settings: ReferenceSettings,
     progress: Progress | None,
+    executor: Executor | None,
 ) -> Image:
     """Reference by progressive photon mapping, at the hit points of the compared images."""
     resumed = any(path.parent.glob(_run_pattern(path)))
-    runs = dict(_runs(path, request, settings, progress))
+    runs = dict(_runs(path, request, settings, progress, executor))
     narrow, wide = ([runs[k, half] for half in range(2)] for k in (settings.k, _WIDE * settings.k))
     layers = {
         name: 0.5 * sum(np.asarray(image.layers[name]) for image in narrow) for name in _LAYERS
@@ -407,6 +411,7 @@ def _runs(
     request: ComparisonRequest,
     settings: ReferenceSettings,
     progress: Progress | None,
+    executor: Executor | None,
 ) -> Iterator[tuple[tuple[int, int], Image]]:
     """Images of the runs by k and half; an interrupted run is resumed."""
     cases = [(k, half) for k in (settings.k, _WIDE * settings.k) for half in range(2)]
@@ -427,6 +432,7 @@ def _runs(
             checkpoints=Checkpoints(state),
             n_threads=request.n_threads,
             progress=prefixed(progress, f"reference, run {number + 1} of {len(cases)}"),
+            executor=executor,
         )
         yield (k, half), image
 

@@ -12,6 +12,7 @@ import json
 import os
 import time
 from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, field, replace
 from hashlib import blake2b
 from pathlib import Path
@@ -25,6 +26,7 @@ from .._util.frozen import set_field
 from .._util.memory import peak_memory, reset_peak_memory
 from .._util.progress import Progress, prefixed
 from .._util.validation import Floats
+from .._util.workers import checked_executor
 from .._version import __version__
 from ..estimation.methods import METHODS, MethodInput, Settings, prepare
 from ..imaging import metrics
@@ -238,6 +240,7 @@ def tradeoff(
     reference: Image | None = None,
     n_threads: int | None = None,
     progress: Progress | None = None,
+    executor: Executor | None = None,
 ) -> Tradeoff:
     """Sweep methods and settings over a scene, and measure errors over time.
 
@@ -256,6 +259,9 @@ def tradeoff(
         Threads; all available by default.
     progress : callable, optional
         Called as ``progress(stage, done, total)``.
+    executor : concurrent.futures.Executor, optional
+        Renders the passes of a computed reference. All that is timed runs here, one after the
+        other: beside one another runs would share processors and caches.
 
     Returns
     -------
@@ -269,8 +275,9 @@ def tradeoff(
         If a package that errors are measured with is not installed.
     """
     metrics.check_installed()
+    checked_executor(executor)
     sweep = Sweep(scene, Path(folder), settings or TradeoffRequest(), reference, n_threads)
-    return sweep.run(progress)
+    return sweep.run(progress, executor)
 
 
 class Sweep:
@@ -330,11 +337,13 @@ class Sweep:
         self._run(replace(_relaxing("mapped", [(3, 3)], [8])[0], n_emitted=n), photons)
         return traced, time.perf_counter() - started
 
-    def run(self, progress: Progress | None) -> Tradeoff:
-        """Measure all points that are not there yet."""
+    def run(self, progress: Progress | None, executor: Executor | None = None) -> Tradeoff:
+        """Measure all points that are not there yet; an executor computes the reference."""
         settings = self._settings
         path = self._folder / REFERENCE
-        image = self._given or cached_reference(path, self._request, settings.reference, progress)
+        image = self._given or cached_reference(
+            path, self._request, settings.reference, progress, executor
+        )
         doubt = uncertainty_of(image)
         fixed = fixed_layers(self._view(2).bands)
         reference = Reference(image, fixed, 0.0)
