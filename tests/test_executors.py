@@ -15,6 +15,7 @@ from photonrelax._util.workers import WorkerLostError
 from photonrelax.cli import main
 from photonrelax.imaging.image import read_exr
 from photonrelax.rendering.animation import Animation
+from photonrelax.transport import splitting
 from tests.helpers.executors import dask_cluster, loky_pool, shared_pool, spawned
 from tests.helpers.tracing_scenes import SCENES
 from tests.transport.test_trace import assert_same_bytes
@@ -60,6 +61,16 @@ def test_traced_photons(executor, paths):
     part = {**settings, "photons": range(5, 8000)}
     one = pr.trace_photons(three, 9000, **part)
     assert_same_bytes(one, pr.trace_photons(three, 9000, **part, executor=executor))
+
+
+def test_an_envelope(executor, monkeypatch):
+    monkeypatch.setattr(splitting, "_BATCH", 1000)
+    three = SCENES["tinted glass, mirror, three emitters"]
+    limits = {"n_rays": 5000, "n_photons": 9000}
+    one = pr.trace_envelope(three, **limits)
+    other = pr.trace_envelope(three, **limits, executor=executor)
+    for name in ("position", "normal", "flux", "misplaced"):
+        assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ import trimesh
 import photonrelax as pr
 from photonrelax import gallery
 from photonrelax._ext.estimation import envelope as kernel
+from photonrelax.estimation.envelope import tracing
 from photonrelax.transport import splitting
 from tests.helpers.tracing_scenes import DOWN, box, floor, slab
 
@@ -116,8 +117,9 @@ def test_overlap_is_that_of_polygons():
     normal = np.tile(turned @ [0, 0, 1], (12, 1))
     out = np.empty((1, 12))
     tree = pr_tree(flat @ turned.T)
+    normals, sums = kernel.node_normals(tree, normal), kernel.node_sums(tree, np.eye(12))
     kernel.means(
-        *(tree, flat @ turned.T, normal, np.eye(12), np.zeros((1, 3)), normal[:1].copy()),
+        *(tree, flat @ turned.T, normals, sums, np.zeros((1, 3)), normal[:1].copy()),
         *((edges @ turned.T)[np.newaxis], np.arange(1)),
         thickness=1.0,
         out=out,
@@ -133,6 +135,24 @@ def test_overlap_is_that_of_polygons():
         for p, q in ((a, b), (b, c), (c, a)):
             inside &= np.sign(area) * cross(q - p, grid - p) >= 0.0
         assert share == pytest.approx(inside.mean() / (abs(area) / 2), abs=0.02)
+
+
+def test_a_large_footprint_holds_the_light_within():
+    """Of nodes of the tree as a whole, as well as of triangles alone; not of surfaces aslant."""
+    rng = np.random.default_rng(5)
+    triangles = rng.uniform(-1, 1, (500, 1, 3)) * [1, 1, 0.01] + rng.normal(0, 0.01, (500, 3, 3))
+    normals = np.where(rng.random((500, 1)) < 0.1, [[1.0, 0, 0]], [[0, 0, 1.0]])
+    values, out = rng.random((500, 2)), np.empty((1, 2))
+    tree = pr_tree(triangles)
+    kernel.means(
+        *(tree, triangles, kernel.node_normals(tree, normals), kernel.node_sums(tree, values)),
+        *(np.zeros((1, 3)), np.array([[0, 0, 1.0]]), np.array([[[4.0, 0, 0], [0, 4.0, 0]]])),
+        np.arange(1),
+        thickness=1.0,
+        out=out,
+        n_threads=1,
+    )
+    np.testing.assert_allclose(out[0], values[normals[:, 2] == 1.0].sum(axis=0) / 16, rtol=1e-12)
 
 
 def cross(a, b):
@@ -160,6 +180,16 @@ def test_pictures_have_the_error_as_a_layer():
     again = pr.render(scene, method="parameterised", n_emitted=200_000)
     means = [each.layers["caustic"].mean() for each in (image, again)]
     assert means[0] == pytest.approx(means[1], rel=0.02)
+
+
+def test_sheets_that_stay_rough_are_left_to_photons(monkeypatch):
+    """As much light, where borders would take more rays than they may."""
+    monkeypatch.setattr(tracing, "_MOST_OF_BORDERS", 2000)
+    scene = gallery.scene("prism", subdivisions=3)
+    ledger = pr.trace_envelope(scene, error=0.01, footprint=0.05, n_photons=50_000).ledger
+    photons = pr.trace_photons(scene, 50_000).flux.sum(axis=0)
+    np.testing.assert_allclose(ledger.images + ledger.points + ledger.photons, photons, rtol=0.05)
+    assert (ledger.photons > ledger.images).all()
 
 
 def test_the_final_gather_reads_photons_of_the_envelope():

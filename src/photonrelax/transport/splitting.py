@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from concurrent.futures import Executor
+from contextlib import nullcontext
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -11,8 +13,9 @@ from numpy.typing import NDArray
 
 from .._ext.transport.materials import Materials
 from .._ext.transport.splitting import SplitPaths
-from .._util.parallel import ordered_map, thread_executor
+from .._util.parallel import thread_executor
 from .._util.validation import Floats
+from .._util.workers import worker_map
 from ..scene.scene import Scene
 from .media import MediaFinder
 from .raycast import RayCaster
@@ -83,12 +86,72 @@ class Arrivals:
         )
 
 
+class _Job(NamedTuple):
+    """Rays (n, 3) with keys (n,), whose nodes are counted from `first` on.
+
+    `media` are those around their emitter; `followed` (k,) is None for all paths.
+    """
+
+    origin: Floats
+    direction: Floats
+    key: Signatures
+    first: int
+    media: int
+    followed: Signatures | None
+
+
 class _Batch(NamedTuple):
     """Arrivals of some rays; signatures (k, 2) as of `SplittingTracer.explore`; rays cast."""
 
     arrivals: Arrivals
     signatures: Signatures
     n_segments: int
+
+
+class _Context:
+    """A scene prepared for tracing batches, from several threads at once.
+
+    It is pickled by its arguments: `worker_map` keeps it in its workers.
+    """
+
+    def __init__(
+        self, scene: Scene, least_throughput: float, *, caster: RayCaster | None = None
+    ) -> None:
+        self.scene, self.least_throughput = scene, least_throughput
+        self.materials = Materials(scene.material_table())
+        self.caster = caster or RayCaster(scene.surfaces)
+
+    def __reduce__(self) -> tuple:
+        return partial(_Context, caster=self.caster), (self.scene, self.least_throughput)
+
+    def paths(self, followed: Signatures | None) -> SplitPaths:
+        """Paths, all or those that are followed."""
+        return SplitPaths(
+            self.materials,
+            self.caster.frame,
+            self.caster.triangles,
+            least_throughput=self.least_throughput,
+            max_bounces=MAX_BOUNCES,
+            followed=followed,
+        )
+
+
+def _traced_batch(context: _Context, job: _Job) -> _Batch:
+    """Arrivals of some rays."""
+    paths = context.paths(job.followed)
+    paths.start(job.origin, job.direction, job.key, media=job.media)
+    n_segments, signatures = 0, [np.empty((0, 2), np.uint64)]
+    while paths.n_live:
+        n_segments += paths.n_live
+        paths.advance(context.caster.find_paths(paths))
+        if paths.follows_all:
+            signatures.append(paths.signatures())
+    columns = paths.arrivals()
+    order = np.argsort(columns["node"], kind="stable")
+    columns = {name: column[order] for name, column in columns.items()}
+    columns["node"] = columns["node"].astype(np.int64) + job.first
+    before = np.unique(np.concatenate(signatures), axis=0)
+    return _Batch(Arrivals(**columns), before, n_segments)
 
 
 class SplittingTracer:
@@ -102,6 +165,8 @@ class SplittingTracer:
         Branches of less in every channel go on as single photons, by roulette.
     n_threads : int
         Threads, between which batches are divided; results do not depend on them.
+    executor : concurrent.futures.Executor, optional
+        In place of the threads, as of `worker_map`.
 
     Attributes
     ----------
@@ -116,6 +181,7 @@ class SplittingTracer:
         n_threads: int,
         *,
         caster: RayCaster | None = None,
+        executor: Executor | None = None,
     ) -> None:
         if scene.has_dispersion:
             raise ValueError(
@@ -123,10 +189,10 @@ class SplittingTracer:
                 "of refraction: take a method of photons, 'mapped' say, or give dielectrics a "
                 "number as ior"
             )
-        self._materials = Materials(scene.material_table())
-        self._caster = caster or RayCaster(scene.surfaces)
-        self._media = MediaFinder(scene, self._caster, self._materials).at_emitters()
-        self._least_throughput, self._n_threads = least_throughput, n_threads
+        self._context = _Context(scene, least_throughput, caster=caster)
+        finder = MediaFinder(scene, self._context.caster, self._context.materials)
+        self._media = finder.at_emitters()
+        self._n_threads, self._executor = n_threads, executor
         self.n_rays = self.n_segments = 0
 
     def explore(
@@ -156,47 +222,17 @@ class SplittingTracer:
         self, rays: tuple[Floats, Floats, Signatures], followed: Signatures | None, emitter_id: int
     ) -> list[_Batch]:
         """Batches of rays: their origins, directions and keys."""
-        media = int(self._media[emitter_id])
-
-        def traced(first: int) -> _Batch:
-            some = [column[first : first + _BATCH] for column in rays]
-            return self._batch(self._paths(followed), some, first, media)
-
-        with thread_executor(self._n_threads) as executor:
-            firsts = range(0, max(len(rays[2]), 1), _BATCH)
-            found = list(ordered_map(traced, firsts, executor, max_pending=2 * self._n_threads))
-        self.n_rays += len(rays[0])
+        media, n = int(self._media[emitter_id]), len(rays[2])
+        origin, direction, key = rays
+        parts = (slice(first, first + _BATCH) for first in range(0, max(n, 1), _BATCH))
+        jobs = (
+            _Job(origin[part], direction[part], key[part], part.start, media, followed)
+            for part in parts
+        )
+        # A single batch is not worth sending a scene.
+        executor = self._executor if n > _BATCH else None
+        with nullcontext(executor) if executor else thread_executor(self._n_threads) as workers:
+            found = list(worker_map(_traced_batch, self._context, jobs, workers))
+        self.n_rays += n
         self.n_segments += sum(part.n_segments for part in found)
         return found
-
-    def _paths(self, followed: Signatures | None) -> SplitPaths:
-        return SplitPaths(
-            self._materials,
-            self._caster.frame,
-            self._caster.triangles,
-            least_throughput=self._least_throughput,
-            max_bounces=MAX_BOUNCES,
-            followed=followed,
-        )
-
-    def _batch(
-        self,
-        paths: SplitPaths,
-        rays: Sequence[NDArray],
-        first: int,
-        media: int,
-    ) -> _Batch:
-        """Arrivals of rays, whose nodes are counted from `first` on."""
-        paths.start(*rays, media=media)
-        n_segments, signatures = 0, [np.empty((0, 2), np.uint64)]
-        while paths.n_live:
-            n_segments += paths.n_live
-            paths.advance(self._caster.find_paths(paths))
-            if paths.follows_all:
-                signatures.append(paths.signatures())
-        columns = paths.arrivals()
-        order = np.argsort(columns["node"], kind="stable")
-        columns = {name: column[order] for name, column in columns.items()}
-        columns["node"] = columns["node"].astype(np.int64) + first
-        before = np.unique(np.concatenate(signatures), axis=0)
-        return _Batch(Arrivals(**columns), before, n_segments)

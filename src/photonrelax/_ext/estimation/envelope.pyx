@@ -2,11 +2,12 @@
 
 from cython.parallel cimport prange, threadid
 from libc.math cimport INFINITY, fabs, sqrt
-from libc.stdint cimport int32_t
 
 from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
 from ..common.vec3 cimport cross, dot
-from ..spatial.box_tree cimport BoxTree, BoxVisit, next_within, open_visit
+from ..spatial.box_tree cimport FAN, BoxTree, BoxVisit, open_visit, squared_gap, step_over
+
+import numpy as np
 
 cdef enum:
     # Corners of a triangle cut by the four sides of a square, at most.
@@ -34,9 +35,29 @@ cdef struct Polygon:
     double[MOST_CORNERS][2] corner
 
 
+def node_sums(BoxTree tree, values):
+    """Sums (rows, c) of values (t, c) of triangles over the nodes of their tree."""
+    return over_nodes(tree, values, np.add)
+
+
+def node_normals(BoxTree tree, normals):
+    """Least and greatest components (rows, 6) of normals (t, 3) in the nodes of their tree."""
+    return np.hstack([over_nodes(tree, normals, each) for each in (np.minimum, np.maximum)])
+
+
+def over_nodes(BoxTree tree, columns, combine):
+    """Columns (t, c) of triangles, combined in each node, level by level as the tree's bounds."""
+    level = columns[np.asarray(tree.ids)]
+    levels = [level]
+    while len(level) > 1:
+        level = combine.reduceat(level, np.arange(0, len(level), FAN))
+        levels.append(level)
+    return np.concatenate(levels)
+
+
 def means(
     BoxTree tree, const double[:, :, ::1] triangles, const double[:, ::1] normals,
-    const double[:, ::1] values, const double[:, ::1] points, const double[:, ::1] towards,
+    const double[:, ::1] sums, const double[:, ::1] points, const double[:, ::1] towards,
     const double[:, :, ::1] edges, const Py_ssize_t[::1] rows, *, double thickness,
     double[:, ::1] out, int n_threads,
 ):
@@ -46,8 +67,10 @@ def means(
     ----------
     tree : BoxTree
         Of the triangles.
-    triangles : (t, 3, 3), normals (t, 3), values (t, c)
-        Corners, m; unit normals of the surfaces they lie on.
+    triangles : (t, 3, 3)
+        Corners, m.
+    normals, sums : (rows, 6), (rows, c)
+        Bounds of the unit normals of the surfaces they lie on, and sums of values; of all nodes.
     points, towards : (m, 3), edges (m, 2, 3)
         Centres, normals of any length, and edges of the footprints.
     rows : (r,) intp array
@@ -60,11 +83,11 @@ def means(
     cdef Py_ssize_t i, m = points.shape[0]
     cdef Watch watch = open_watch()
     if not (
-        tree.n_boxes == triangles.shape[0] == normals.shape[0] == values.shape[0]
-        and triangles.shape[1] == triangles.shape[2] == normals.shape[1] == 3
+        tree.n_boxes == triangles.shape[0] and triangles.shape[1] == triangles.shape[2] == 3
+        and tree.bounds.shape[0] == normals.shape[0] == sums.shape[0] and normals.shape[1] == 6
         and m == towards.shape[0] == edges.shape[0] == out.shape[0]
         and points.shape[1] == towards.shape[1] == edges.shape[2] == 3 and edges.shape[1] == 2
-        and out.shape[1] == values.shape[1]
+        and out.shape[1] == sums.shape[1]
     ):
         raise ValueError("triangles, footprints and values do not fit one another")
     for i in range(rows.shape[0]):
@@ -76,7 +99,7 @@ def means(
     ):
         if goes_on(&watch, threadid() == 0 and i % LOOK_EVERY == 0):
             mean_over(
-                tree, triangles, normals, values, &points[rows[i], 0], &towards[rows[i], 0],
+                tree, triangles, normals, sums, &points[rows[i], 0], &towards[rows[i], 0],
                 &edges[rows[i], 0, 0], thickness, &out[rows[i], 0],
             )
     close_watch(&watch)
@@ -84,17 +107,16 @@ def means(
 
 cdef void mean_over(
     BoxTree tree, const double[:, :, ::1] triangles, const double[:, ::1] normals,
-    const double[:, ::1] values, const double* point, const double* towards, const double* edges,
+    const double[:, ::1] sums, const double* point, const double* towards, const double* edges,
     double thickness, double* out,
 ) noexcept nogil:
-    """Write the mean of one footprint."""
+    """Write the mean of one footprint; nodes that lie in it add their sums."""
     cdef Footprint footprint
     cdef BoxVisit visit
     cdef double[3] low, high
     cdef double share, slack
-    cdef int32_t t
-    cdef Py_ssize_t c
-    for c in range(values.shape[1]):
+    cdef Py_ssize_t c, row
+    for c in range(sums.shape[1]):
         out[c] = 0.0
     if not set_footprint(&footprint, point, towards, edges):
         return
@@ -103,16 +125,53 @@ cdef void mean_over(
         share = 0.5 * (fabs(edges[c]) + fabs(edges[3 + c])) + slack * fabs(footprint.normal[c])
         low[c], high[c] = point[c] - share, point[c] + share
     visit = open_visit(tree, low, high, 0.0)
-    t = next_within(tree, &visit)
-    while t >= 0:
-        if dot(&normals[t, 0], footprint.normal) > LEAST_COSINE:
-            share = share_within(&footprint, &triangles[t, 0, 0], slack)
-            if share > 0.0:
-                for c in range(values.shape[1]):
-                    out[c] += share * values[t, c]
-        t = next_within(tree, &visit)
-    for c in range(values.shape[1]):
+    while 0 <= visit.level <= tree.root:
+        row = visit.row
+        share = 0.0
+        if squared_gap(&tree.bounds[row, 0], low, high) <= 0.0:
+            if visit.level == 0:
+                if dot(&normals[row, 0], footprint.normal) > LEAST_COSINE:
+                    share = share_within(&footprint, &triangles[tree.ids[row], 0, 0], slack)
+            elif holds(&footprint, &tree.bounds[row, 0], &normals[row, 0], slack):
+                share = 1.0
+            else:
+                visit.level -= 1
+                visit.row = tree.first[visit.level] + FAN * (row - tree.first[visit.level + 1])
+                continue
+        step_over(tree, &visit)
+        if share > 0.0:
+            for c in range(sums.shape[1]):
+                out[c] += share * sums[row, c]
+    for c in range(sums.shape[1]):
         out[c] /= footprint.area
+
+
+cdef bint holds(
+    const Footprint* footprint, const double* bounds, const double* normals, double slack
+) noexcept nogil:
+    """True if all triangles between bounds, with normals between others, count as a whole."""
+    cdef double[3] middle, half
+    cdef double least = 0.0
+    cdef int c
+    for c in range(3):
+        middle[c] = 0.5 * (bounds[c] + bounds[3 + c]) - footprint.centre[c]
+        half[c] = 0.5 * (bounds[3 + c] - bounds[c])
+        least += min(normals[c] * footprint.normal[c], normals[3 + c] * footprint.normal[c])
+    return (
+        least > LEAST_COSINE
+        and farthest(footprint.to_a, middle, half) < 0.5
+        and farthest(footprint.to_b, middle, half) < 0.5
+        and farthest(footprint.normal, middle, half) < slack
+    )
+
+
+cdef double farthest(const double* axis, const double* middle, const double* half) noexcept nogil:
+    """Largest magnitude of a coordinate in a box."""
+    cdef double reach = 0.0
+    cdef int c
+    for c in range(3):
+        reach += fabs(axis[c]) * half[c]
+    return fabs(dot(middle, axis)) + reach
 
 
 cdef bint set_footprint(

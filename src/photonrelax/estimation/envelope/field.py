@@ -21,9 +21,9 @@ _THICKNESS = 1.0
 
 
 class _Values(NamedTuple):
-    """Values of the triangles, and the densities of those of the photons, if there are any."""
+    """Sums (rows, c) over nodes of the triangles' tree, and densities of photons, if any."""
 
-    triangles: Floats
+    sums: Floats
     photons: Densities | None
 
 
@@ -62,6 +62,12 @@ class EnvelopeField(Field):
             return self.envelope.flux
         return np.concatenate([self.envelope.flux, self.rest.flux])
 
+    @cached_property
+    def _normals(self) -> Floats:
+        """Bounds of the triangles' normals in the nodes of their tree."""
+        bounds: Floats = _kernel.node_normals(self.envelope.tree.kernel, self.envelope.normal)
+        return bounds
+
     @property
     def layers(self) -> dict[str, Floats]:
         """Shares (n, 1) of the light of each, by the layer's name.
@@ -87,14 +93,14 @@ class EnvelopeField(Field):
     def _lay_out(self, values: Floats, part: int) -> _Values:
         triangles, photons = np.split(values, [len(self.envelope)])
         return _Values(
-            np.ascontiguousarray(triangles),
+            _kernel.node_sums(self.envelope.tree.kernel, triangles),
             None if self.rest is None else self.rest.densities(photons),
         )
 
     def _fill(self, out: Floats, values: Densities, points: Points) -> None:
         laid_out = values.laid_out(0)
         if len(self.envelope):
-            self._fill_of_triangles(out, laid_out.triangles, points)
+            self._fill_of_triangles(out, laid_out.sums, points)
         if laid_out.photons is not None:
             rows = points.rows
             footprint = None if points.footprint is None else points.footprint[rows]
@@ -104,7 +110,7 @@ class EnvelopeField(Field):
             # There are no photons where there is no surface.
             out[rows] += np.nan_to_num(found, copy=False)
 
-    def _fill_of_triangles(self, out: Floats, values: Floats, points: Points) -> None:
+    def _fill_of_triangles(self, out: Floats, sums: Floats, points: Points) -> None:
         envelope = self.envelope
         edges = points.footprint
         if edges is None:
@@ -114,8 +120,8 @@ class EnvelopeField(Field):
         _kernel.means(
             envelope.tree.kernel,
             envelope.position,
-            envelope.normal,
-            values,
+            self._normals,
+            sums,
             np.ascontiguousarray(points.queries),
             np.ascontiguousarray(points.normals),
             np.ascontiguousarray(edges),

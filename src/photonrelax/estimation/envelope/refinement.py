@@ -82,6 +82,12 @@ class Refinement:
         is_rough = ~self.patches.is_whole | self.jumps
         return np.column_stack([np.bincount(number, each, n) for each in (flux, flux * is_rough)])
 
+    @property
+    def misplaced_of_sheets(self) -> Floats:
+        """Luminance (k,) that the images of each sheet that is followed misplace, W."""
+        n = len(self.lattice.followed.sheets)
+        return np.bincount(self._numbers, self.scores, n).astype(np.float64)
+
     def rough_elements(self, is_rough: NDArray[np.bool_]) -> NDArray[np.intp]:
         """Elements (k, 2) on which sheets are rough, all, and those where no other sheet is.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
@@ -54,6 +55,7 @@ def rest_photons(
     n_photons: int,
     n_threads: int,
     caster: RayCaster,
+    executor: Executor | None,
 ) -> Rest:
     """Photons of sheets that are not followed, and of all those of some emitters.
 
@@ -72,7 +74,12 @@ def rest_photons(
         return nothing
     try:
         photons = trace_photons(
-            scene, n_emitted.tolist(), n_threads=n_threads, caster=caster, sensors=False
+            scene,
+            n_emitted.tolist(),
+            n_threads=n_threads,
+            caster=caster,
+            sensors=False,
+            executor=executor,
         )
     except NothingStoredError:
         if any(len(each) for each in followed.values()):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import replace
 from time import perf_counter
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..._util.parallel import thread_count
 from ..._util.validation import Floats
+from ..._util.workers import checked_executor
 from ...scene.emitters import CollimatedEmitter
 from ...scene.scene import Scene
 from ...transport.raycast import RayCaster
@@ -18,7 +20,7 @@ from ...transport.splitting import SplittingTracer
 from .borders import joined
 from .charts import Chart, charts_of
 from .elements import first_corners, luminances, six_places
-from .envelope import Envelope, EnvelopeLedger, EnvelopeSettings
+from .envelope import NOISE, Envelope, EnvelopeLedger, EnvelopeSettings
 from .lattice import Lattice
 from .laying import Laid, Points, laid, squares
 from .refinement import Refinement
@@ -28,6 +30,9 @@ from .suns import FOOTPRINTS, extent, sun_charts
 
 # Rays to trace and photons to emit, at most, unless settings or a render tell.
 _MOST_RAYS, _MOST_PHOTONS = 1_000_000, 1_000_000
+# Rays for cutting borders, at most, unless settings limit rays: torn images take longest to lay
+# down, and gain least by division.
+_MOST_OF_BORDERS = 200_000
 # Cells of the first grid of a chart, at most and at least, and the share of the rays that may be
 # traced that their nodes take, four each.
 _MOST_CELLS, _LEAST_CELLS, _OF_RAYS = 32 * 32, 16, 0.25 / 4
@@ -50,6 +55,7 @@ def trace_envelope(
     n_photons: int | None = None,
     n_threads: int | None = None,
     caster: RayCaster | None = None,
+    executor: Executor | None = None,
 ) -> Envelope:
     """Lay the light of the emitters of a scene over its images.
 
@@ -63,6 +69,8 @@ def trace_envelope(
         Threads; all by default. The result does not depend on them.
     caster : RayCaster, optional
         Of the scene: building it takes time.
+    executor : concurrent.futures.Executor, optional
+        Traces in its workers, as `trace_photons` does; the result is the same, to the bit.
 
     Returns
     -------
@@ -75,7 +83,7 @@ def trace_envelope(
         If no light arrives, or a number is out of its range.
     """
     settings = EnvelopeSettings(n_rays, error, seconds, footprint, n_photons)
-    return laid_envelope(scene, settings, n_threads, caster)
+    return laid_envelope(scene, settings, n_threads, caster, checked_executor(executor))
 
 
 def laid_envelope(
@@ -83,11 +91,12 @@ def laid_envelope(
     settings: EnvelopeSettings,
     n_threads: int | None = None,
     caster: RayCaster | None = None,
+    executor: Executor | None = None,
 ) -> Envelope:
     """Envelope of a scene; see `trace_envelope`."""
     started, threads = perf_counter(), thread_count(n_threads)
     caster = caster or RayCaster(scene.surfaces)
-    tracer = SplittingTracer(scene, _LEAST_THROUGHPUT, threads, caster=caster)
+    tracer = SplittingTracer(scene, _LEAST_THROUGHPUT, threads, caster=caster, executor=executor)
     charts = charts_of(scene)
     for emitter_id, emitter in enumerate(scene.emitters):
         if isinstance(emitter, CollimatedEmitter) and emitter.is_extended:
@@ -114,6 +123,7 @@ def laid_envelope(
         n_photons=settings.n_photons or _MOST_PHOTONS,
         n_threads=threads,
         caster=caster,
+        executor=executor,
     )
     return Envelope(
         *images,
@@ -167,12 +177,14 @@ def _refine(
         if n_passes == _DIVISIONS:
             _drop(followed, refinements, _is_rough)
     _drop(followed, refinements, _falls_short)
+    if sum(each.score for each in refinements) > _allowed(refinements, settings) > 0.0:
+        _drop(followed, refinements, _is_worse_than_photons)
 
 
 def _divided(refinements: list[Refinement], settings: EnvelopeSettings) -> bool:
     """Divide elements once; false if none are to be."""
     score = np.array([each.score for each in refinements])
-    allowed = settings.misplaced * sum(each.luminance for each in refinements)
+    allowed = _allowed(refinements, settings)
     left = _rays_left(refinements, settings)
     if score.sum() <= allowed or left <= 0.0:
         return False
@@ -184,14 +196,18 @@ def _divided(refinements: list[Refinement], settings: EnvelopeSettings) -> bool:
     return any(divided)
 
 
+def _allowed(refinements: list[Refinement], settings: EnvelopeSettings) -> float:
+    """Luminance that may be misplaced, W."""
+    return settings.misplaced * sum(each.luminance for each in refinements)
+
+
 def _rays_left(refinements: list[Refinement], settings: EnvelopeSettings) -> int:
     """Rays that may still be traced, without those of borders."""
     traced = refinements[0].lattice.n_traced if refinements else 0
-    return (
-        (settings.n_rays or _MOST_RAYS)
-        - traced
-        - sum(each.n_rays_of_borders for each in refinements)
-    )
+    of_borders = sum(each.n_rays_of_borders for each in refinements)
+    if settings.n_rays is not None:
+        return settings.n_rays - traced - of_borders
+    return min(_MOST_RAYS - traced, _MOST_OF_BORDERS) - of_borders
 
 
 def _drop(
@@ -223,6 +239,16 @@ def _falls_short(followed: FollowedSheets, refinements: list[Refinement]) -> NDA
     """Sheets of whose light much has not been found."""
     whole, _ = np.sum([each.light_of_sheets for each in refinements], axis=0).T
     return followed.falls_short(whole)
+
+
+def _is_worse_than_photons(
+    followed: FollowedSheets, refinements: list[Refinement]
+) -> NDArray[np.bool_]:
+    """Sheets of which images misplace more than photons would."""
+    whole, _ = np.sum([each.light_of_sheets for each in refinements], axis=0).T
+    misplaced = np.sum([each.misplaced_of_sheets for each in refinements], axis=0)
+    is_worse: NDArray[np.bool_] = misplaced > NOISE * whole
+    return is_worse
 
 
 def _photons_wanted(
