@@ -8,7 +8,7 @@ import json
 import os
 import stat
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from hashlib import blake2b
 from pathlib import Path
@@ -152,6 +152,26 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         ) from None
     finally:
         probe.unlink(missing_ok=True)
+
+
+def make_folder(folder: Path, names: Iterable[str]) -> None:
+    """Make a folder unless there is one, and check that files of some names can be written there.
+
+    Raises
+    ------
+    OSError
+        If it cannot be created or written to.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(f"cannot write into {folder}: it is not a folder")
+    if not folder.exists() and not folder.parent.is_dir():
+        raise FileNotFoundError(f"cannot write {folder}: there is no folder {folder.parent}")
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise type(error)(f"cannot make the folder {folder}: {error.strerror}") from None
+    for name in names:
+        check_writable(folder / name)
 
 
 def output_path(path: Path, suffix: str | None = None) -> Path:

@@ -6,7 +6,7 @@ import io
 from contextlib import ExitStack
 from pathlib import Path
 
-from ..._util.files import check_writable, whole_file, write_json
+from ..._util.files import make_folder, whole_file, write_json
 from ...estimation.methods import METHODS
 from ..comparison import Comparison, Entry
 from .contact_sheet import Panel, contact_sheet
@@ -19,24 +19,11 @@ _ERROR_MAPS = ("flip", "difference")
 
 
 def prepare_folder(folder: Path, methods: tuple[str, ...]) -> None:
-    """Make a folder and check that files can be written there, before the work.
-
-    Raises
-    ------
-    OSError
-        If it cannot be created or written to.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise NotADirectoryError(f"cannot write into {folder}: it is not a folder")
-    if not folder.exists() and not folder.parent.is_dir():
-        raise FileNotFoundError(f"cannot write {folder}: there is no folder {folder.parent}")
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise type(error)(f"cannot make the folder {folder}: {error.strerror}") from None
+    """Make the folder of a comparison, before the work; see `make_folder`."""
     names = {name for method in methods for name in _method_files(method)}
-    for name in (PAGE, SHEET, NUMBERS, REFERENCE, "reference.png", *names, *_photon_files()):
-        check_writable(folder / name)
+    make_folder(
+        folder, (PAGE, SHEET, NUMBERS, REFERENCE, "reference.png", *names, *_photon_files())
+    )
 
 
 def image_names() -> set[str]:

@@ -10,7 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from ..._util.files import check_writable, whole_file
+from ..._util.files import make_folder, whole_file
 from ..tradeoff import REFERENCE, STATE, Point, Tradeoff, front, seconds_for
 from .table import Row, Table
 
@@ -34,18 +34,8 @@ def check_installed() -> None:
 
 
 def prepare_folder(folder: Path) -> None:
-    """Make a folder and check that files can be written there, before the work.
-
-    Raises
-    ------
-    OSError
-        If it cannot be created or written to.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise NotADirectoryError(f"cannot write into {folder}: it is not a folder")
-    folder.mkdir(exist_ok=True)
-    for name in (PAGE, PLOT, TABLE, STATE, REFERENCE):
-        check_writable(folder / name)
+    """Make the folder of a trade-off, before the work; see `make_folder`."""
+    make_folder(folder, (PAGE, PLOT, TABLE, STATE, REFERENCE))
 
 
 def table(found: Tradeoff) -> Table:
