@@ -19,13 +19,8 @@ from .materials cimport (
     OVERFLOWED, Arrival, Interface, Materials, add_fault, cosine_at, counted_media_at, interface_at,
     is_absorbing, is_diffuse, reflectance_at, transmittance,
 )
+from .path_events cimport ENTERED, LEFT, REFLECTED
 from .raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
-
-# Events that a path signature distinguishes; total reflection is as partial one.
-cdef enum:
-    REFLECTED = 0
-    ENTERED = 1
-    LEFT = 2
 
 # Random numbers of an event of a single photon.
 cdef enum:
