@@ -140,7 +140,7 @@ class _Sent(NamedTuple):
 
 
 class _Reply(NamedTuple):
-    """What became of a task; `value` is its result, its error with a traceback, or a release."""
+    """Outcome of a task; `value` is its result, its error with a traceback, or a release."""
 
     outcome: str
     value: Any

@@ -22,7 +22,7 @@ class RenderedBand(NamedTuple):
 
 
 class BandRenderer:
-    """What all bands of an image share.
+    """Renderer of the bands of an image, from the fields that all of them share.
 
     Parameters
     ----------

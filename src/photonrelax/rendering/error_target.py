@@ -49,7 +49,7 @@ Divide = Callable[[float, int], Image]
 
 @dataclass(frozen=True)
 class Goal:
-    """What a render is to reach.
+    """Error that a render is to reach, or time that it may take.
 
     Attributes
     ----------

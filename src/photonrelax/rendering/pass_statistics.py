@@ -123,7 +123,7 @@ class PassState:
 
 
 class PassSums(NamedTuple):
-    """What a pass finds: numbers (m,) and sums (m, 3) of photons, layers that it sees by itself."""
+    """Numbers (m,) and sums (m, 3) of the photons of a pass, and layers that it sees by itself."""
 
     counts: Floats
     sums: Floats
@@ -151,7 +151,7 @@ class PassHitPoints(ABC):
         return self.with_sums(state, statistics, self._sums(gathered, number, radius))
 
     def sums(self, photons: PhotonMap, number: int, radius: Floats) -> PassSums:
-        """What photons of the pass of a number add within radii (m,)."""
+        """Sums of the photons of the pass of a number within radii (m,)."""
         return self._sums(_Gatherer(photons, self._settings, self._view), number, radius)
 
     def with_sums(
@@ -170,7 +170,7 @@ class PassHitPoints(ABC):
 
     @abstractmethod
     def _sums(self, gathered: _Gatherer, number: int, radius: Floats | None) -> PassSums:
-        """What a pass finds within radii (m,); None before there are photons."""
+        """Sums within radii (m,), None before there are photons."""
 
     @abstractmethod
     def restored(self, arrays: Mapping[str, NDArray], n_passes: int) -> PassState:

@@ -23,7 +23,7 @@ class PassPhotons(NamedTuple):
 
 
 class PassFindings(NamedTuple):
-    """What a pass adds to the statistics, number of its photons, and why there are none."""
+    """Sums that a pass adds to the statistics, number of its photons, and why there are none."""
 
     sums: PassSums
     n_stored: int
@@ -31,7 +31,7 @@ class PassFindings(NamedTuple):
 
 
 class PassTracer(NamedTuple):
-    """What the photons of all passes share; `seed` is that of the run."""
+    """Tracer of the photons of passes; `seed` is that of the run."""
 
     view: View
     photons_per_pass: int
@@ -60,14 +60,14 @@ class PassTracer(NamedTuple):
 
 
 class PassGatherer(NamedTuple):
-    """What passes share that are gathered where they are traced; radii are global."""
+    """Gatherer of passes where they are traced, whose radii are global."""
 
     tracer: PassTracer
     hit_points: PassHitPoints
     statistics: HitPointStatistics
 
     def gather(self, number: int) -> PassFindings:
-        """What the pass of a number adds, whatever others do."""
+        """Findings of the pass of a number, whatever others do."""
         photons, nothing = self.tracer.trace(number)
         radius = self.statistics.pass_radius(number)
         sums = self.hit_points.sums(photons, number, radius)

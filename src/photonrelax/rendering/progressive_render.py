@@ -118,11 +118,9 @@ def render_progressive(
         As of `render`. Photons of indirect light are by default no more than ten passes emit.
     checkpoints : Checkpoints, optional
         File to save the run to and to resume it from; use of the image so far.
-    n_threads, progress : int, callable, optional
-        Threads, by default all; called as ``progress("passes" or "seconds", done, total)``.
-    executor : concurrent.futures.Executor, optional
-        Makes passes in its workers, by `n_threads` or one each: their photons alone, or all of them
-        with ``ProgressiveSettings(radius="global")``. See docs/scaling.md.
+    n_threads, progress, executor : int, callable, concurrent.futures.Executor, optional
+        Threads, by default all; called as ``progress("passes" or "seconds", done, total)``; makes
+        passes, with global radii, or else their photons in its workers: see docs/scaling.md.
 
     Returns
     -------
@@ -135,18 +133,15 @@ def render_progressive(
         If an argument is invalid, no pass stores a photon, the file is damaged, of another run or
         in use, or memory surely does not suffice. The run is saved first, as on Ctrl-C.
     """
-    stop, checkpoints = (
-        _StopCondition.from_arguments(n_passes, seconds),
-        checkpoints or Checkpoints(),
-    )
+    stop, saved = _StopCondition.from_arguments(n_passes, seconds), checkpoints or Checkpoints()
     limits: dict[str, Any] = {"supersampling": supersampling, "max_depth": max_depth}
     workers = Workers(checked_executor(executor), n_threads or 1)
     view = View(scene, **limits, light_samples=light_samples, seed=seed, n_threads=n_threads)
     of_passes = _pass_settings(view, settings, photons_per_pass, seed, stochastic)
     check_photons_fit(scene, of_passes.photons_per_pass, view.caster)
-    with _locked(checkpoints.state):
+    with _locked(saved.state):
         run = _Run(view, _with_indirect(view, of_passes, n_global, indirect), workers)
-        return _run_to_end(run, stop, checkpoints, progress)
+        return _run_to_end(run, stop, saved, progress)
 
 
 def _pass_settings(

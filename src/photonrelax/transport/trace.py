@@ -115,34 +115,25 @@ def trace_photons(
 
     Parameters
     ----------
-    scene : Scene
-        Objects and emitters.
-    n_emitted : int or sequence of int
+    scene, n_emitted : Scene, int or sequence of int
         Paths to start, apportioned by what emitters bring to what is stored; or those of each.
-    photons : range, optional
-        Those of the n_emitted to trace, by index over all regions in order; all by default. Parts
-        are joined by `PhotonMap.concatenate`; one that stores nothing is an empty map.
-    seed : int
-        Photon i of an emission region depends on it and on i alone.
+    photons, seed, sampler : range, int, {"halton", "random"}, optional
+        Those to trace, by index over all regions in order, by default all. Photon i of a region
+        depends on seed and i alone. Evenly spaced photons (SJ13) or independent ones.
     paths : {"caustic", "global", "all"}
         Light to store: that of specular paths (L S+ D), neither that nor direct light, or all; on
         sensors after specular events alone, after a diffuse one, or all that crosses them.
-    sampler : {"halton", "random"}
-        Evenly spaced photons (SJ13) or independent ones.
-    max_bounces : int, optional
-        Events (specular or diffuse) after which a path is cut; by default 32 for caustics, else
-        10,000, the most there may be.
-    frequency_share : float
-        Share, in [0, 1], of the photons not yet scattered by diffuse surfaces that get a spectrum.
-    n_threads, progress : int, callable, optional
-        Threads, by default all; called as ``progress("trace", done, n_emitted)`` now and then.
+    max_bounces, frequency_share : int, float, optional
+        Events after which a path is cut; by default 32 for caustics, else 10,000, the most there
+        may be. Share of the photons not yet scattered by diffuse surfaces that get a spectrum.
+    n_threads, progress, executor : int, callable, concurrent.futures.Executor, optional
+        Threads, by default all; called as ``progress("trace", done, n_emitted)`` now and then;
+        traces batches in its workers, a thread each, but for spectra: see docs/scaling.md.
     batch_size, caster : int, RayCaster, optional
         Paths traced together, rounded up to whole 1024; of the scene: building it takes time.
     sensors : bool
-        Store photons on the scene's sensors too. Others do not depend on sensors, unless these
-        reach beyond the other objects and `paths` is "all".
-    executor : concurrent.futures.Executor, optional
-        Traces batches in its workers, a thread each; spectra are found here. See docs/scaling.md.
+        Store photons on sensors too; others do not depend on that unless `paths` is "all" and
+        sensors reach beyond the other objects.
 
     Returns
     -------
@@ -152,15 +143,10 @@ def trace_photons(
     Raises
     ------
     TypeError, ValueError, MemoryError
-        If an argument is invalid, nothing is stored, or the photons surely do not fit in memory.
+        If an argument is invalid, nothing of all is stored, or photons surely do not fit in memory.
     """
     settings = _checked_settings(paths, max_bounces, frequency_share, sensors=sensors)
-    if frequency_share and scene.has_dispersion:
-        raise ValueError(
-            "frequency_share should be 0 in a scene with dispersion: local frequency spectra are "
-            "of paths at one index of refraction; take another method than frequency, or give "
-            "dielectrics a number as ior"
-        )
+    _check_spectra(scene, frequency_share)
     threads = thread_count(n_threads)
     numbers, caster = checked_numbers(n_emitted, scene), caster or RayCaster(scene.surfaces)
     traced = _checked_photons(photons, int(np.sum(numbers)))
@@ -168,6 +154,16 @@ def trace_photons(
     plan = allotted_plan(scene, numbers, settings, seed=seed, sampler=sampler, caster=caster)
     context = TraceContext(scene, plan, settings, _batch_capacity(batch_size, plan), caster=caster)
     return _trace_all(context, traced, threads, progress, checked_executor(executor))
+
+
+def _check_spectra(scene: Scene, frequency_share: float) -> None:
+    """Raise ValueError if photons are to get spectra that the light of a scene does not have."""
+    if frequency_share and scene.has_dispersion:
+        raise ValueError(
+            "frequency_share should be 0 in a scene with dispersion: local frequency spectra are "
+            "of paths at one index of refraction; take another method than frequency, or give "
+            "dielectrics a number as ior"
+        )
 
 
 def _checked_photons(photons: range | None, n_emitted: int) -> range:
