@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
 from dataclasses import asdict, replace
 from functools import partial
 from time import perf_counter
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
@@ -38,27 +38,44 @@ from .error_target import Goal, divide_to_goal, render_to_goal
 from .final_gather import FinalGather
 from .metadata import ledger_values, metadata, photon_metadata
 from .plan import Plan, plan
-from .presets import choose
+from .presets import Choice, choose
 from .view import View, concatenate_bands
 
 
 class RenderSettings(StageSettings, total=False):
-    """Settings of the stages, and what a render is to reach and may take.
+    """Settings of the stages and of the camera, what a render is to reach and may take.
 
     Attributes
     ----------
-    preset : str, optional
+    supersampling : int
+        s·s samples a pixel, by default 2.
+    max_depth : int
+        Maximum number of specular surfaces on a camera path, by default 8.
+    light_samples : int
+        Shadow rays from a sample to an extended emitter, by default enough for noise below 2 % of a
+        pixel.
+    indirect : GatherSettings
+        Of indirect light, see `photonrelax.estimation.indirect`.
+    final_gather : int
+        Rays of a final gather from each piece of surface in a pixel, see
+        `photonrelax.rendering.final_gather`, by default 0 for none.
+    preset : str
         Method, photons, samples and settings, where they are not given; see
         `photonrelax.rendering.presets`.
-    error : float, optional
+    error : float
         Relative L1 of ``radiance`` over pixels: photons are added until the estimate of it,
         see `photonrelax.rendering.error_target`, is not more.
-    seconds : float, optional
+    seconds : float
         Time after which no more photons are added.
-    memory : float, optional
+    memory : float
         Bytes, by default nine tenths of what is free.
     """
 
+    supersampling: int | None
+    max_depth: int
+    light_samples: int | None
+    indirect: GatherSettings | None
+    final_gather: int
     preset: str | None
     error: float | None
     seconds: float | None
@@ -74,12 +91,7 @@ def render(
     components: Iterable[str] | None = None,
     seed: int = 0,
     sampler: str = "halton",
-    supersampling: int | None = None,
-    max_depth: int = 8,
-    light_samples: int | None = None,
     photons: PhotonMap | None = None,
-    indirect: GatherSettings | None = None,
-    final_gather: int = 0,
     n_threads: int | None = None,
     progress: Progress | None = None,
     executor: Executor | None = None,
@@ -96,30 +108,20 @@ def render(
         see `photonrelax.plan`.
     seed, sampler : int, str
         Of the photons; see `photonrelax.trace_photons`.
-    supersampling, max_depth, light_samples : int
-        s·s samples a pixel, by default 2; maximum number of specular surfaces on a camera path;
-        shadow rays from a sample to an extended emitter, by default enough for noise below 2 %
-        of a pixel.
     photons : PhotonMap, optional
         Photons of caustics traced before in this scene, in place of new ones; see `_check_scene`.
-    indirect, final_gather : GatherSettings, int, optional
-        Of indirect light, see `photonrelax.estimation.indirect`; rays of a final gather from each
-        piece of surface in a pixel, see `photonrelax.rendering.final_gather`, 0 for none.
     n_threads, progress : int, callable, optional
         Threads, by default all; called as ``progress(stage, done, total)``.
     executor : concurrent.futures.Executor, optional
-        Traces photons and renders bands of rows in its workers, by `n_threads` or one each; methods
-        prepare their fields here. See docs/scaling.md.
+        Traces photons and renders bands of rows in its workers; see docs/scaling.md.
     **settings
-        As in `photonrelax.irradiance_field`; defaults are the papers', except those of diffusion.
-        And ``preset``, ``error``, ``seconds`` and ``memory`` of the whole, see `RenderSettings`.
+        See `RenderSettings`; stages' are those of `photonrelax.irradiance_field`.
 
     Returns
     -------
     Image
-        Layers as in `photonrelax.rendering.layers.LAYERS`, of what is modelled; in `stats` seconds
-        and counts of the stages, in `metadata` settings, seed, counts, ledger, version as text;
-        with ``error`` or ``seconds``, what was reached in ``error`` of both.
+        Layers of `photonrelax.rendering.layers.LAYERS`, of what is modelled; seconds and counts of
+        the stages in `stats`; settings, ledger, version and what else made it in `metadata`.
 
     Raises
     ------
@@ -130,50 +132,75 @@ def render(
     """
     goal = Goal(settings.pop("error", None), settings.pop("seconds", None))
     choice = choose(scene, method, settings.pop("preset", None), goal.error)
-    memory = settings.pop("memory", None)
+    view = _view(scene, choice, settings, seed=seed, n_threads=n_threads)
+    light = _Light(photons, n_global, components)
     workers = Workers(checked_executor(executor), n_threads or 1)
-    given = choice.settings.given | settings_of("render", dict(settings)).given
-    view = View(
+    job = _Job(view, choice, light, partial(_Stages, progress, workers, sampler=sampler), settings)
+    n_emitted = choice.n_emitted if n_emitted is None else n_emitted
+    return job.image(n_emitted, seed) if not goal.is_given else job.to_goal(goal, n_emitted, seed)
+
+
+def _view(scene: Scene, choice: Choice, settings: RenderSettings, **others: Any) -> View:
+    """View of a scene by the settings of its camera, which are taken from all settings."""
+    s = settings.pop("supersampling", None)
+    return View(
         scene,
-        supersampling=choice.supersampling if supersampling is None else supersampling,
-        max_depth=max_depth,
-        light_samples=light_samples,
-        seed=seed,
-        n_threads=n_threads,
+        supersampling=choice.supersampling if s is None else s,
+        max_depth=settings.pop("max_depth", 8),
+        light_samples=settings.pop("light_samples", None),
+        **others,
     )
 
-    def once(n_emitted: int, seed: int, **changed: EnvelopeSettings) -> Image:
-        stages = _Stages(
-            view if seed == view.seed else view.variant(seed=seed),
-            progress,
-            workers,
-            seed=seed,
-            sampler=sampler,
-        )
-        stages.plan(photons, n_emitted, n_global, components)
-        stages.check_fits(choice.method, Settings(**given | changed), memory)
-        stages.prepare_caustic(choice.method, Settings(**given | changed))
-        stages.prepare_indirect(indirect, final_gather)
-        return stages.image(choice.method)
 
-    n_emitted = choice.n_emitted if n_emitted is None else n_emitted
-    if not goal.is_given:
-        return once(n_emitted, seed)
-    if photons is not None:
-        raise ValueError("photons should not be given with error or seconds, which trace their own")
-    if not method_named(choice.method).needs_photons:
-        return _divided(partial(once, n_emitted), goal, seed, given)
-    return render_to_goal(once, goal, n_emitted, seed, "radiance")
+class _Light(NamedTuple):
+    """Light to model and photons of it; see `render`."""
+
+    photons: PhotonMap | None
+    n_global: int | None
+    components: Iterable[str] | None
 
 
-def _divided(once: Callable[..., Image], goal: Goal, seed: int, given: Mapping[str, Any]) -> Image:
-    """Image of envelopes that are divided until a goal is reached."""
-    settings = given.get("envelope", EnvelopeSettings())
+class _Job:
+    """Renders of one view with one choice of settings, by any number of photons."""
 
-    def divide(misplaced: float, seed: int) -> Image:
-        return once(seed, envelope=replace(settings, error=misplaced))
+    def __init__(
+        self,
+        view: View,
+        choice: Choice,
+        light: _Light,
+        stages: Callable[..., _Stages],
+        settings: RenderSettings,
+    ) -> None:
+        self._view, self._choice, self._light, self._stages = view, choice, light, stages
+        self._memory = settings.pop("memory", None)
+        self._indirect = settings.pop("indirect", None), settings.pop("final_gather", 0)
+        self._given = choice.settings.given | settings_of("render", dict(settings)).given
 
-    return divide_to_goal(divide, goal, seed, "radiance")
+    def image(self, n_emitted: int, seed: int, **changed: EnvelopeSettings) -> Image:
+        """Image by a number of photons and a seed, with some settings changed."""
+        view, method = self._view, self._choice.method
+        settings = Settings(**self._given | changed)
+        stages = self._stages(view if seed == view.seed else view.variant(seed=seed), seed=seed)
+        stages.plan(self._light, n_emitted)
+        stages.check_fits(method, settings, self._memory)
+        stages.prepare_caustic(method, settings)
+        stages.prepare_indirect(*self._indirect)
+        return stages.image(method)
+
+    def to_goal(self, goal: Goal, n_emitted: int, seed: int) -> Image:
+        """Image by as many photons, or as finely divided envelopes, as reach a goal."""
+        if self._light.photons is not None:
+            raise ValueError(
+                "photons should not be given with error or seconds, which trace their own"
+            )
+        if method_named(self._choice.method).needs_photons:
+            return render_to_goal(self.image, goal, n_emitted, seed, "radiance")
+        envelope = self._given.get("envelope", EnvelopeSettings())
+
+        def divide(misplaced: float, seed: int) -> Image:
+            return self.image(n_emitted, seed, envelope=replace(envelope, error=misplaced))
+
+        return divide_to_goal(divide, goal, seed, "radiance")
 
 
 # Far more than any gather needs.
@@ -248,7 +275,7 @@ class _Stages:
     _plan: Plan
 
     def __init__(
-        self, view: View, progress: Progress | None, workers: Workers, **sequence: Any
+        self, progress: Progress | None, workers: Workers, view: View, **sequence: Any
     ) -> None:
         self._view = view
         self._progress = progress
@@ -262,23 +289,15 @@ class _Stages:
         self._indirect: IndirectField | None = None
         self._gather: FinalGather | None = None
 
-    def plan(
-        self,
-        photons: PhotonMap | None,
-        n_emitted: int,
-        n_global: int | None,
-        components: Iterable[str] | None,
-    ) -> None:
+    def plan(self, light: _Light, n_emitted: int) -> None:
         view = self._view
-        if photons is not None:
-            _check_scene(photons, view.scene)
-            self._photons = on_surfaces(photons)
+        if light.photons is not None:
+            _check_scene(light.photons, view.scene)
+            self._photons = on_surfaces(light.photons)
         self._plan = plan(
             view.scene,
             n_emitted=n_emitted,
-            n_global=n_global,
-            components=components,
-            photons=photons,
+            **light._asdict(),
             caster=view.caster,
             n_threads=view.n_threads,
         )
