@@ -148,6 +148,7 @@ def tensors(n=200, seed=0):
         yield sides, turn @ np.diag([1.0, across]) @ turn.T
 
 
+@pytest.mark.many_photons
 def test_so_few_nodes_suffice():
     """Along the first side, within 5e-5 of the peak."""
     grid = np.linspace(-2, 2, 41)
@@ -157,6 +158,7 @@ def test_so_few_nodes_suffice():
         np.testing.assert_allclose(found, exact, atol=5e-5 * exact.max())
 
 
+@pytest.mark.many_photons
 def test_every_kernel_integrates_to_one():
     """Within 0.4 %: that of an oblique parallelogram is taken for that of a rectangle."""
     ticks = np.linspace(-2.2, 2.2, 221)
@@ -203,6 +205,7 @@ def test_footprints_that_shrink_have_the_estimate_of_a_gaussian_at_the_point():
 # --- fields that are known ---------------------------------------------------------------------
 
 
+@pytest.mark.many_photons
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("kind", ["random", "halton"])
 def test_a_uniform_field_returns_its_own_value(method, kind, interior):

@@ -196,6 +196,7 @@ def assert_uniform(found, interior="middle", n=N_MAPS * N_TEXELS):
         assert deviation < 1.1 * noise + 3.0 * noise / np.sqrt(n), name
 
 
+@pytest.mark.many_photons
 @pytest.mark.parametrize("k", [8, 50])
 @pytest.mark.parametrize("n_in_texel", [0.0, 0.1, 2.5, 40.0])
 def test_uniform_light_on_a_square(n_in_texel, k):
@@ -376,6 +377,7 @@ def test_uniform_light_in_passes(side):
 # Diffusion
 
 
+@pytest.mark.many_photons
 @pytest.mark.parametrize("method", ["diffusion", "isotropic-diffusion"])
 @pytest.mark.parametrize("side", [0.0, 0.01, 0.3])
 def test_uniform_light_by_diffusion(method, side):

@@ -375,6 +375,7 @@ def uniform_maps():
 SIZES = [0.0, 0.1, 0.6, 2.5, 10.0, 100.0]
 
 
+@pytest.mark.many_photons
 @pytest.mark.parametrize("kind", ["random", "halton", "relaxed"])
 @pytest.mark.parametrize("k", [8, 15, 50])
 def test_a_uniform_field_returns_its_own_value(kind, k, uniform_maps):

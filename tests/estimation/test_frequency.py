@@ -196,6 +196,7 @@ def reflector():
     return on, bench.errors(on, 1_000_000, "halton", range(1), passes=32, share=0.02)[0]
 
 
+@pytest.mark.many_photons
 def test_smooth_light_of_the_reflector_is_less_noisy_than_progressive(reflector):
     """`python -m bench frequency` measures it at length."""
     on, squared = reflector

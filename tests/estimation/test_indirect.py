@@ -29,6 +29,7 @@ def coloured():
     return SimpleNamespace(scene=scene, field=field, found=found, exact=exact, points=points, k=k)
 
 
+@pytest.mark.many_photons
 def test_noise_is_that_of_k_photons(coloured):
     inside = np.abs(coloured.points[:, :2]).max(axis=1) < 0.8
     found, exact = coloured.found[inside], coloured.exact[inside]
@@ -51,6 +52,7 @@ def outermost(along):
     return np.concatenate([points, points[:, [1, 0, 2]]])
 
 
+@pytest.mark.many_photons
 def test_bias_is_small_in_the_outer_fortieth(coloured):
     """Means over three maps, beside walls and in corners; radiosity extrapolated."""
     maps = [pr.trace_photons(coloured.scene, 600_000, paths="global", seed=s) for s in (1, 2)]
@@ -65,6 +67,7 @@ def test_bias_is_small_in_the_outer_fortieth(coloured):
         assert abs(found / (exact + (exact - rough) / 3.0) - 1.0) <= most
 
 
+@pytest.mark.many_photons
 @pytest.mark.parametrize("albedo", [0.5, 0.9, 0.95])
 def test_furnace(albedo):
     """In a closed ball of albedo a, E = Φ / (4πR²(1 - a)), of which a share of a is indirect."""

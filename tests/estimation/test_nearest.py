@@ -61,6 +61,7 @@ def uniform_maps():
     }
 
 
+@pytest.mark.many_photons
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("kind", ["random", "halton", "relaxed"])
 @pytest.mark.parametrize("k", [15, 50])

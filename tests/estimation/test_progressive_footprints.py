@@ -77,6 +77,7 @@ def test_photons_that_coincide_are_counted_one_by_one():
 SIZES = [0.1, 0.6, 2.5, 10.0, 100.0]
 
 
+@pytest.mark.many_photons
 @pytest.mark.parametrize("kind", ["random", "halton"])
 def test_a_uniform_field_returns_its_own_value(kind):
     """Over 0.1 … 100 photons of the map, of which passes have an eighth."""

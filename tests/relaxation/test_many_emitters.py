@@ -82,6 +82,7 @@ CASES = {
 }
 
 
+@pytest.mark.many_photons
 @pytest.mark.parametrize("case", CASES)
 def test_relaxed_maps_are_no_worse(case):
     photons, irradiance = CASES[case]

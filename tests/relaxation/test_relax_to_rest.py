@@ -17,6 +17,7 @@ def relaxed(photons, rest, *, n_threads=1, scene=None, **settings):
     return pr.relax(photons, found, chosen, rest=rest, scene=scene, n_threads=n_threads)
 
 
+@pytest.mark.many_photons
 @pytest.mark.parametrize("kind", ["halton", "random"])
 @pytest.mark.parametrize("name", MAPS)
 def test_slopes_do_not_flow_away(name, kind):

@@ -59,6 +59,7 @@ def test_a_lamp_is_seen_once_in_another_mirror(material):
     np.testing.assert_allclose(seen[8, 8], 0.8 * RADIANCE, rtol=1e-6)
 
 
+@pytest.mark.many_photons
 def test_direct_light_and_photons_are_those_of_a_black_lamp(material):
     """Where nothing sends light back to the lamp, its material does not matter."""
     at = np.array([[0.0, 0, 0], [1.5, 0, 0]]), np.tile([0.0, 0, 1], (2, 1))

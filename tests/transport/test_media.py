@@ -156,6 +156,7 @@ def from_above(points, half=2.4):
     return (points.object_id == 0) & (np.maximum(abs(x), abs(y)) < half) & (points.normal[:, 2] > 0)
 
 
+@pytest.mark.many_photons
 @each_nesting
 def test_photons_are_refracted_and_absorbed_layer_by_layer(name):
     objects, layers = LAYERED[name]

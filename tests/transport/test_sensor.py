@@ -180,6 +180,7 @@ def pool(*depths, absorption):
     return pr.Scene([bottom, body, *(plane(-depth, 0.9) for depth in depths)], [DOWN])
 
 
+@pytest.mark.many_photons
 @pytest.mark.parametrize("sampler", ["halton", "random"])
 def test_flux_in_absorbing_water_follows_beer_lambert(sampler):
     n, absorption, depths = 200_000, 0.2, (0.5, 1.0, 2.0, 4.0, 8.0)
@@ -297,6 +298,7 @@ def test_spectra_are_those_of_photons_on_other_objects():
     np.testing.assert_array_equal(photons.spectrum[~photons.on_sensor], expected.spectrum)
 
 
+@pytest.mark.many_photons
 @pytest.mark.parametrize("method", ["standard", "parameterised", "frequency"])
 def test_images_are_the_same_with_sensors(method):
     """From above, through glass and beside it; some sensors shade the floor from the camera."""
@@ -408,6 +410,7 @@ def test_batches_can_be_traced_elsewhere():
     assert np.isin(here["object_id"], scene.sensors).any()
 
 
+@pytest.mark.many_photons
 def test_shares_of_the_light_around_the_focus_of_a_lens():
     """A plano-convex lens from an STL file, and planes across its caustic."""
     lens, depths = PlanoConvex(), (190.0, 193.7, 195.0, 196.5, 198.0)

@@ -91,6 +91,7 @@ def bundle_at(region, places):
     return _Bundle(region, region.origin + region.start_distance * direction, direction)
 
 
+@pytest.mark.many_photons
 @pytest.mark.parametrize("paths", ["caustic", "all"])
 @pytest.mark.parametrize("name", SCENES)
 def test_spectra_depend_on_no_thread_and_no_batch_and_change_no_photon(name, paths):
