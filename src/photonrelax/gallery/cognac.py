@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .._util.products import product
 from .._util.validation import Floats
 from ..scene.camera import Camera
 from ..scene.emitters import PointEmitter
@@ -135,6 +136,6 @@ def _outwards(wall: Floats) -> Floats:
 
 
 def _waves(xy: Floats, agitation: float) -> Floats:
-    phase = 2 * np.pi * xy @ _WAVES[:, :2].T + _WAVES[:, 3]
+    phase = product(2 * np.pi * xy, _WAVES[:, :2].T) + _WAVES[:, 3]
     height: Floats = np.sin(phase) @ (agitation * _WAVES[:, 2])
     return height

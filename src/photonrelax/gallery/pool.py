@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from .._util.products import product
 from .._util.validation import Floats
 from ..scene.camera import Camera
 from ..scene.emitters import CollimatedEmitter
@@ -117,8 +118,10 @@ class _Waves(NamedTuple):
         number = np.linalg.norm(self.vector, axis=1)
         stiffness = _GRAVITY * number + _TENSION * number**3
         frequency = np.sqrt(stiffness * np.tanh(number * depth))
-        phase = xy @ self.vector.T + (self.phase - frequency * time)
-        return np.sin(phase) @ self.height, np.cos(phase) @ (self.height[:, None] * self.vector)
+        phase = product(xy, self.vector.T) + (self.phase - frequency * time)
+        return np.sin(phase) @ self.height, product(
+            np.cos(phase), self.height[:, None] * self.vector
+        )
 
 
 def _body(

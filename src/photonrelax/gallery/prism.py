@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .._util.products import product
 from .._util.validation import Floats
 from ..scene.camera import Camera
 from ..scene.emitters import PointEmitter
@@ -88,13 +89,14 @@ def _rippled_prism(
     waves = wavenumber * _DIRECTIONS
 
     def field(points: Floats) -> tuple[Floats, Floats]:
-        distance = points @ normals.T - offsets
+        distance = product(points, normals.T) - offsets
         nearest = distance.max(axis=1, keepdims=True)
         share = np.exp((distance - nearest) / bevel)
         total = share.sum(axis=1, keepdims=True)
-        phase = points @ waves.T + _PHASES
+        phase = product(points, waves.T) + _PHASES
         value = nearest[:, 0] + bevel * np.log(total[:, 0]) + ripple * np.sin(phase).sum(axis=1)
-        return value, share / total @ normals + ripple * np.cos(phase) @ waves
+        gradient = product(share / total, normals) + product(ripple * np.cos(phase), waves)
+        return value, gradient
 
     return field
 
@@ -106,9 +108,9 @@ def _placed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     tilt = rotation_matrix(np.radians(_TILT), [0, 1, 0])
     spin = rotation_matrix(np.radians(_ROTATION), [0, 0, 1])
     rotation = (spin @ tilt)[:3, :3]
-    vertices = mesh.vertices @ rotation.T
+    vertices = product(mesh.vertices, rotation.T)
     vertices[:, 2] += 1e-3 - vertices[:, 2].min()
-    return make_mesh(vertices, mesh.faces, mesh.vertex_normals @ rotation.T)
+    return make_mesh(vertices, mesh.faces, product(mesh.vertex_normals, rotation.T))
 
 
 def _screen(glass: trimesh.Trimesh, margin: float = 0.05) -> trimesh.Trimesh:

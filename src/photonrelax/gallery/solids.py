@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._util.products import product
 from .._util.validation import Floats
 from .meshes import grid_faces, make_mesh
 
@@ -126,8 +127,8 @@ def curve(points: ArrayLike, n: int) -> Floats:
 def placed(mesh: trimesh.Trimesh, offset: ArrayLike, turn: Floats | None = None) -> trimesh.Trimesh:
     """Mesh turned by a rotation matrix, then moved, with the normals that it came with."""
     matrix = np.eye(3) if turn is None else turn
-    normals = mesh.vertex_normals @ matrix.T if "vertex_normals" in mesh._cache else None
-    return make_mesh(mesh.vertices @ matrix.T + np.asarray(offset), mesh.faces, normals)
+    normals = product(mesh.vertex_normals, matrix.T) if "vertex_normals" in mesh._cache else None
+    return make_mesh(product(mesh.vertices, matrix.T) + np.asarray(offset), mesh.faces, normals)
 
 
 def rotation(axis: ArrayLike, degrees: float) -> Floats:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from .._util.products import product
 from .._util.validation import Floats
 from ..scene.materials import Material
 
@@ -44,12 +45,12 @@ class Part:
         """The mesh, turned and scaled by a matrix (3, 3)."""
         import trimesh
 
-        vertices = self.vertices @ linear.T
+        vertices = product(self.vertices, linear.T)
         if self.normals is None:
             return trimesh.Trimesh(vertices, self.faces, process=False)
         length = np.linalg.norm(self.normals, axis=1, keepdims=True)
         if not (np.isfinite(length).all() and (length > 0.0).all()):
             return trimesh.Trimesh(vertices, self.faces, process=False)
-        normals = self.normals @ linear.T
+        normals = product(self.normals, linear.T)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         return trimesh.Trimesh(vertices, self.faces, vertex_normals=normals, process=False)

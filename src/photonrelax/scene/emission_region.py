@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .._util.products import product
 from .._util.validation import Floats
 from .sky_map import SkyMap
 
@@ -313,7 +314,7 @@ def cap_directions(axis: Floats, one_minus_cos: float, sample: Floats) -> Floats
     drop, azimuth = one_minus_cos * sample[:, 0], 2.0 * np.pi * sample[:, 1]
     aside = np.sqrt(drop * (2.0 - drop))
     local = np.column_stack([aside * np.cos(azimuth), aside * np.sin(azimuth), 1.0 - drop])
-    directions: Floats = local @ _frame(axis)
+    directions: Floats = product(local, _frame(axis))
     return directions
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from .._util.products import product
 from .._util.validation import Floats
 from ..scene.meshes import bounding_box, triangle_bounds
 from ..scene.welding import HalfEdges, Ids
@@ -41,7 +42,7 @@ class Solid(Triangles):
     def contains(self, points: Floats) -> NDArray[np.bool_]:
         """True for points (n, 3) inside; on the surface it is either."""
         rotation, turned, tree = self._turned
-        start = points @ rotation
+        start = product(points, rotation)
         end = start.copy()
         end[:, 2] = np.maximum(end[:, 2], turned[..., 2].max())
         ray, face = tree.pairs_within(start, end)

@@ -51,12 +51,13 @@ cdef class Rest:
     """
 
     cdef const double[:, ::1] slope
-    cdef const double[::1] limit
     cdef const double[:, ::1] origin
     cdef const double[:, ::1] start
-    cdef double share, longer
-    # Squared largest distances from the origin, m², in tree order.
+    cdef double longer
+    # In tree order: squared largest distances from the origin, m², and from the start, in units of
+    # the squared present radius.
     cdef double[::1] farthest
+    cdef double[::1] share
 
     def __init__(
         self, *, const Py_ssize_t[::1] rows, slope, limit, const double[::1] radius,
@@ -64,29 +65,34 @@ cdef class Rest:
         int n_threads
     ):
         cdef Py_ssize_t place, n = rows.shape[0]
-        self.slope, self.limit = slope, limit
-        self.origin, self.start = origin, start
-        self.share, self.longer = share, longer
+        cdef const double[::1] limits = limit
+        self.slope, self.origin, self.start, self.longer = slope, origin, start, longer
         if not (
-            self.slope.shape[0] == self.limit.shape[0]
+            self.slope.shape[0] == limits.shape[0]
             and n == radius.shape[0] == self.origin.shape[0]
             and self.slope.shape[1] == self.origin.shape[1] == 3
             and (start is None or np.shape(start) == np.shape(origin))
         ):
             raise ValueError("slopes, origins and limits do not fit one another")
         self.farthest = np.empty(n)
+        self.share = np.empty(0 if start is None else n)
         for place in prange(
             n, nogil=True, schedule="static", num_threads=team_size(n_threads, n, ELEMENTS)
         ):
-            self.farthest[place] = self.squared_limit(rows[place], radius[place], limit_of_slope)
+            self.farthest[place] = self.squared_limit(
+                rows[place], limits[rows[place]] * radius[place], limit_of_slope
+            )
+            if self.start is not None:
+                self.share[place] = (share * limits[rows[place]]) ** 2
 
     cdef double squared_limit(
-        self, Py_ssize_t row, double radius, double limit_of_slope
+        self, Py_ssize_t row, double limit, double limit_of_slope
     ) noexcept nogil:
         cdef const double* g = &self.slope[row, 0]
         cdef double squared_slope = dot(g, g), squared = INFINITY
-        if self.limit[row] < INFINITY:
-            squared = (self.limit[row] * radius) ** 2
+        # Not a number where the limit is infinite and the radius zero.
+        if limit < INFINITY:
+            squared = limit * limit
         if squared_slope > 0.0:
             squared = min(squared, limit_of_slope * limit_of_slope / squared_slope)
         return squared
@@ -103,13 +109,10 @@ cdef class Rest:
         for axis in range(3):
             f[axis] += scale * self.slope[row, axis]
 
-    cdef void hold(
-        self, double* moved, Py_ssize_t row, Py_ssize_t place, double squared_radius
-    ) noexcept nogil:
+    cdef void hold(self, double* moved, Py_ssize_t place, double squared_radius) noexcept nogil:
         """Put a photon that went too far back to its limits, that of k photons among them."""
-        cdef double limit = self.share * self.limit[row]
         if self.start is not None:
-            put_back(moved, &self.start[place, 0], limit * limit * squared_radius)
+            put_back(moved, &self.start[place, 0], self.share[place] * squared_radius)
         put_back(moved, &self.origin[place, 0], self.farthest[place])
 
     cdef double lengthened(self, Py_ssize_t place) noexcept nogil:
@@ -117,10 +120,8 @@ cdef class Rest:
         return self.longer if self.farthest[place] < INFINITY else 1.0
 
     cdef void prefetch(self, Py_ssize_t row) noexcept nogil:
-        """Prefetch the slope of a photon, and its limit if moves are limited by it."""
+        """Prefetch the slope of a photon."""
         prefetch_row(&self.slope[row, 0], 3 * sizeof(double))
-        if self.start is not None:
-            prefetch_row(&self.limit[row], sizeof(double))
 
 
 cdef inline void put_back(
@@ -263,7 +264,7 @@ cdef class Move(BatchWork):
         if self.inputs.rest is not None and query.candidates.count >= MIN_NEIGHBOURS:
             # The squared radius of those that there are, scaled to hold k.
             self.inputs.rest.hold(
-                &self.moved[place, 0], row, place,
+                &self.moved[place, 0], place,
                 query.candidates.squared_radius * batch.k / query.candidates.count
             )
 

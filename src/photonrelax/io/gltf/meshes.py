@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._util.products import product
 from ..._util.validation import Floats
 from ...scene.meshes import divided, face_normals
 from ...scene.shading import given_normals
@@ -47,14 +48,14 @@ class Triangles:
     def placed(self, to_world: Floats) -> Triangles:
         """The triangles in the world; those of mirrored nodes keep their outside."""
         linear = to_world[:3, :3]
-        vertices = self.vertices @ linear.T + to_world[:3, 3]
+        vertices = product(self.vertices, linear.T) + to_world[:3, 3]
         mirrored = np.linalg.det(linear) < 0.0
         faces = self.faces[:, ::-1] if mirrored else self.faces
         normals = self.normals
         if normals is not None:
             # Normals map by the cofactors, which turn with the outside.
             cofactors = np.cross(linear[[1, 2, 0]], linear[[2, 0, 1]])
-            normals = normals @ cofactors.T * (-1.0 if mirrored else 1.0)
+            normals = product(normals, cofactors.T) * (-1.0 if mirrored else 1.0)
             normals = divided(normals, np.linalg.norm(normals, axis=1, keepdims=True))
         return Triangles(vertices, normals, np.ascontiguousarray(faces), self.uv)
 

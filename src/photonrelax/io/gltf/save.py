@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..._util.files import output_path, whole_file
+from ..._util.products import product
 from ..._util.validation import Floats
 from ...scene.area_emitter import AreaEmitter
 from ...scene.camera import Camera
@@ -89,8 +90,8 @@ class _Writer:
             length = np.linalg.norm(shading.normal, axis=1, keepdims=True)
             if (length > 0.0).all():
                 normals = shading.normal / length
-                attributes["NORMAL"] = self._accessor(normals @ _Y_UP.T, _FLOAT)
-        attributes["POSITION"] = self._accessor(vertices @ _Y_UP.T, _FLOAT)
+                attributes["NORMAL"] = self._accessor(product(normals, _Y_UP.T), _FLOAT)
+        attributes["POSITION"] = self._accessor(product(vertices, _Y_UP.T), _FLOAT)
         if uv is not None:
             attributes["TEXCOORD_0"] = self._accessor(uv * [1.0, -1.0] + [0.0, 1.0], _FLOAT)
         primitive = {

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._util.products import product
 from ..._util.validation import Floats
 from ...scene.textures import Texture, decoded_image
 from ..json_entry import JsonEntry
@@ -32,7 +33,7 @@ class TextureUse(NamedTuple):
 
     def on(self, uv: Floats) -> Texture:
         """The texture with coordinates (v, 2) of the file, v down."""
-        mapped = uv @ self.transform[:, :2].T + self.transform[:, 2]
+        mapped = product(uv, self.transform[:, :2].T) + self.transform[:, 2]
         return Texture(
             self.texture.image,
             factor=self.texture.factor,
