@@ -50,12 +50,12 @@ cdef class Rest:
         If arrays do not fit one another.
     """
 
-    cdef const double[:, ::1] slope
     cdef const double[:, ::1] origin
     cdef const double[:, ::1] start
     cdef double longer
-    # In tree order: squared largest distances from the origin, m², and from the start, in units of
-    # the squared present radius.
+    # In tree order: slopes, squared largest distances from the origin, m², and from the start, in
+    # units of the squared present radius.
+    cdef double[:, ::1] slope
     cdef double[::1] farthest
     cdef double[::1] share
 
@@ -64,31 +64,35 @@ cdef class Rest:
         double limit_of_slope, origin, start, double share, double longer,
         int n_threads
     ):
-        cdef Py_ssize_t place, n = rows.shape[0]
+        cdef Py_ssize_t place, axis, n = rows.shape[0]
+        cdef const double[:, ::1] slopes = slope
         cdef const double[::1] limits = limit
-        self.slope, self.origin, self.start, self.longer = slope, origin, start, longer
+        self.origin, self.start, self.longer = origin, start, longer
         if not (
-            self.slope.shape[0] == limits.shape[0]
+            slopes.shape[0] == limits.shape[0]
             and n == radius.shape[0] == self.origin.shape[0]
-            and self.slope.shape[1] == self.origin.shape[1] == 3
+            and slopes.shape[1] == self.origin.shape[1] == 3
             and (start is None or np.shape(start) == np.shape(origin))
         ):
             raise ValueError("slopes, origins and limits do not fit one another")
+        self.slope = np.empty((n, 3))
         self.farthest = np.empty(n)
         self.share = np.empty(0 if start is None else n)
         for place in prange(
             n, nogil=True, schedule="static", num_threads=team_size(n_threads, n, ELEMENTS)
         ):
+            for axis in range(3):
+                self.slope[place, axis] = slopes[rows[place], axis]
             self.farthest[place] = self.squared_limit(
-                rows[place], limits[rows[place]] * radius[place], limit_of_slope
+                place, limits[rows[place]] * radius[place], limit_of_slope
             )
             if self.start is not None:
                 self.share[place] = (share * limits[rows[place]]) ** 2
 
     cdef double squared_limit(
-        self, Py_ssize_t row, double limit, double limit_of_slope
+        self, Py_ssize_t place, double limit, double limit_of_slope
     ) noexcept nogil:
-        cdef const double* g = &self.slope[row, 0]
+        cdef const double* g = &self.slope[place, 0]
         cdef double squared_slope = dot(g, g), squared = INFINITY
         # Not a number where the limit is infinite and the radius zero.
         if limit < INFINITY:
@@ -98,7 +102,7 @@ cdef class Rest:
         return squared
 
     cdef void compensate(
-        self, double* f, Py_ssize_t row, double count, double squared_radius
+        self, double* f, Py_ssize_t place, double count, double squared_radius
     ) noexcept nogil:
         """Take from f the force of `count` photons at rest (docs/methods/mapped.md).
 
@@ -107,7 +111,7 @@ cdef class Rest:
         cdef double scale = (count - 0.5) / (12.0 * count) * squared_radius
         cdef Py_ssize_t axis
         for axis in range(3):
-            f[axis] += scale * self.slope[row, axis]
+            f[axis] += scale * self.slope[place, axis]
 
     cdef void hold(self, double* moved, Py_ssize_t place, double squared_radius) noexcept nogil:
         """Put a photon that went too far back to its limits, that of k photons among them."""
@@ -118,10 +122,6 @@ cdef class Rest:
     cdef double lengthened(self, Py_ssize_t place) noexcept nogil:
         """Factor on the steps of a photon."""
         return self.longer if self.farthest[place] < INFINITY else 1.0
-
-    cdef void prefetch(self, Py_ssize_t row) noexcept nogil:
-        """Prefetch the slope of a photon."""
-        prefetch_row(&self.slope[row, 0], 3 * sizeof(double))
 
 
 cdef inline void put_back(
@@ -219,8 +219,6 @@ cdef class Move(BatchWork):
         """Prefetch the constraint of a photon, and the limits at a position of the next block."""
         prefetch_row(&self.inputs.basis[row, 0, 0], 3 * sizeof(double))
         prefetch_row(&self.inputs.constraint[row], sizeof(double))
-        if self.inputs.rest is not None:
-            self.inputs.rest.prefetch(row)
         if next_place < self.tree.n_points:
             row = self.inputs.rows[next_place]
             if self.inputs.range_radius is not None:
@@ -249,7 +247,7 @@ cdef class Move(BatchWork):
             )
             if self.inputs.rest is not None:
                 self.inputs.rest.compensate(
-                    f, row, query.candidates.count, query.candidates.squared_radius
+                    f, place, query.candidates.count, query.candidates.squared_radius
                 )
                 step *= self.inputs.rest.lengthened(place)
             project(
