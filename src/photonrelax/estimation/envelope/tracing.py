@@ -102,7 +102,7 @@ def laid_envelope(
         if isinstance(emitter, CollimatedEmitter) and emitter.is_extended:
             charts += sun_charts(scene, emitter_id, tracer, settings)
     n_rays = settings.n_rays or _MOST_RAYS
-    followed = followed_sheets(charts, tracer, n_rays)
+    followed = followed_sheets(charts, tracer, n_rays, settings.expected)
     lattices = _lattices(charts, tracer, followed, n_rays)
     if len(followed) == len(scene.emitters) and not lattices:
         raise ValueError(
