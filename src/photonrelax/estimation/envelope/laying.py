@@ -14,9 +14,10 @@ from .borders import cut, joined
 from .elements import areas, bends, luminances, shape_functions, six_places
 from .refinement import Refinement
 
-# Share of the misplaced light that straight pieces may misplace besides, and the largest distance
-# of these from their image, in footprints.
-_STRAIGHT, _FARTHEST = 1.0, 0.5
+# Largest distance of a straight piece from its image, in footprints, and the mean over the largest.
+_FARTHEST, _OF_CHORD = 0.5, 2.0 / 3.0
+# Share of the light that may be misplaced that images may misplace; the rest is of their chords.
+OF_IMAGES = 0.6
 # Sides of an image are divided into at most so many.
 _MOST_PIECES = 16
 # Points of light that the square around each is as large as.
@@ -147,7 +148,8 @@ def _curved(refinement: Refinement, rows: NDArray[np.intp]) -> Laid:
         patches.sheet,
         refinement.scores[rows],
     )
-    n = _divisions(images, refinement.score, refinement.footprint)
+    n, of_chords = _divisions(images, refinement.score, refinement.footprint)
+    images = images._replace(score=images.score + of_chords)
     parts = [
         _divided(_Images(*(column[n == each] for column in images)), int(each))
         for each in np.unique(n)
@@ -175,8 +177,12 @@ class _Images(NamedTuple):
     score: Floats
 
 
-def _divisions(images: _Images, misplaced: float, footprint: float) -> NDArray[np.intp]:
-    """Parts (n,) of the sides of images, whose chords misplace so much luminance, W.
+def _divisions(
+    images: _Images, misplaced: float, footprint: float
+) -> tuple[NDArray[np.intp], Floats]:
+    """Parts (n,) of the sides of images, and luminance (n,) that their chords misplace, W.
+
+    Images misplace `misplaced`, and chords as much more as leaves these their share of all.
 
     Pieces are fewest, for Σ flux · distance given, at distances as (√bend / flux)^(2/3).
     """
@@ -184,9 +190,11 @@ def _divisions(images: _Images, misplaced: float, footprint: float) -> NDArray[n
     flux = np.maximum(luminances(images.light[:, 3:].mean(axis=1)), 1e-300)
     weight = np.cbrt(bend) * flux ** (-2.0 / 3.0)
     of_all = max(float(flux @ weight), 1e-300)
-    distance = footprint * np.minimum(weight * (_STRAIGHT * misplaced / of_all), _FARTHEST)
+    most = (1.0 / OF_IMAGES - 1.0) / _OF_CHORD * misplaced
+    distance = footprint * np.minimum(weight * (most / of_all), _FARTHEST)
     n = np.ceil(np.sqrt(bend / np.maximum(distance, 1e-300)))
-    return np.clip(n, 1, _MOST_PIECES).astype(np.intp)
+    n = np.clip(n, 1, _MOST_PIECES)
+    return n.astype(np.intp), flux * np.minimum(_OF_CHORD * bend / (n**2 * footprint), 1.0)
 
 
 def _divided(images: _Images, n: int) -> Laid:

@@ -22,7 +22,7 @@ from .charts import Chart, charts_of
 from .elements import first_corners, luminances, six_places
 from .envelope import NOISE, Envelope, EnvelopeLedger, EnvelopeSettings
 from .lattice import Lattice
-from .laying import Laid, Points, laid, squares
+from .laying import OF_IMAGES, Laid, Points, laid, squares
 from .refinement import Refinement
 from .rest import Rest, photons_wanted, rest_photons
 from .sheets import FollowedSheets, followed_sheets
@@ -197,8 +197,8 @@ def _divided(refinements: list[Refinement], settings: EnvelopeSettings) -> bool:
 
 
 def _allowed(refinements: list[Refinement], settings: EnvelopeSettings) -> float:
-    """Luminance that may be misplaced, W."""
-    return settings.misplaced * sum(each.luminance for each in refinements)
+    """Luminance that images may misplace, W."""
+    return OF_IMAGES * settings.misplaced * sum(each.luminance for each in refinements)
 
 
 def _rays_left(refinements: list[Refinement], settings: EnvelopeSettings) -> int:
