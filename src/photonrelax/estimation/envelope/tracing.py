@@ -255,7 +255,7 @@ def _photons_wanted(
     followed: dict[int, FollowedSheets], refinements: list[Refinement], settings: EnvelopeSettings
 ) -> dict[int, float]:
     """Photons to emit for the sheets of each emitter that are not followed."""
-    misplaced = sum(each.score for each in refinements)
+    misplaced = sum(each.score for each in refinements) / OF_IMAGES
     luminance = sum(each.luminance for each in refinements)
     reached = misplaced / luminance if luminance else 0.0
     total = sum(each.luminance for each in followed.values())
