@@ -85,8 +85,8 @@ class Truth:
             (np.abs(found.means - exact) <= found.error + allowed)[lit].mean()
             for exact, allowed in ((self.counted, _DEVIATIONS * self.noise), (self.fine, 0.0))
         ]
-        ratio = found.error.sum() / np.abs(found.means - self.fine).sum()
-        return [f"{held[0]:.3f}", f"{held[1]:.3f}", f"{ratio:.1f}"]
+        told, misplaced = found.error.sum(), np.abs(found.means - self.fine).sum()
+        return [f"{held[0]:.3f}", f"{held[1]:.3f}", f"{told / misplaced:.1f}"]
 
 
 def error_field(envelope: pr.Envelope, light: pr.Field) -> pr.Field:
@@ -191,8 +191,8 @@ def markdown(study: Study) -> str:
         f"relative L1 of means over {references.texels} x {references.texels} texels of the floor, "
         f"against {references.reference_passes} counted passes of "
         f"{references.photons_per_pass:,} photons, whose noise is in the rows of references; L1 "
-        f"with texels cut off at {_CLIP:g} means; the error that the envelope tells; the share of the "
-        f"texels above {_DARK:g} of the mean whose error the layer holds, with {_DEVIATIONS:g} "
+        f"with texels cut off at {_CLIP:g} means; the error that the envelope tells; the share of "
+        f"the texels above {_DARK:g} of the mean whose error the layer holds, with {_DEVIATIONS:g} "
         "deviations of the reference's noise, and without any against an envelope of error "
         f"{study.fine:g}; the sum of the layer over the L1 error against that. Seconds of tracing "
         "and preparation, and of the map.\n"

@@ -272,12 +272,13 @@ def _images(
     left = _rays_left(refinements, settings) + sum(each.n_rays_of_borders for each in refinements)
     footprint = settings.footprint or 1.0
     found = [laid(each, left / len(refinements)) for each in refinements]
-    parts = [images for images, _ in found]
-    parts += [squares(points, footprint) for _, points in found]
-    chart = np.tile(np.arange(len(found), dtype=np.int32), 2)
+    parts = [(chart, images) for chart, (of_chart, _) in enumerate(found) for images in of_chart]
+    parts += [(chart, squares(points, footprint)) for chart, (_, points) in enumerate(found)]
+    parts = parts or [(0, squares(Points.none(), footprint))]
+    charts, images = zip(*parts, strict=True)
     return (
-        joined(Laid, parts or [squares(Points.none(), footprint)]),
-        np.repeat(chart, [len(each.flux) for each in parts]),
+        joined(Laid, images),
+        np.repeat(np.array(charts, dtype=np.int32), [len(each.flux) for each in images]),
         np.sum([points.flux.sum(axis=0) for _, points in found] or [np.zeros(3)], axis=0),
     )
 
