@@ -86,7 +86,8 @@ class Truth:
             for exact, allowed in ((self.counted, _DEVIATIONS * self.noise), (self.fine, 0.0))
         ]
         told, misplaced = found.error.sum(), np.abs(found.means - self.fine).sum()
-        return [f"{held[0]:.3f}", f"{held[1]:.3f}", f"{told / misplaced:.1f}"]
+        ratio = f"{told / misplaced:.1f}" if misplaced > 0.0 else ""
+        return [f"{held[0]:.3f}", f"{held[1]:.3f}", ratio]
 
 
 def error_field(envelope: pr.Envelope, light: pr.Field) -> pr.Field:
