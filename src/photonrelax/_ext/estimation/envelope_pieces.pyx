@@ -4,8 +4,6 @@ from cython.parallel cimport prange, threadid
 
 from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
 
-import numpy as np
-
 cdef enum:
     # Parts that the sides of an image are divided into, at most, and corners of all parts.
     MOST_PARTS = 16
@@ -46,7 +44,7 @@ def pieces(
         raise ValueError("images and triangles do not fit one another")
     for i in range(p):
         if not (1 <= parts[i] <= MOST_PARTS and 0 <= first[i] <= t - parts[i] * parts[i]):
-            raise ValueError(f"image {i} should be of 1 to {MOST_PARTS} parts, whose rows are there")
+            raise ValueError(f"image {i} should have 1 to {MOST_PARTS} parts and rows for them")
     for i in prange(
         p, nogil=True, schedule="static", chunksize=GRAIN,
         num_threads=team_size(n_threads, p, GRAIN)
