@@ -126,8 +126,7 @@ class Refinement:
         Enough of them that the scores of the others sum to `misplaced`, no more than take `n_rays`
         new rays.
         """
-        score = np.bincount(self.patches.element, self.scores, minlength=len(self.leaves))
-        score += self.missed
+        score = self.missed + np.bincount(self.patches.element, self.scores, len(self.leaves))
         score[self.leaves.level >= MAX_LEVEL] = 0.0
         order = np.argsort(-score, kind="stable")
         left = score.sum() - np.cumsum(score[order])
@@ -176,7 +175,7 @@ class Refinement:
         is_missed = ~np.isin(key, self.patches.element * len(sheets) + self._numbers)
         leaf, arrival = leaf[first[is_missed]], arrival[first[is_missed]]
         light = luminances(lattice.light[arrival]) * areas(lattice, self.leaves.corners[leaf])
-        return _OF_TORN * np.bincount(leaf, light, n)
+        return np.bincount(leaf, _OF_TORN * light, n).astype(np.float64)
 
     def _elements(self, corners: NDArray[np.int64], level: NDArray[np.int8]) -> Elements:
         places = six_places(corners).reshape(-1, 2)
