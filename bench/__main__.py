@@ -11,6 +11,7 @@ python -m bench figure9           SJ13's Fig. 9: rings at three numbers of photo
 python -m bench progressive       convergence of progressive photon mapping to analytic irradiance
 python -m bench shapes            SSO08's Fig. 4: shapes in twelve ways, as an image and as figures
 python -m bench envelope          errors of envelopes and of relaxed photons, by time
+python -m bench known-maps        errors of envelopes of scenes whose map is known, by rays
 python -m bench equal-error       SSO08's Table 1: photons for the error of diffusion
 python -m bench flicker           changes between frames of `pool`, over those of references
 python -m bench frequency         frequency-driven and progressive photon mapping, on `reflector`
@@ -49,6 +50,7 @@ from bench.studies import (
     gallery_light,
     initial_radius,
     kernels,
+    known_maps,
     methods,
     pixel_means,
     presets,
@@ -86,6 +88,7 @@ _COMMANDS = {
     "error-times": error_times,
     "resolution": resolution,
     "envelope": envelope,
+    "known-maps": known_maps,
     "dispersion": dispersion,
     "slopes": slopes,
     "tessellation": tessellation,

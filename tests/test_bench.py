@@ -455,10 +455,12 @@ def test_dispersed_light_has_a_row_for_each_way(monkeypatch):
 def test_envelopes_and_relaxed_photons_have_a_row_each(monkeypatch):
     monkeypatch.setattr(slopes, "water", partial(slopes.water, resolution=8))
     references = slopes.Study(texels=8, reference_passes=2, photons_per_pass=5_000)
-    study = envelope.Study(("water",), (0.5,), (2_000,), references)
+    study = envelope.Study(("water",), (0.5,), 0.05, (2_000,), references)
     lines = [line.split("|") for line in envelope.markdown(study).splitlines()[2:]]
     names = [line[2].strip() for line in lines if len(line) > 1]
     assert names == ["reference", "envelope, error 0.5", "mapped, k = 8"]
+    held = [float(cell) for cell in lines[1][8:10]]
+    assert all(0.0 < share <= 1.0 for share in held)
 
 
 def test_errors_of_resolution_are_small_where_there_is_no_warning():

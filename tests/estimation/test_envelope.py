@@ -10,6 +10,7 @@ import trimesh
 import photonrelax as pr
 from photonrelax import gallery
 from photonrelax._ext.estimation import envelope as kernel
+from photonrelax._ext.estimation import envelope_pieces
 from photonrelax.estimation.envelope import tracing
 from photonrelax.transport import splitting
 from tests.helpers.tracing_scenes import DOWN, box, floor, slab
@@ -153,6 +154,30 @@ def test_a_large_footprint_holds_the_light_within():
         n_threads=1,
     )
     np.testing.assert_allclose(out[0], values[normals[:, 2] == 1.0].sum(axis=0) / 16, rtol=1e-12)
+
+
+@pytest.mark.parametrize("parts", [1, 2, 5, envelope_pieces.MOST])
+def test_pieces_of_a_quadratic_image_lie_on_it(parts):
+    """Corners of n² pieces, and fluxes that sum to the mean over the middles of the sides."""
+    rng = np.random.default_rng(parts)
+    six = np.array([[0, 0], [1, 0], [0, 1], [0.5, 0.5], [0, 0.5], [0.5, 0]])
+
+    def image(at):
+        return np.column_stack([at[:, 0] + 0.2 * at[:, 1] ** 2, at[:, 1], at[:, 0] * at[:, 1]])
+
+    light = 1.0 + rng.random((1, 6, 3))
+    found = np.empty((parts**2, 3, 3)), np.empty((parts**2, 3)), np.empty((parts**2, 3, 2), "f4")
+    envelope_pieces.pieces(
+        *(image(six)[np.newaxis], light, six[np.newaxis], np.array([parts]), np.array([0])),
+        **dict(zip(("corners", "flux", "places"), found, strict=True)),
+        n_threads=1,
+    )
+    corners, flux, places = found
+    np.testing.assert_allclose(corners.reshape(-1, 3), image(places.reshape(-1, 2)), atol=1e-6)
+    area = 0.5 * np.abs(cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]))
+    np.testing.assert_allclose(area, 0.5 / parts**2, rtol=1e-5)
+    assert len(np.unique(places.mean(axis=1).round(6), axis=0)) == parts**2
+    np.testing.assert_allclose(flux.sum(axis=0), light[0, 3:].mean(axis=0), rtol=1e-12)
 
 
 def cross(a, b):

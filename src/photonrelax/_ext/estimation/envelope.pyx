@@ -35,6 +35,18 @@ cdef struct Polygon:
     double[MOST_CORNERS][2] corner
 
 
+cdef struct Box:
+    double[2] low
+    double[2] high
+
+
+cdef enum Reach:
+    # Of a square, that is inside of the sides of a polygon.
+    NONE
+    SOME
+    ALL
+
+
 def node_sums(BoxTree tree, values):
     """Sums (rows, c) of values (t, c) of triangles over the nodes of their tree."""
     return over_nodes(tree, values, np.add)
@@ -207,8 +219,9 @@ cdef double share_within(
     """Share of a triangle that lies in a footprint, seen along the normal."""
     cdef Polygon polygon
     cdef double[3] offset
+    cdef Box box
     cdef double whole, longest = 0.0, nearest = INFINITY
-    cdef int i, j, c
+    cdef int i, j, c, reach
     polygon.n = 3
     for i in range(3):
         for c in range(3):
@@ -221,14 +234,59 @@ cdef double share_within(
     for i in range(3):
         j = (i + 1) % 3
         longest = max(longest, squared_length(polygon.corner[i], polygon.corner[j]))
-    whole = fabs(area_of(&polygon))
-    if whole <= THIN * longest:
+    whole = area_of(&polygon)
+    if fabs(whole) <= THIN * longest:
         return share_of_line(&polygon, longest)
-    for i in range(4):
-        clip(&polygon, i // 2, 1.0 if i % 2 else -1.0)
+    set_box(&box, &polygon)
+    if not box.low[0] < 0.5 or not box.high[0] > -0.5 or not box.low[1] < 0.5 or (
+        not box.high[1] > -0.5
+    ):
+        return 0.0
+    reach = reach_of_sides(&polygon, 1.0 if whole > 0.0 else -1.0)
+    whole = fabs(whole)
+    if reach == NONE:
+        return 0.0
+    if reach == ALL:
+        return 1.0 / whole
+    for i in range(2):
+        if box.low[i] < -0.5:
+            clip(&polygon, i, -1.0)
+        if box.high[i] > 0.5:
+            clip(&polygon, i, 1.0)
         if polygon.n < 3:
             return 0.0
     return fabs(area_of(&polygon)) / whole
+
+
+cdef void set_box(Box* box, const Polygon* polygon) noexcept nogil:
+    """Write the bounds of a polygon."""
+    cdef int i, axis
+    for axis in range(2):
+        box.low[axis] = box.high[axis] = polygon.corner[0][axis]
+        for i in range(1, polygon.n):
+            box.low[axis] = min(box.low[axis], polygon.corner[i][axis])
+            box.high[axis] = max(box.high[axis], polygon.corner[i][axis])
+
+
+cdef int reach_of_sides(const Polygon* polygon, double turn) noexcept nogil:
+    """Which of the square lies inside of all sides of a polygon that turns to one side.
+
+    `NONE` if it is outside of one of them: light is streaks, of which most only come near.
+    """
+    cdef int i, j, reach = ALL
+    cdef double x, y, inside, spread
+    for i in range(polygon.n):
+        j = i + 1 if i + 1 < polygon.n else 0
+        x = turn * (polygon.corner[j][0] - polygon.corner[i][0])
+        y = turn * (polygon.corner[j][1] - polygon.corner[i][1])
+        # Of the centre, and by how much corners are farther in or out.
+        inside = y * polygon.corner[i][0] - x * polygon.corner[i][1]
+        spread = 0.5 * (fabs(x) + fabs(y))
+        if inside <= -spread:
+            return NONE
+        if inside < spread:
+            reach = SOME
+    return reach
 
 
 cdef double squared_length(const double* a, const double* b) noexcept nogil:

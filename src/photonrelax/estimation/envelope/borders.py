@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -90,7 +90,7 @@ class Ends(NamedTuple):
     light: Floats
 
 
-def joined(kind: Callable[..., Columns], parts: list[Columns]) -> Columns:
+def joined(kind: Callable[..., Columns], parts: Sequence[Columns]) -> Columns:
     """Columns of all parts of a kind, in their order."""
     return kind(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 

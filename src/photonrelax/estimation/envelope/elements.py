@@ -128,6 +128,25 @@ def six_places(corners: Places) -> Places:
     return np.concatenate([corners, np.stack(middle, axis=1)], axis=1)
 
 
+def nodes_of_neighbours(lattice: Lattice, corners: Places) -> tuple[Ids, Ids]:
+    """Rows of elements, and nodes on their sides that are those of finer neighbours alone."""
+    six = six_places(corners)
+    halves = [(six[:, k], six[:, 3 + i]) for i, side in enumerate(_SIDES) for k in side]
+    start, end = (np.concatenate(each) for each in zip(*halves, strict=True))
+    row = np.tile(np.arange(len(corners)), len(halves))
+    found = []
+    while len(row):
+        node = lattice.known_nodes((start + end) // 2)
+        is_node = (node >= 0) & ((start + end) % 2 == 0).all(axis=1)
+        start, end, row, node = start[is_node], end[is_node], row[is_node], node[is_node]
+        found.append((row, node))
+        middle = (start + end) // 2
+        start, end = np.concatenate([start, middle]), np.concatenate([middle, end])
+        row = np.tile(row, 2)
+    rows, nodes = (np.concatenate(each) for each in zip(*found, strict=True))
+    return rows, nodes
+
+
 def areas(lattice: Lattice, corners: Places | Floats) -> Floats:
     """Areas (n,) of triangles (n, 3, 2) of places, of the chart's 1."""
     a, b = (lattice.in_unit(corners[:, i] - corners[:, 0]) for i in (1, 2))

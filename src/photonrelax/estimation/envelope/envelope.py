@@ -27,8 +27,8 @@ from .charts import Chart
 from .elements import luminances
 from .sampling import envelope_photons
 
-# Misplaced light, over all, unless asked for.
-_ERROR = 0.01
+# Misplaced light, over all, unless asked for, and rays that reach about that.
+_ERROR, _RAYS_OF_ERROR = 0.01, 40_000
 # Share of the light of photons that lies elsewhere, from the errors of maps of relaxed photons.
 NOISE = 0.1
 
@@ -75,6 +75,12 @@ class EnvelopeSettings:
         if self.error is not None:
             return self.error
         return _ERROR if self.n_rays is None and self.seconds is None else 0.0
+
+    @property
+    def expected(self) -> float:
+        """Share of the light that will about be misplaced, which falls with the rays."""
+        n_rays = _RAYS_OF_ERROR if self.n_rays is None else max(self.n_rays, _RAYS_OF_ERROR)
+        return self.error or _ERROR * _RAYS_OF_ERROR / n_rays
 
     @property
     def n_rays_certain(self) -> int:

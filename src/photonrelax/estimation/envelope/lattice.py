@@ -83,6 +83,13 @@ class Lattice:
         found: Ids = rows[inverse]
         return found
 
+    def known_nodes(self, places: Places) -> Ids:
+        """Nodes (n,) at places (n, 2), -1 where none is."""
+        keys: NDArray[np.int64] = (places[:, 0] << 32) | places[:, 1]
+        at = np.minimum(np.searchsorted(self._keys, keys), len(self) - 1)
+        found: Ids = np.where(self._keys[at] == keys, self._rows[at], -1)
+        return found
+
     def trace(self, places: Floats | Places) -> tuple[Arrivals, Floats]:
         """Arrivals of rays at places (n, 2) that may lie between nodes, and their power."""
         rays = self.chart.rays(self.in_unit(places))

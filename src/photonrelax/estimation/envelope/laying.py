@@ -7,18 +7,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._ext.estimation.envelope_pieces import MOST, pieces
 from ..._util.validation import Floats
 from ...spatial.kdtree import KDTree
 from ...transport.splitting import Signatures
-from .borders import cut, joined
-from .elements import areas, bends, luminances, shape_functions, six_places
+from .borders import cut
+from .elements import areas, bends, luminances, six_places
 from .refinement import Refinement
 
-# Share of the misplaced light that straight pieces may misplace besides, and the largest distance
-# of these from their image, in footprints.
-_STRAIGHT, _FARTHEST = 1.0, 0.5
-# Sides of an image are divided into at most so many.
-_MOST_PIECES = 16
+# Largest distance of a straight piece from its image, in footprints, and the mean over the largest.
+_FARTHEST, _OF_CHORD = 0.5, 2.0 / 3.0
+# Share of the light that may be misplaced that images may misplace; the rest is of their chords.
+OF_IMAGES = 0.6
 # Points of light that the square around each is as large as.
 _NEIGHBOURS = 8
 
@@ -66,8 +66,8 @@ class Points(NamedTuple):
         return cls(vectors, vectors, vectors, np.empty((0, 2)), np.empty(0, np.uint64))
 
 
-def laid(refinement: Refinement, n_rays: float) -> tuple[Laid, Points]:
-    """Triangles of all light of a chart, and points of that without smooth images.
+def laid(refinement: Refinement, n_rays: float) -> tuple[list[Laid], Points]:
+    """Triangles of all light of a chart, in parts, and points of that without smooth images.
 
     Borders are cut by at most so many rays.
     """
@@ -87,7 +87,7 @@ def laid(refinement: Refinement, n_rays: float) -> tuple[Laid, Points]:
         lost,
     )
     return (
-        joined(Laid, [_curved(refinement, np.flatnonzero(smooth)), borders]),
+        [_curved(refinement, np.flatnonzero(smooth)), borders],
         _of_images(refinement, whole & refinement.jumps),
     )
 
@@ -147,12 +147,9 @@ def _curved(refinement: Refinement, rows: NDArray[np.intp]) -> Laid:
         patches.sheet,
         refinement.scores[rows],
     )
-    n = _divisions(images, refinement.score, refinement.footprint)
-    parts = [
-        _divided(_Images(*(column[n == each] for column in images)), int(each))
-        for each in np.unique(n)
-    ]
-    return joined(Laid, parts or [_divided(images, 1)])
+    n, of_chords = _divisions(images, refinement.score, refinement.footprint)
+    images = images._replace(score=images.score + of_chords)
+    return _divided(images, n)
 
 
 class _Images(NamedTuple):
@@ -175,8 +172,12 @@ class _Images(NamedTuple):
     score: Floats
 
 
-def _divisions(images: _Images, misplaced: float, footprint: float) -> NDArray[np.intp]:
-    """Parts (n,) of the sides of images, whose chords misplace so much luminance, W.
+def _divisions(
+    images: _Images, misplaced: float, footprint: float
+) -> tuple[NDArray[np.intp], Floats]:
+    """Parts (n,) of the sides of images, and luminance (n,) that their chords misplace, W.
+
+    Images misplace `misplaced`, and chords as much more as leaves these their share of all.
 
     Pieces are fewest, for Σ flux · distance given, at distances as (√bend / flux)^(2/3).
     """
@@ -184,39 +185,33 @@ def _divisions(images: _Images, misplaced: float, footprint: float) -> NDArray[n
     flux = np.maximum(luminances(images.light[:, 3:].mean(axis=1)), 1e-300)
     weight = np.cbrt(bend) * flux ** (-2.0 / 3.0)
     of_all = max(float(flux @ weight), 1e-300)
-    distance = footprint * np.minimum(weight * (_STRAIGHT * misplaced / of_all), _FARTHEST)
+    most = (1.0 / OF_IMAGES - 1.0) / _OF_CHORD * misplaced
+    distance = footprint * np.minimum(weight * (most / of_all), _FARTHEST)
     n = np.ceil(np.sqrt(bend / np.maximum(distance, 1e-300)))
-    return np.clip(n, 1, _MOST_PIECES).astype(np.intp)
+    n = np.clip(n, 1, MOST)
+    return n.astype(np.intp), flux * np.minimum(_OF_CHORD * bend / (n**2 * footprint), 1.0)
 
 
-def _divided(images: _Images, n: int) -> Laid:
+def _divided(images: _Images, n: NDArray[np.intp]) -> Laid:
     """Images, each in n² straight triangles."""
-    corners, centres = _grid(n)
-    flux = np.einsum("ts,psc->ptc", centres, images.light) / n**2
-    # The sum over the parts is the quadrature over the whole.
-    wanted = images.light[:, 3:].mean(axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        scale = np.where(wanted > 0.0, wanted / flux.sum(axis=1), 0.0)
-    return Laid(
-        np.einsum("tks,psc->ptkc", corners, images.position).reshape(-1, 3, 3),
+    ends = np.cumsum(n**2)
+    n_pieces = int(ends[-1]) if len(n) else 0
+    found = Laid(
+        np.empty((n_pieces, 3, 3)),
         np.repeat(images.normal, n**2, axis=0),
-        (flux * scale[:, np.newaxis]).reshape(-1, 3),
-        np.einsum("tks,psc->ptkc", corners, images.place).reshape(-1, 3, 2).astype(np.float32),
+        np.empty((n_pieces, 3)),
+        np.empty((n_pieces, 3, 2), np.float32),
         np.repeat(images.sheet, n**2),
         np.repeat(images.score / n**2, n**2),
     )
-
-
-def _grid(n: int) -> tuple[Floats, Floats]:
-    """Weights of the six nodes at the corners (n², 3, 6) and centres (n², 6) of n² parts."""
-    up = [(i, j) for i in range(n) for j in range(n - i)]
-    down = [(i, j) for i in range(n - 1) for j in range(n - 1 - i)]
-    triangles = [[(i, j), (i + 1, j), (i, j + 1)] for i, j in up]
-    triangles += [[(i + 1, j + 1), (i, j + 1), (i + 1, j)] for i, j in down]
-    at = np.array(triangles, dtype=np.float64) / n
-    at = np.concatenate([1.0 - at.sum(axis=2, keepdims=True), at], axis=2)
-    corners = shape_functions(at.reshape(-1, 3)).reshape(-1, 3, 6)
-    return corners, shape_functions(at.mean(axis=1))
+    pieces(
+        *(images.position, images.light, images.place, n, ends - n**2),
+        corners=found.position,
+        flux=found.flux,
+        places=found.place,
+        n_threads=1,
+    )
+    return found
 
 
 def _unit(vectors: Floats) -> Floats:

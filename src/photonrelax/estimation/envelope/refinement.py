@@ -15,6 +15,7 @@ from .elements import (
     fluxes,
     luminances,
     misfits,
+    nodes_of_neighbours,
     patches_of,
     six_places,
 )
@@ -49,6 +50,9 @@ class Refinement:
         Luminance that each of them misplaces, W.
     jumps : (p,) bool
         Images whose nodes do not follow one smooth map.
+    missed : (n,) float64
+        Luminance that leaves misplace of sheets that none of their nodes sees, but one of a
+        neighbour on a side of theirs, W.
     """
 
     def __init__(self, lattice: Lattice, footprint: float) -> None:
@@ -57,11 +61,12 @@ class Refinement:
         self.leaves = self._elements(corners, np.zeros(len(corners), np.int8))
         self.patches = patches_of(lattice, self.leaves.nodes)
         self.scores, self.jumps = self._scores(self.leaves, self.patches, None)
+        self.missed = np.zeros(len(self.leaves))
 
     @property
     def score(self) -> float:
         """Luminance that is misplaced, W."""
-        return float(self.scores.sum())
+        return float(self.scores.sum() + self.missed.sum())
 
     @property
     def luminance(self) -> float:
@@ -113,6 +118,7 @@ class Refinement:
         arrival = np.append(rows, -1)[patches.arrival]
         self.patches = Patches(patches.element, patches.sheet, arrival)
         self.scores, self.jumps = self.scores[kept], self.jumps[kept]
+        self.missed = self._missed()
 
     def divide(self, misplaced: float, n_rays: float) -> bool:
         """Divide leaves of the largest scores once; false if there are none.
@@ -120,7 +126,7 @@ class Refinement:
         Enough of them that the scores of the others sum to `misplaced`, no more than take `n_rays`
         new rays.
         """
-        score = np.bincount(self.patches.element, self.scores, minlength=len(self.leaves))
+        score = self.missed + np.bincount(self.patches.element, self.scores, len(self.leaves))
         score[self.leaves.level >= MAX_LEVEL] = 0.0
         order = np.argsort(-score, kind="stable")
         left = score.sum() - np.cumsum(score[order])
@@ -152,6 +158,24 @@ class Refinement:
         )
         self.scores = np.concatenate([self.scores[~of_parents], scores])
         self.jumps = np.concatenate([self.jumps[~of_parents], jumps])
+        self.missed = self._missed()
+
+    def _missed(self) -> Floats:
+        """Luminance (n,) of sheets that leaves miss, as much as if their images were torn, W."""
+        lattice, n = self.lattice, len(self.leaves)
+        leaf, node = nodes_of_neighbours(lattice, self.leaves.corners)
+        count = lattice.count[node]
+        leaf, ends = np.repeat(leaf, count), np.cumsum(count)
+        arrival = np.repeat(lattice.first[node] - (ends - count), count)
+        arrival += np.arange(len(arrival))
+        sheets = lattice.followed.sheets
+        seen = np.searchsorted(sheets, lattice.arrivals.sheet[arrival])
+        key = leaf * len(sheets) + seen
+        key, first = np.unique(key, return_index=True)
+        is_missed = ~np.isin(key, self.patches.element * len(sheets) + self._numbers)
+        leaf, arrival = leaf[first[is_missed]], arrival[first[is_missed]]
+        light = luminances(lattice.light[arrival]) * areas(lattice, self.leaves.corners[leaf])
+        return np.bincount(leaf, _OF_TORN * light, n).astype(np.float64)
 
     def _elements(self, corners: NDArray[np.int64], level: NDArray[np.int8]) -> Elements:
         places = six_places(corners).reshape(-1, 2)

@@ -22,8 +22,9 @@ from .charts import Chart
 _MOST_EXPLORED, _LEAST_EXPLORED, _SHARE = 4096, 64, 0.125
 _R2 = (0.7548776662466927, 0.5698402909980532)
 # Share of all light that is in sheets left to photons, unless these are rough, and share of the
-# light of each that makes a sheet worth its elements.
-_LEFT, _LEAST = 0.0005, 0.002
+# light of each that makes a sheet worth its elements: over the light that may be misplaced, and the
+# largest such share.
+_LEFT, _LEAST, _MOST_MISPLACED = 0.05, 0.2, 0.01
 # Standard errors, and share besides, by which the light of images may fall short of that explored.
 _SHORT, _SHORT_SHARE = 1.0, 0.05
 
@@ -113,11 +114,12 @@ class FollowedSheets:
 
 
 def followed_sheets(
-    charts: list[Chart], tracer: SplittingTracer, n_rays: int
+    charts: list[Chart], tracer: SplittingTracer, n_rays: int, misplaced: float
 ) -> dict[int, FollowedSheets]:
     """Of each emitter the sheets of most light, all but a small share of the light of all.
 
-    `n_rays` are all that may be traced.
+    `n_rays` are all that may be traced, `misplaced` is the share of the light that may lie
+    elsewhere.
     """
     n = int(np.clip(_SHARE * n_rays, _LEAST_EXPLORED, _MOST_EXPLORED)) // max(len(charts), 1)
     found: dict[int, Explored] = {}
@@ -125,11 +127,12 @@ def followed_sheets(
         mine = [each for each in charts if each.emitter_id == emitter_id]
         found[emitter_id] = _explored(mine, tracer, max(n, _LEAST_EXPLORED))
     luminance = np.concatenate([each.luminance for each in found.values()] or [np.empty(0)])
+    share = min(misplaced, _MOST_MISPLACED) * luminance.sum()
     order = np.argsort(-luminance, kind="stable")
     rest = luminance.sum() - np.cumsum(luminance[order])
     is_followed = np.zeros(len(order), dtype=bool)
-    is_followed[order[: int(np.count_nonzero(rest > _LEFT * luminance.sum())) + 1]] = True
-    is_followed &= luminance >= _LEAST * luminance.sum()
+    is_followed[order[: int(np.count_nonzero(rest > _LEFT * share)) + 1]] = True
+    is_followed &= luminance >= _LEAST * share
     ends = np.cumsum([len(each.sheet) for each in found.values()])
     parts = np.split(is_followed, ends[:-1]) if found else []
     return {

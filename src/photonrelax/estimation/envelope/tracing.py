@@ -22,7 +22,7 @@ from .charts import Chart, charts_of
 from .elements import first_corners, luminances, six_places
 from .envelope import NOISE, Envelope, EnvelopeLedger, EnvelopeSettings
 from .lattice import Lattice
-from .laying import Laid, Points, laid, squares
+from .laying import OF_IMAGES, Laid, Points, laid, squares
 from .refinement import Refinement
 from .rest import Rest, photons_wanted, rest_photons
 from .sheets import FollowedSheets, followed_sheets
@@ -102,7 +102,7 @@ def laid_envelope(
         if isinstance(emitter, CollimatedEmitter) and emitter.is_extended:
             charts += sun_charts(scene, emitter_id, tracer, settings)
     n_rays = settings.n_rays or _MOST_RAYS
-    followed = followed_sheets(charts, tracer, n_rays)
+    followed = followed_sheets(charts, tracer, n_rays, settings.expected)
     lattices = _lattices(charts, tracer, followed, n_rays)
     if len(followed) == len(scene.emitters) and not lattices:
         raise ValueError(
@@ -197,8 +197,8 @@ def _divided(refinements: list[Refinement], settings: EnvelopeSettings) -> bool:
 
 
 def _allowed(refinements: list[Refinement], settings: EnvelopeSettings) -> float:
-    """Luminance that may be misplaced, W."""
-    return settings.misplaced * sum(each.luminance for each in refinements)
+    """Luminance that images may misplace, W."""
+    return OF_IMAGES * settings.misplaced * sum(each.luminance for each in refinements)
 
 
 def _rays_left(refinements: list[Refinement], settings: EnvelopeSettings) -> int:
@@ -255,7 +255,7 @@ def _photons_wanted(
     followed: dict[int, FollowedSheets], refinements: list[Refinement], settings: EnvelopeSettings
 ) -> dict[int, float]:
     """Photons to emit for the sheets of each emitter that are not followed."""
-    misplaced = sum(each.score for each in refinements)
+    misplaced = sum(each.score for each in refinements) / OF_IMAGES
     luminance = sum(each.luminance for each in refinements)
     reached = misplaced / luminance if luminance else 0.0
     total = sum(each.luminance for each in followed.values())
@@ -272,12 +272,13 @@ def _images(
     left = _rays_left(refinements, settings) + sum(each.n_rays_of_borders for each in refinements)
     footprint = settings.footprint or 1.0
     found = [laid(each, left / len(refinements)) for each in refinements]
-    parts = [images for images, _ in found]
-    parts += [squares(points, footprint) for _, points in found]
-    chart = np.tile(np.arange(len(found), dtype=np.int32), 2)
+    parts = [(chart, images) for chart, (of_chart, _) in enumerate(found) for images in of_chart]
+    parts += [(chart, squares(points, footprint)) for chart, (_, points) in enumerate(found)]
+    parts = parts or [(0, squares(Points.none(), footprint))]
+    charts, images = zip(*parts, strict=True)
     return (
-        joined(Laid, parts or [squares(Points.none(), footprint)]),
-        np.repeat(chart, [len(each.flux) for each in parts]),
+        joined(Laid, images),
+        np.repeat(np.array(charts, dtype=np.int32), [len(each.flux) for each in images]),
         np.sum([points.flux.sum(axis=0) for _, points in found] or [np.zeros(3)], axis=0),
     )
 
