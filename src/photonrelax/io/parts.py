@@ -31,6 +31,8 @@ class Part:
         Of the file.
     radiance : (3,)
         Emitted, W/(m² sr).
+    uv : (v, 2), optional
+        Texture coordinates of the file.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Part:
     normals: Floats | None
     material: Material | None
     radiance: Floats
+    uv: Floats | None = None
 
     def mesh(self, linear: Floats) -> trimesh.Trimesh:
         """The mesh, turned and scaled by a matrix (3, 3)."""
