@@ -76,12 +76,12 @@ def _patch(scene: pr.Scene, patch: tuple[Any, ...]) -> Patch:
     return Patch(number, low - thickness, high + thickness, float(sides.prod()), normal)
 
 
-def found(name: str, n: int, cells: int, seed: int) -> Floats:
+def found(name: str, n: int, n_global: int, cells: int, seed: int) -> Floats:
     """Irradiance by patch, component and channel, W/m², as a render finds it."""
     scene = gallery.scene(name)
     caster = RayCaster(scene.objects)
     caustic = pr.irradiance_field(pr.trace_photons(scene, n, seed=seed), scene=scene)
-    everything = pr.trace_photons(scene, n, seed=seed, paths="global")
+    everything = pr.trace_photons(scene, n_global, seed=seed, paths="global")
     indirect = IndirectField(everything, scene=scene)
     out = []
     for _, axis, side, low, high in SCENES[name][1].values():
@@ -108,20 +108,33 @@ def _grid(axis: int, low: Floats, high: Floats, cells: int) -> tuple[Floats, Flo
 def rows(name: str, options: argparse.Namespace) -> Iterator[list[str]]:
     """Rows of the table of a scene: a patch each."""
     counted = tracer(name).irradiance(options.particles, options.batches, options.seed)
+    numbers = options.photons, options.n_global or options.photons, options.cells
+    seeds = range(options.seed, options.seed + options.renders)
+    estimated = np.array([found(name, *numbers, seed) for seed in seeds])
     mean = counted.mean(axis=0)
-    doubt = counted.sum(axis=2).std(axis=0, ddof=1) / np.sqrt(len(counted))
-    estimated = found(name, options.photons, options.cells, options.seed)
+    doubts = [_doubt(each.sum(axis=2)) for each in (counted, estimated)]
     for number, patch in enumerate(SCENES[name][1]):
         total = mean[number].sum(axis=0)
-        error = estimated[number].sum(axis=0) / total - 1.0
+        error = estimated.mean(axis=0)[number].sum(axis=0) / total - 1.0
         yield [
             name,
             patch,
             *(f"{mean[number, i, 1] / total[1]:.0%}" for i in range(len(COMPONENTS))),
             " ".join(f"{value:.4g}" for value in total),
-            " ".join(f"{100.0 * value:.2f}" for value in doubt[number] / total),
-            " ".join(f"{100.0 * value:+.2f}" for value in error),
+            *(_percent(doubt[number] / total, ".2f") for doubt in doubts),
+            _percent(error, "+.2f"),
         ]
+
+
+def _doubt(values: Floats) -> Floats:
+    """Standard error of the mean over the first axis; NaN of a single one."""
+    if len(values) < 2:
+        return np.full(values.shape[1:], np.nan)
+    return values.std(axis=0, ddof=1) / np.sqrt(len(values))
+
+
+def _percent(values: Floats, form: str) -> str:
+    return " ".join(f"{100.0 * value:{form}}" for value in values)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -130,12 +143,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--particles", type=lambda t: int(float(t)), default=1_000_000)
     parser.add_argument("--batches", type=int, default=8)
     parser.add_argument("--photons", type=lambda t: int(float(t)), default=2_000_000)
+    parser.add_argument("--global", dest="n_global", type=lambda t: int(float(t)))
+    parser.add_argument("--renders", type=int, default=4)
     parser.add_argument("--cells", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
 
 
 def run(options: argparse.Namespace) -> None:
     """Print a table of each scene."""
-    titles = ["scene", "patch", *COMPONENTS, "irradiance, W/m²", "doubt, %", "render less it, %"]
+    titles = ["scene", "patch", *COMPONENTS, "irradiance, W/m²"]
+    titles += ["doubt, %", "of renders, %", "renders less it, %"]
     for name in options.scenes.split(","):
         print(f"{markdown_table(titles, rows(name, options))}\n", flush=True)

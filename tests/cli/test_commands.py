@@ -75,6 +75,8 @@ def test_list_names_every_scene(capsys):
         (["render", "ring", "-o", "a.exr", "--exposure", "nan"], "between -100 and 100"),
         (["render", "ring", "-o", "a.exr", "--photon-map", "p", "--photons", "9"], "leave out"),
         (["render", "ring", "-o", "a.exr", "--photon-map", "p", "--seed", "0"], "leave out"),
+        (["render", "ring", "-o", "a.exr", "--arg", "size=2"], "--arg should be of radius, thick"),
+        (["render", "ring", "-o", "a.exr", "--arg", "radius=()"], "values that ring takes"),
         ([*PASSES[:-2], "--passes", "3"], "need --method progressive"),
         ([*PASSES[:-2], "--minutes", "3"], "need --method progressive"),
         ([*PASSES, "--state", "s.npz"], "need --passes or --minutes"),
@@ -90,6 +92,12 @@ def test_wrong_usage_exits_2_and_says_why(arguments, complaint, capsys):
         run(*arguments)
     assert caught.value.code == 2
     assert complaint in capsys.readouterr().err
+
+
+def test_built_in_scenes_take_arguments(capsys):
+    arguments = ["sections=16", "surroundings=0.1,0.2,0.3"]
+    assert run("plan", "ring", *(word for each in arguments for word in ("--arg", each))) == 0
+    assert "emitters that a camera may see: 1" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -54,8 +54,10 @@ def test_info_prints_the_ledger_of_each_emitter():
         normal=np.zeros((0, 3)),
         flux=np.zeros((0, 3)),
         ledger=pr.EnergyLedger(**flux, ends=ends),
+        scene_digest="0f",
     )
     lines = describe_photons(photons).splitlines()
+    assert "scene: 0f, the digest of its objects and emitters" in lines
     assert "emitter 0: emitted (10, 10, 10) W" in lines
     assert "  stored: (4, 4, 4) W, paths 10" in lines
     assert "  escaped: (2, 2, 2) W, paths 30" in lines

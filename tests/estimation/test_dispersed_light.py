@@ -87,6 +87,16 @@ def test_passes_have_photons_of_all_parts(dispersed):
     assert counts.max() - counts.min() < 0.02 * counts.min()
 
 
+def test_wavelengths_of_a_path_are_in_one_pass(dispersed):
+    """Discs of passes differ in size, and light would be coloured."""
+    number = assign_passes(dispersed, 4)
+    _, path = np.unique(dispersed.emitter_coords, axis=0, return_inverse=True)
+    first = np.full(path.max() + 1, -1)
+    first[path] = number
+    np.testing.assert_array_equal(first[path], number)
+    assert noise_of_colour(irradiance(dispersed, "progressive")) < 0.012
+
+
 def test_colour_is_even_and_luminance_as_without_dispersion(dispersed, plain):
     """In cells that hold little more than the photons of a path."""
     coloured, white = (irradiance(photons, "mapped") for photons in (dispersed, plain))

@@ -1,5 +1,6 @@
 """Indirect light against radiosity, against closed forms of furnaces, and at its extremes."""
 
+import pickle
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 import photonrelax as pr
 from photonrelax.estimation.indirect import IndirectField, default_settings
 from tests.analytic.radiosity import Cube
-from tests.helpers.tracing_scenes import ball, box, coloured_walls
+from tests.helpers.tracing_scenes import ball, box, coloured_walls, cube_wall
 
 ALBEDOS = np.array([[0.8, 0.2, 0.2], [0.2, 0.8, 0.2], *4 * [[0.7, 0.7, 0.7]]])
 LAMP, POWER = (0.2, -0.1, 0.5), (10.0, 10.0, 10.0)
@@ -128,3 +129,36 @@ def test_it_does_not_depend_on_threads():
 )
 def test_k_follows_from_the_number_of_photons(n, k):
     assert default_settings(n).k == k
+
+
+def half_submerged(rng, n=200):
+    """A wall half in water, bright there and dim above, with n² photons, one in each cell."""
+    water = pr.SceneObject(box([6, 6, 3], [0, 0, -1.5]), pr.Dielectric(1.33))
+    wall = pr.SceneObject(cube_wall(0, -1), pr.Diffuse(0.5))
+    scene = pr.Scene([wall, water], [pr.PointEmitter([0, 0, 0.5])])
+    cells = np.stack(np.meshgrid(np.arange(n), np.arange(n)), axis=-1).reshape(-1, 2)
+    yz = 2.0 * (cells + rng.random((n * n, 2))) / n - 1.0
+    position, normal = np.insert(yz, 0, -1.0, axis=1), np.tile([1.0, 0.0, 0.0], (n * n, 1))
+    flux = np.where(yz[:, 1:] < 0.0, [[20.0, 10.0, 5.0]], 1.0) * 4.0 / n**2
+    return scene, pr.PhotonMap(position, normal, flux)
+
+
+def test_light_below_a_waterline_stays_below():
+    rng = np.random.default_rng(5)
+    scene, photons = half_submerged(rng)
+    field = IndirectField(photons, scene=scene)
+    y, height = rng.uniform(-0.9, 0.9, 500), rng.uniform(0.001, 0.05, 500)
+    normals = np.tile([1.0, 0.0, 0.0], (500, 1))
+    for side, expected in ((1.0, [1.0, 1.0, 1.0]), (-1.0, [20.0, 10.0, 5.0])):
+        points = np.column_stack([-np.ones(500), y, side * height])
+        for footprint in (None, np.full(500, 0.002)):
+            found = field(points, normals, footprint=footprint)
+            np.testing.assert_allclose(found.mean(axis=0), expected, rtol=0.01)
+
+
+def test_fields_of_parts_are_pickled():
+    scene, photons = half_submerged(np.random.default_rng(5), 60)
+    field = IndirectField(photons, scene=scene)
+    copy = pickle.loads(pickle.dumps(field))
+    at = photons.position[:100], photons.normal[:100]
+    np.testing.assert_array_equal(copy(*at), field(*at))

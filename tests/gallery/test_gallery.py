@@ -69,6 +69,13 @@ def test_every_size_is_an_argument_with_a_default(scene):
     assert all(p.kind is p.KEYWORD_ONLY and p.default is not p.empty for p in parameters)
 
 
+@pytest.mark.parametrize("name", ["ring", "sphere", "ripples"])
+def test_measured_scenes_have_surroundings_if_asked_for(name):
+    assert len(gallery.scene(name, pixels=4).emitters) == 1
+    _, around = gallery.scene(name, pixels=4, surroundings=(0.1, 0.2, 0.3)).emitters
+    np.testing.assert_array_equal(around.radiance, [0.1, 0.2, 0.3])
+
+
 def test_pixels_set_the_size_of_the_image():
     for name in gallery.names():
         camera = gallery.scene(name, pixels=37, **COARSE[name]).camera

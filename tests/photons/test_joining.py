@@ -77,7 +77,7 @@ def test_parts_that_do_not_fit_are_refused_in_words():
     with pytest.raises(ValueError, match="some are missing"):
         concatenate([one, two.replace(wi=None)])
     with pytest.raises(
-        ValueError, match="their ledgers, sensors, extended emitters or wavelengths differ"
+        ValueError, match="their ledgers, sensors, extended emitters, wavelengths or digests"
     ):
         concatenate([one, two.replace(ledger=None)])
     with pytest.raises(TypeError, match="at least one, but are none"):

@@ -284,7 +284,10 @@ def test_an_empty_list_chooses_nothing():
 def test_how_a_map_was_traced_is_saved_with_it(tmp_path):
     photons = PhotonMap(
         np.zeros((1, 3)), [[0, 0, 1]], np.ones(1), seed=2**64 - 1, sampler="halton", paths="all"
-    )
+    ).replace(scene_digest="0f")
     photons.save(tmp_path / "map.npz")
     loaded = PhotonMap.load(tmp_path / "map.npz")
     assert (loaded.seed, loaded.sampler, loaded.paths) == (2**64 - 1, "halton", "all")
+    assert loaded.scene_digest == "0f"
+    PhotonMap(np.zeros((1, 3)), [[0, 0, 1]], np.ones(1)).save(tmp_path / "older.npz")
+    assert PhotonMap.load(tmp_path / "older.npz").scene_digest is None

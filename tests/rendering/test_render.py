@@ -226,9 +226,27 @@ def test_photons_whose_ledger_is_of_another_scene_are_refused(other, message):
     assert unchecked.layers["radiance"].shape[2] == 3
 
 
+def test_photons_of_a_scene_of_another_digest_are_refused_though_their_flux_is_right():
+    scene = under_glass(SUN)
+    photons = pr.trace_photons(scene, 1000)
+    denser = replace(scene.objects[1], material=pr.Dielectric(1.7))
+    other = replace(scene, objects=[scene.objects[0], denser])
+    with pytest.raises(ValueError, match="the same flux, but differs in objects or emitters"):
+        pr.render(other, photons=photons)
+
+
+def test_photons_of_the_scene_with_another_camera_and_name_are_taken():
+    scene = under_glass(SUN)
+    photons = pr.trace_photons(scene, 1000)
+    nearer = pr.Camera((0, -1, 2), (0, 0, 0), up=(0, 1, 0), width=4, height=4)
+    image = pr.render(replace(scene, camera=nearer, name="near"), photons=photons)
+    assert image.layers["caustic"].any()
+
+
 @pytest.mark.parametrize("paths", ["caustic", "all"])
-def test_photons_of_the_scene_with_another_camera_albedo_or_mesh_as_good_are_taken(paths):
+def test_without_a_digest_those_with_another_albedo_or_mesh_as_good_are_taken(paths):
     photons = pr.trace_photons(gallery.scene("sphere", subdivisions=4), 3000, paths=paths)
+    photons = photons.replace(scene_digest=None)
     scene = small("sphere", subdivisions=3)
     floor = replace(scene.objects[0], material=pr.Diffuse(0.1))
     scene = replace(scene, objects=[floor, *scene.objects[1:]])

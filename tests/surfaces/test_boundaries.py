@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 import photonrelax as pr
 from photonrelax import gallery
 from photonrelax.gallery.meshes import grid_faces, make_mesh
-from photonrelax.surfaces.boundaries import SurfaceBoundary
+from photonrelax.surfaces.boundaries import Part, SurfaceBoundary
 from tests.helpers.stl import from_stl
 from tests.helpers.tracing_scenes import ball, box, sheet
 
@@ -340,3 +340,40 @@ def test_floors_of_the_gallery_end_at_their_outline(name):
     side = np.ptp(floor.mesh.vertices[:, 0])
     outer = area(of_side(found, UP, floor.mesh.vertices[0, 2]), UP)
     assert outer == pytest.approx(side**2, rel=0.05)
+
+
+# Parts in dielectrics
+
+
+def parts(*objects, dielectric):
+    """Boundaries of what is in a dielectric, and of the rest."""
+    one, none = frozenset([dielectric]), frozenset()
+    return (SurfaceBoundary.of(objects, part=part) for part in (Part(one, none), Part(none, one)))
+
+
+def test_a_dielectric_divides_a_floor_that_it_cuts():
+    cut = pr.SceneObject(ball(1.0, [0.1, 0.05, 0.3]), pr.Dielectric())
+    inside, outside = parts(pr.SceneObject(sheet(2.0), pr.Diffuse()), cut, dielectric=1)
+    section = section_area(cut.mesh)
+    for normal in (UP, DOWN):
+        assert area(of_side(inside, normal, 0.0), normal) == pytest.approx(section)
+        assert area(of_side(outside, normal, 0.0), normal) == pytest.approx(16.0 - section)
+
+
+def test_a_dielectric_divides_edges_of_other_objects():
+    """Water over half of a sheet, on which a cube stands in the waterline."""
+    water = pr.SceneObject(box([8, 8, 4], [4.2, 0, 0]), pr.Dielectric())
+    opaque = [
+        pr.SceneObject(mesh, pr.Diffuse()) for mesh in (sheet(2.0), box([1, 1, 1], [0, 0, 0.5]))
+    ]
+    inside, outside = parts(water, *opaque, dielectric=0)
+    assert area(of_side(inside, UP, 0.0), UP) == pytest.approx(1.8 * 4.0 - 0.3)
+    assert area(of_side(outside, UP, 0.0), UP) == pytest.approx(2.2 * 4.0 - 0.7)
+    assert area(of_side(inside, UP, 1.0), UP) == pytest.approx(0.3)
+    assert area(of_side(outside, UP, 1.0), UP) == pytest.approx(0.7)
+
+
+def test_what_is_wholly_in_a_dielectric_keeps_its_edges():
+    water = pr.SceneObject(box([8, 8, 8]), pr.Dielectric())
+    inside, _ = parts(water, pr.SceneObject(sheet(1.0), pr.Diffuse()), dielectric=0)
+    assert area(of_side(inside, UP), UP) == pytest.approx(4.0)

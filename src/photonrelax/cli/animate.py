@@ -11,7 +11,7 @@ from .. import gallery
 from .._util.files import check_distinct, output_path, whole_file
 from .interrupts import Interrupts
 from .progress_bar import ProgressBars
-from .scenes import is_file, scene_of
+from .scenes import built_in, is_file, scene_of
 from .streams import write_lines
 from .workers import executor_of
 
@@ -96,7 +96,7 @@ def _scene_at(options: argparse.Namespace) -> SceneAt:
         raise ValueError(f"{options.scene} does not move: it has no argument time, as {moving} has")
 
     def scene_at(time: float) -> Scene:
-        return resized(gallery.scene(options.scene, time=time), options.width, options.height)
+        return resized(built_in(options.scene, options, time=time), options.width, options.height)
 
     return scene_at
 

@@ -133,6 +133,8 @@ def describe_photons(photons: PhotonMap) -> str:
     if photons.emitted_ranges is not None:
         ranges = ", ".join(f"{a:,} to {b:,}" for a, b in photons.emitted_ranges.tolist())
         lines.append(f"part of an emission: photons {ranges}")
+    if photons.scene_digest is not None:
+        lines.append(f"scene: {photons.scene_digest}, the digest of its objects and emitters")
     lines += _describe_sensors(photons)
     if len(photons):
         low, high = photons.position.min(axis=0), photons.position.max(axis=0)

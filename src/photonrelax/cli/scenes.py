@@ -33,13 +33,13 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of scenes from files."""
     from ..io.options import LIGHT_UNITS
 
-    group = parser.add_argument_group("scenes from files")
+    group = parser.add_argument_group("scenes")
     group.add_argument(
         "--arg",
         action="append",
         type=_argument,
         metavar="NAME=VALUE",
-        help="an argument of the function scene() of a script; repeatable",
+        help="an argument of a built-in scene, or of the function scene() of a script; repeatable",
     )
     group.add_argument("--camera", metavar="NAME", help="camera, of several in a file (the first)")
     group.add_argument(
@@ -86,10 +86,9 @@ def scene_of(name: str, options: argparse.Namespace, **others: float) -> pr.Scen
     """
     arguments = dict(options.arg or ()) | others
     if not is_file(name):
-        for option in ("arg", "camera"):
-            if getattr(options, option):
-                options.wrong_usage(f"--{option} is of scenes from files: leave it out")
-        return gallery.scene(name)
+        if options.camera:
+            options.wrong_usage("--camera is of scenes from files: leave it out")
+        return built_in(name, options)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         scene = pr.load_scene(
@@ -104,6 +103,21 @@ def scene_of(name: str, options: argparse.Namespace, **others: float) -> pr.Scen
         if lines:
             write_lines(*lines, to_stderr=True)
     return scene
+
+
+def built_in(name: str, options: argparse.Namespace, **others: float) -> pr.Scene:
+    """Built-in scene with the arguments that the user gives, and others."""
+    given = dict(options.arg or ())
+    unknown = sorted(given.keys() - set(gallery.arguments(name)))
+    if unknown:
+        options.wrong_usage(
+            f"--arg should be of {', '.join(gallery.arguments(name))}, the arguments of {name}, "
+            f"but is of {', '.join(unknown)}"
+        )
+    try:
+        return gallery.scene(name, **given | others)
+    except TypeError as error:
+        return options.wrong_usage(f"--arg should have values that {name} takes: {error}")
 
 
 def findings_of(name: str, options: argparse.Namespace) -> tuple[list[Finding], pr.Scene | None]:

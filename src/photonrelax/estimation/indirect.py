@@ -6,6 +6,9 @@ are made at a share of these alone (Christensen 1999), which lies where the ligh
 irradiance is the mean of the few nearest, weighted by the kernel of `GatherSettings` and by the
 area that each stands for, the inverse of the density of photons: there are more of them where
 there is more light.
+
+Light in water is another than above it, however near to the waterline: photons on surfaces in
+dielectrics and on those outside have estimates of their own.
 """
 
 from __future__ import annotations
@@ -19,6 +22,9 @@ from .._util.parallel import thread_count
 from .._util.validation import Floats
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
+from .field import Densities, check_points
+from .footprint import check_footprint
+from .immersion import Immersion
 from .nearest import GatherSettings, IrradianceField
 from .surface import Surface, lit_objects
 
@@ -42,15 +48,17 @@ class IndirectField:
         Of the estimates at photons. By default k is 800, or 1600 of three million photons and
         more, but a fiftieth of the photons at most.
     scene : Scene, optional
-        Estimates beside edges of its surfaces are right; without it all surface is taken to go on
-        for ever.
+        Estimates beside edges of its surfaces are right, and those on both sides of a line where a
+        dielectric ends at a surface take photons of their own side; without it all surface is taken
+        to go on for ever.
     n_threads : int, optional
         Threads; all available by default. Results do not depend on it.
 
     Attributes
     ----------
     settings : GatherSettings
-        Those of the estimates, with the gather radius in use.
+        Those of the estimates, with the largest gather radius in use; a part of the surfaces that
+        is in dielectrics of its own has fewer photons, and a k by their number.
     has_footprints : bool
         There are means over footprints.
     """
@@ -65,22 +73,22 @@ class IndirectField:
         scene: Scene | None = None,
         n_threads: int | None = None,
     ) -> None:
-        if len(photons) and not np.ptp(photons.position, axis=0).any():
-            # From one point no radius follows, and such light is next to none.
-            photons = photons.subset([])
-        settings = settings or default_settings(round(len(photons) / photons.photons_per_path))
-        field = IrradianceField(photons, settings, n_threads=n_threads)
-        if scene is not None:
-            lit = lit_objects(scene, photons)
-            field.surface = Surface(scene, thread_count(n_threads), lit)
-        some = photons.subset(np.arange(0, len(photons), max(settings.k // _ESTIMATES, 1)))
-        at = some.position, some.normal
-        values = np.column_stack([field(*at), np.ones(len(some))])
-        area = 1.0 / field.densities(np.ones((len(photons), 1)))(*at)
-        nearest = GatherSettings(k=_NEAREST, gather_radius=field.settings.gather_radius)
-        means = IrradianceField(some.replace(well_spaced=False), nearest, n_threads=n_threads)
-        self.settings = replace(settings, gather_radius=field.settings.gather_radius)
-        self._densities = means.densities(area * values)
+        at = photons.position, photons.normal
+        surfaces = () if scene is None else scene.surfaces
+        self._immersion = Immersion.of(surfaces, *at, n_threads)
+        label = self._immersion.labels(*at)
+        self._means: dict[int, Densities] = {}
+        radii = []
+        for one in np.unique(label).tolist() or [0]:
+            some = photons.subset(np.flatnonzero(label == one)) if label.any() else photons
+            surface = None
+            if scene is not None:
+                lit, part = lit_objects(scene, some), self._immersion.part(one)
+                surface = Surface(scene, thread_count(n_threads), lit, part)
+            self._means[one], radius = _means(some, settings, surface, n_threads)
+            radii += [] if radius is None else [radius]
+        settings = settings or default_settings(_n_paths(photons))
+        self.settings = replace(settings, gather_radius=max(radii, default=None))
 
     @property
     def reach(self) -> float:
@@ -95,10 +103,44 @@ class IndirectField:
 
         Arguments and errors are those of `Field`. Zero where no photon is within the gather radius.
         """
-        densities = self._densities(points, normals, footprint=footprint)
+        points, normals = check_points(points, normals)
+        edges = check_footprint(footprint, len(points))
+        label = self._immersion.labels(points, normals)
+        densities = np.zeros((len(points), 4))
+        for one, means in self._means.items():
+            rows = np.flatnonzero(label == one)
+            of_rows = None if edges is None else edges[rows]
+            densities[rows] = means(points[rows], normals[rows], footprint=of_rows)
         total = densities[:, 3:]
         irradiance = np.zeros((len(densities), 3))
         return np.divide(densities[:, :3], total, out=irradiance, where=total > 0.0)
+
+
+def _means(
+    photons: PhotonMap,
+    settings: GatherSettings | None,
+    surface: Surface | None,
+    n_threads: int | None,
+) -> tuple[Densities, float | None]:
+    """Means of the estimates at a share of the photons, and the gather radius of these, m."""
+    if len(photons) and not np.ptp(photons.position, axis=0).any():
+        # From one point no radius follows, and such light is next to none.
+        photons = photons.subset([])
+    settings = settings or default_settings(_n_paths(photons))
+    field = IrradianceField(photons, settings, n_threads=n_threads)
+    field.surface = surface
+    some = photons.subset(np.arange(0, len(photons), max(settings.k // _ESTIMATES, 1)))
+    at = some.position, some.normal
+    values = np.column_stack([field(*at), np.ones(len(some))])
+    area = 1.0 / field.densities(np.ones((len(photons), 1)))(*at)
+    radius = field.settings.gather_radius
+    nearest = GatherSettings(k=_NEAREST, gather_radius=radius)
+    means = IrradianceField(some.replace(well_spaced=False), nearest, n_threads=n_threads)
+    return means.densities(area * values), radius
+
+
+def _n_paths(photons: PhotonMap) -> int:
+    return round(len(photons) / photons.photons_per_path)
 
 
 def default_settings(n_photons: int) -> GatherSettings:

@@ -29,11 +29,17 @@ def assign_passes(photons: PhotonMap, n_passes: int, k: int = 1) -> Rows:
     Photons are assigned to the passes in turn, in the order of their distance from their centroid.
     But for ties, that depends neither on the order of the map nor on position, rotation and scale.
     Every so many-th photon of the map itself would be the worst of choices: those of a Halton
-    sequence lie in one strip of the emitter. Photons at the same point are in the same pass. Each
-    part of the spectrum is assigned by itself, so that passes have all colours. There are at most
-    as many passes as leave k points to each.
+    sequence lie in one strip of the emitter. Photons at the same point are in the same pass, and so
+    are those of all wavelengths of a path, or else each part of the spectrum is assigned by itself:
+    passes have all colours. There are at most as many passes as leave k points to each.
     """
     position = photons.position
+    path = _first_of_paths(photons)
+    if path is not None:
+        rows = np.unique(path)
+        order = rows[_by_distance(position[rows])[0]]
+        n_passes = min(n_passes, max(len(photons) // k, 1))
+        return _in_turn(order, len(photons), n_passes)[path]
     order, any_tied = _by_distance(position)
     first = first_equal_rows([position]) if any_tied else None
     if first is not None:
@@ -43,9 +49,29 @@ def assign_passes(photons: PhotonMap, n_passes: int, k: int = 1) -> Rows:
     if parts is not None:
         order = order[np.argsort(parts[order], kind="stable")]
     n_passes = min(n_passes, max(len(order) // k, 1))
-    number: Rows = np.empty(len(photons), dtype=np.intp)
-    number[order] = np.arange(len(order)) % n_passes
+    number = _in_turn(order, len(photons), n_passes)
     return number if first is None else number[first]
+
+
+def _in_turn(order: Rows, n: int, n_passes: int) -> Rows:
+    """Passes of n photons, which those in an order are assigned to in turn."""
+    number: Rows = np.empty(n, dtype=np.intp)
+    number[order] = np.arange(len(order)) % n_passes
+    return number
+
+
+def _first_of_paths(photons: PhotonMap) -> Rows | None:
+    """First photon (n,) of the path of each, which is dispersed; None if that is not known.
+
+    Discs of different passes have different radii, in which the wavelengths of a path, which are
+    white together, count alike. Rays of extended emitters do not differ in emitter coordinates.
+    """
+    if photons.wavelength is None or photons.emitter_coords is None or photons.is_of_extended.any():
+        return None
+    columns = [photons.emitter_coords]
+    if photons.emitter_id is not None:
+        columns.append(photons.emitter_id.astype(np.float64))
+    return first_equal_rows(columns)
 
 
 def _by_distance(position: Floats) -> tuple[Rows, bool]:

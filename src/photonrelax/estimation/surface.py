@@ -22,11 +22,12 @@ from .._util.validation import Floats
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
 from ..spatial.box_tree import BoxTree
-from ..surfaces.boundaries import SurfaceBoundary
+from ..surfaces.boundaries import WHOLE, Part, SurfaceBoundary
 from ..surfaces.surface_proximity import SurfaceProximity
 
+_Edged = tuple[frozenset[int], Part]
 # Edges of scenes in use by the ids of the objects, which do not change: fields share them.
-_EDGES: WeakKeyDictionary[Scene, dict[frozenset[int], Any]] = WeakKeyDictionary()
+_EDGES: WeakKeyDictionary[Scene, dict[_Edged, Any]] = WeakKeyDictionary()
 
 
 class Surface:
@@ -38,6 +39,8 @@ class Surface:
     n_threads : int
     among : iterable of int, optional
         Ids of the objects whose edges count, by default all but sensors; see `lit_objects`.
+    part : Part, optional
+        Of the surfaces, bounded by dielectrics; by default they are whole.
 
     Attributes
     ----------
@@ -45,8 +48,15 @@ class Surface:
         Free edges, creases and contact lines as kernels read them; None if there are none.
     """
 
-    def __init__(self, scene: Scene, n_threads: int, among: Iterable[int] | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        n_threads: int,
+        among: Iterable[int] | None = None,
+        part: Part = WHOLE,
+    ) -> None:
         self._scene = scene
+        self._part = part
         self._n_threads = n_threads
         self._among = frozenset(_no_sensors(scene) if among is None else among)
 
@@ -55,9 +65,10 @@ class Surface:
     @property
     def edges(self) -> Any:
         known = _EDGES.setdefault(self._scene, {})
-        if self._among not in known:
-            known[self._among] = _edges_of(self._scene, self._among, self._n_threads)
-        return known[self._among]
+        key = self._among, self._part
+        if key not in known:
+            known[key] = _edges_of(self._scene, *key, self._n_threads)
+        return known[key]
 
     @cached_property
     def _proximity(self) -> SurfaceProximity:
@@ -128,9 +139,9 @@ def _no_sensors(scene: Scene) -> list[int]:
     return [i for i in range(len(scene.surfaces)) if i not in scene.sensors]
 
 
-def _edges_of(scene: Scene, among: frozenset[int], n_threads: int) -> Any:
-    """Edges of a scene's surfaces as kernels read them, None if there are none."""
-    boundary = SurfaceBoundary.of(scene.surfaces, among)
+def _edges_of(scene: Scene, among: frozenset[int], part: Part, n_threads: int) -> Any:
+    """Edges of a part of a scene's surfaces as kernels read them, None if there are none."""
+    boundary = SurfaceBoundary.of(scene.surfaces, among, part)
     ends = boundary.segments
     if not len(ends):
         return None

@@ -71,10 +71,15 @@ def scene(name: str, **sizes: Any) -> Scene:
     return built
 
 
+def arguments(name: str) -> tuple[str, ...]:
+    """Names of the arguments of a scene."""
+    _check(name, _SCENES, "scene")
+    return tuple(inspect.signature(_builder(name)).parameters)
+
+
 def moves(name: str) -> bool:
     """Whether a scene depends on an argument `time`."""
-    _check(name, _SCENES, "scene")
-    return "time" in inspect.signature(_builder(name)).parameters
+    return "time" in arguments(name)
 
 
 def pattern(name: str, **sizes: Any) -> PhotonPattern:

@@ -8,13 +8,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .._util.validation import Floats
 from ..scene.camera import Camera
 from ..scene.emitters import CollimatedEmitter
 from ..scene.materials import Mirror
 from ..scene.scene import Scene, SceneObject
+from .light import from_around
 from .meshes import floor, grid_faces, join
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ def ring(
     elevation: float = 28.0,
     reflectance: float = 0.95,
     irradiance: float = 1.6,
+    surroundings: ArrayLike = 0.0,
     sections: int = 1024,
     pixels: int = 600,
 ) -> Scene:
@@ -47,6 +49,8 @@ def ring(
         Of the metal.
     irradiance : float
         Of the light, on a plane facing it, W/m².
+    surroundings : float or (3,)
+        Radiance from all around, W/(m² sr); none by default, as the exact irradiance has none.
     sections : int
         Facets around the ring; normals are those of the true cylinder.
     pixels : int
@@ -60,7 +64,10 @@ def ring(
             floor(20.0 * radius),
             SceneObject(metal, Mirror(reflectance), "ring", smooth=True),
         ],
-        [CollimatedEmitter((np.cos(down), 0.0, -np.sin(down)), irradiance)],
+        [
+            CollimatedEmitter((np.cos(down), 0.0, -np.sin(down)), irradiance),
+            *from_around(surroundings),
+        ],
         Camera(eye, target, vertical_fov=36.0, width=pixels, height=pixels),
         name="ring",
     )

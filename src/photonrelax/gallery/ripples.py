@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .._util.validation import Floats
 from ..scene.camera import Camera
 from ..scene.emitters import CollimatedEmitter
 from ..scene.materials import Dielectric
 from ..scene.scene import Scene, SceneObject
+from .light import from_around
 from .meshes import floor, grid_faces, join
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ def ripples(
     gap: float = 1.2,
     ior: float = 1.33,
     irradiance: float = 1.5,
+    surroundings: ArrayLike = 0.0,
     resolution: int = 400,
     pixels: int = 600,
 ) -> Scene:
@@ -53,6 +55,8 @@ def ripples(
         Index of refraction of the slab.
     irradiance : float
         Of the light, W/m².
+    surroundings : float or (3,)
+        Radiance from all around, W/(m² sr); none by default.
     resolution : int
         Cells along each side of the wavy top.
     pixels : int
@@ -69,7 +73,7 @@ def ripples(
             floor(20.0 * half_size),
             SceneObject(slab, Dielectric(ior), "slab", smooth=True),
         ],
-        [CollimatedEmitter((0.0, 0.0, -1.0), irradiance)],
+        [CollimatedEmitter((0.0, 0.0, -1.0), irradiance), *from_around(surroundings)],
         Camera(eye, (0.0, -0.1 * half_size, 0.0), vertical_fov=42.0, width=pixels, height=pixels),
         name="ripples",
     )

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..scene.camera import Camera
 from ..scene.emitters import CollimatedEmitter
 from ..scene.materials import Dielectric
 from ..scene.scene import Scene, SceneObject
+from .light import from_around
 from .meshes import floor, make_mesh
 
 
@@ -17,6 +19,7 @@ def sphere(
     gap: float = 0.2,
     ior: float = 1.5,
     irradiance: float = 0.8,
+    surroundings: ArrayLike = 0.0,
     floor_half_size: float = 20.0,
     subdivisions: int = 7,
     pixels: int = 600,
@@ -36,6 +39,8 @@ def sphere(
         Index of refraction of the glass.
     irradiance : float
         Of the light, W/m².
+    surroundings : float or (3,)
+        Radiance from all around, W/(m² sr); none by default, as the exact irradiance has none.
     floor_half_size : float
         Half the side of the square floor, m.
     subdivisions : int
@@ -55,7 +60,7 @@ def sphere(
             floor(floor_half_size),
             SceneObject(glass, Dielectric(ior), "sphere", smooth=True),
         ],
-        [CollimatedEmitter((0.0, 0.0, -1.0), irradiance)],
+        [CollimatedEmitter((0.0, 0.0, -1.0), irradiance), *from_around(surroundings)],
         Camera(eye, target, vertical_fov=35.0, width=pixels, height=pixels),
         name="sphere",
     )

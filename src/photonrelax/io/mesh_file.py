@@ -98,7 +98,7 @@ def _read_with_trimesh(path: Path, content: bytes) -> list[Part]:
         reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         raise ValueError(f"{path} cannot be read as {kind.upper()}: {reason}") from None
     return [
-        _part(path, mesh.vertices, mesh.faces, _given_normals(mesh))
+        _part(path, mesh.vertices, mesh.faces, _given_normals(mesh), _given_uv(mesh))
         for mesh in meshes
         if isinstance(mesh, trimesh.Trimesh)
     ]
@@ -113,6 +113,16 @@ def _given_normals(mesh: Any) -> np.ndarray | None:
         normals = ply._elements_to_kwargs(raw, fix_texture=False, image=None).get("vertex_normals")
         return normals if normals is not None and np.shape(normals) == mesh.vertices.shape else None
     return mesh._cache.cache.get("vertex_normals")
+
+
+def _given_uv(mesh: Any) -> np.ndarray | None:
+    """Texture coordinates (v, 2) of a PLY file's vertices, of any of their usual names."""
+    data = mesh.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
+    for pair in (("u", "v"), ("s", "t"), ("texture_u", "texture_v")):
+        if isinstance(data, dict) and data.keys() >= set(pair):
+            uv = np.column_stack([np.asarray(data[name], dtype=np.float64) for name in pair])
+            return uv if len(uv) == len(mesh.vertices) and np.isfinite(uv).all() else None
+    return None
 
 
 def _binary_stl(content: bytes) -> np.ndarray | None:
@@ -154,7 +164,11 @@ def _cut_off_stl(path: Path, content: bytes) -> str:
 
 
 def _part(
-    path: Path, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray | None = None
+    path: Path,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    normals: np.ndarray | None = None,
+    uv: np.ndarray | None = None,
 ) -> Part:
     corners = np.asarray(vertices, dtype=np.float64)
     wrong = np.flatnonzero(~np.isfinite(corners).all(axis=1))
@@ -165,4 +179,4 @@ def _part(
         )
     if not len(faces):
         raise ValueError(f"{path} should have triangles, but has none")
-    return Part(path.stem, corners, np.asarray(faces), normals, None, np.zeros(3))
+    return Part(path.stem, corners, np.asarray(faces), normals, None, np.zeros(3), uv)

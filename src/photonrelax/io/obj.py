@@ -21,9 +21,15 @@ _ABSENT = -1
 
 
 def read_obj(
-    path: Path, substitutions: Substitutions, *, with_materials: bool = True
+    path: Path,
+    substitutions: Substitutions,
+    *,
+    with_materials: bool = True,
+    with_uv: bool = False,
 ) -> list[Part]:
     """Parts of an OBJ file, one for each material of each object; MTL files may be left out.
+
+    With texture coordinates vertices are split where these differ.
 
     Raises
     ------
@@ -32,7 +38,7 @@ def read_obj(
     ValueError
         If it is damaged; the message has the line.
     """
-    obj = _Obj(path, substitutions)
+    obj = _Obj(path, substitutions, with_uv)
     for number, words in _lines(read_whole(path)):
         if words[0] == b"mtllib" and not with_materials:
             continue
@@ -50,15 +56,17 @@ class _Group:
     object_name: str
     material_name: str
     position: list[int] = field(default_factory=list)
+    uv: list[int] = field(default_factory=list)
     normal: list[int] = field(default_factory=list)
 
 
 class _Obj:
     """Vertices, faces and materials of the lines of an OBJ file read so far."""
 
-    def __init__(self, path: Path, substitutions: Substitutions) -> None:
-        self._path, self._substitutions = path, substitutions
+    def __init__(self, path: Path, substitutions: Substitutions, with_uv: bool) -> None:
+        self._path, self._substitutions, self._with_uv = path, substitutions, with_uv
         self._positions: list[tuple[float, float, float]] = []
+        self._uvs: list[tuple[float, float]] = []
         self._normals: list[tuple[float, float, float]] = []
         self._materials: dict[str, tuple[Material, Floats]] = {}
         self._groups: dict[tuple[str, str], _Group] = {}
@@ -69,6 +77,8 @@ class _Obj:
         key = words[0]
         if key == b"v":
             self._positions.append(_triple(words))
+        elif key == b"vt":
+            self._uvs.append((float(words[1]), float(words[2]) if len(words) > 2 else 0.0))
         elif key == b"vn":
             self._normals.append(_triple(words))
         elif key == b"f":
@@ -92,35 +102,35 @@ class _Obj:
         group = self._groups.setdefault(key, _Group(*key))
         found = [corner.split(b"/") for corner in corners]
         position = [_index(each, 0, len(self._positions)) for each in found]
+        uv = [_index(each, 1, len(self._uvs)) for each in found]
         normal = [_index(each, 2, len(self._normals)) for each in found]
         for i in range(1, len(corners) - 1):
             group.position += (position[0], position[i], position[i + 1])
+            group.uv += (uv[0], uv[i], uv[i + 1])
             group.normal += (normal[0], normal[i], normal[i + 1])
 
     def _part(self, group: _Group) -> Part:
         material, radiance = self._materials.get(group.material_name, (None, np.zeros(3)))
-        position = np.array(group.position)
-        vertices = np.array(self._positions, dtype=np.float64)
-        normals = None
-        corner, of_corner = position, np.array(group.normal)
-        if len(self._normals) and (of_corner != _ABSENT).all():
-            pairs, corner = _distinct(position, of_corner, len(self._normals))
-            position = pairs[0]
-            normals = np.array(self._normals, dtype=np.float64)[pairs[1]]
-            vertices = vertices[position]
-        else:
-            used, corner = np.unique(position, return_inverse=True)
-            vertices = vertices[used]
+        position, normal, uv = map(np.array, (group.position, group.normal, group.uv))
+        has_normals = len(self._normals) > 0 and (normal != _ABSENT).all()
+        has_uv = self._with_uv and len(self._uvs) > 0 and (uv != _ABSENT).all()
+        columns = [position, *([normal] if has_normals else []), *([uv] if has_uv else [])]
+        first, corner = _distinct(columns)
+        vertices = np.array(self._positions, dtype=np.float64)[position[first]]
+        normals = np.array(self._normals, dtype=np.float64)[normal[first]] if has_normals else None
+        coordinates = np.array(self._uvs, dtype=np.float64)[uv[first]] if has_uv else None
         name = "/".join(each for each in (group.object_name, group.material_name) if each)
-        return Part(name, vertices, corner.reshape(-1, 3), normals, material, radiance)
+        faces = corner.reshape(-1, 3)
+        return Part(name, vertices, faces, normals, material, radiance, coordinates)
 
 
-def _distinct(
-    position: NDArray, normal: NDArray, n_normals: int
-) -> tuple[tuple[NDArray, NDArray], NDArray]:
-    """Pairs of position and normal that occur, and the number of that of each corner."""
-    key, corner = np.unique(position * np.int64(n_normals) + normal, return_inverse=True)
-    return (key // n_normals, key % n_normals), corner
+def _distinct(columns: list[NDArray]) -> tuple[NDArray, NDArray]:
+    """Corners that differ in a column, in their order, and the number of that of each corner."""
+    number = columns[0]
+    for column in columns[1:]:
+        number = np.unique(number * np.int64(column.max() + 1) + column, return_inverse=True)[1]
+    _, first, corner = np.unique(number, return_index=True, return_inverse=True)
+    return first, corner
 
 
 def read_mtl(

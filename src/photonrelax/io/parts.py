@@ -32,6 +32,8 @@ class Part:
         Of the file.
     radiance : (3,)
         Emitted, W/(m² sr).
+    uv : (v, 2), optional
+        Texture coordinates of the file.
     """
 
     name: str
@@ -40,6 +42,7 @@ class Part:
     normals: Floats | None
     material: Material | None
     radiance: Floats
+    uv: Floats | None = None
 
     def mesh(self, linear: Floats) -> trimesh.Trimesh:
         """The mesh, turned and scaled by a matrix (3, 3)."""

@@ -133,11 +133,12 @@ def _check_same_emitters(maps: Sequence[PhotonMap]) -> None:
     """Raise ValueError if the maps cannot be of one scene."""
     ledgers = {None if each.ledger is None else len(each.ledger.emitted) for each in maps}
     lists = {_id_lists(each) for each in maps}
+    scenes = {each.scene_digest for each in maps}
     spectral = {(each.wavelength is None, each.n_wavelengths) for each in maps}
-    if max(len(ledgers), len(lists), len(spectral)) > 1:
+    if max(len(ledgers), len(lists), len(spectral), len(scenes)) > 1:
         raise ValueError(
-            "maps should be of one scene, but their ledgers, sensors, extended emitters or "
-            "wavelengths differ"
+            "maps should be of one scene, but their ledgers, sensors, extended emitters, "
+            "wavelengths or digests of the scene differ"
         )
 
 

@@ -87,6 +87,8 @@ class PhotonMap:
     emitted_ranges : (m, 2) array_like of int, optional
         Starts and stops of the photons emitted, by index among all `n_emitted`, whose paths were
         traced, ascending; None, as also if they join to all, for a whole emission.
+    scene_digest : str, optional
+        Digest of the objects and emitters of the scene; its camera and names do not count.
 
     Raises
     ------
@@ -119,6 +121,7 @@ class PhotonMap:
     extended_ids: NDArray[np.int32] | None = None
     n_wavelengths: int | None = None
     emitted_ranges: Ints | None = None
+    scene_digest: str | None = None
 
     if TYPE_CHECKING:
         # What may be given is wider than what the fields then hold.
@@ -148,6 +151,7 @@ class PhotonMap:
             extended_ids: ArrayLike | None = None,
             n_wavelengths: int | None = None,
             emitted_ranges: ArrayLike | None = None,
+            scene_digest: str | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -188,7 +192,7 @@ class PhotonMap:
         set_field(self, "well_spaced", bool(self.well_spaced))
         if self.seed is not None:
             set_field(self, "seed", check_seed(self.seed))
-        for name in ("sampler", "paths"):
+        for name in ("sampler", "paths", "scene_digest"):
             if not isinstance(getattr(self, name), str | None):
                 raise TypeError(f"{name} should be text, but is {getattr(self, name)!r}")
 
@@ -338,6 +342,7 @@ _SCALARS = {
     "seed": "iu",
     "sampler": "U",
     "paths": "U",
+    "scene_digest": "U",
 }
 # Fields that list objects or emitters.
 _ID_LISTS = ("sensor_ids", "extended_ids")

@@ -29,6 +29,7 @@ from ..estimation.methods import (
 from ..estimation.nearest import GatherSettings
 from ..imaging.image import Image
 from ..photons.photon_map import NothingStoredError, PhotonMap
+from ..scene.digest import light_digest
 from ..scene.scene import Scene
 from ..transport.emission import PATHS, SAMPLERS, EmissionPlan, plan_emission
 from ..transport.trace import trace_photons
@@ -210,9 +211,10 @@ _SAME_FLUX = 0.01
 
 
 def _check_scene(photons: PhotonMap, scene: Scene) -> None:
-    """Raise ValueError if the emitters of a scene do not emit the flux of the photons' ledger.
+    """Raise ValueError if the photons are of another scene.
 
-    Without a ledger, as after ``photons.replace(ledger=None)``, nothing is checked.
+    Its digest tells, if they have one, or else the flux of their ledger, if its emitters do not
+    emit it. Without a ledger, as after ``photons.replace(ledger=None)``, nothing is checked.
     """
     if not isinstance(photons, PhotonMap):
         raise TypeError(
@@ -228,10 +230,14 @@ def _check_scene(photons: PhotonMap, scene: Scene) -> None:
     ledger, paths, sampler = photons.ledger, photons.paths, photons.sampler
     if ledger is None or paths not in PATHS or sampler not in SAMPLERS:
         return
+    if photons.scene_digest == light_digest(scene):
+        return
     # As many photons of each emitter, as they decide on the emission regions; none are traced.
     n_emitted = np.sum(list(ledger.ends.values()), axis=0).tolist()
     plan = partial(plan_emission, scene, n_emitted, paths, seed=photons.seed or 0, sampler=sampler)
     other = _difference(ledger.emitted, len(scene.emitters), plan)
+    if not other and photons.scene_digest is not None:
+        other = "which sends out the same flux, but differs in objects or emitters from theirs"
     if other:
         raise ValueError(
             f"photons should be of the scene rendered, {other}; they are taken as they are without "

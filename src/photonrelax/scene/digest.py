@@ -6,12 +6,25 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from hashlib import blake2b
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .scene import Scene, SceneObject
 from .textures import face_texture
+
+_of_light: WeakKeyDictionary[Scene, str] = WeakKeyDictionary()
+
+
+def light_digest(scene: Scene) -> str:
+    """Return the digest of what photons depend on: objects and emitters, without their names.
+
+    It is found once for a scene.
+    """
+    if scene not in _of_light:
+        _of_light[scene] = _digest([scene.objects, scene.emitters])
+    return _of_light[scene]
 
 
 def scene_digests(scene: Scene) -> dict[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,26 @@ from ..scene.scene import SceneObject
 from ..spatial.box_tree import BoxTree
 from ..spatial.kdtree import KDTree
 from .contact_lines import contact_lines
-from .covered import apart, outside
+from .covered import apart, uncovered
 from .segments import NO_SEGMENTS, Segments, concatenated
 from .solid import Solid
 from .surface import Side, Surface
+
+
+class Part(NamedTuple):
+    """A part of all surfaces, which ends where dielectrics meet them.
+
+    Attributes
+    ----------
+    inside, outside : frozenset of int
+        Ids of closed dielectrics that it is in, and of those that it is not in.
+    """
+
+    inside: frozenset[int] = frozenset()
+    outside: frozenset[int] = frozenset()
+
+
+WHOLE = Part()
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,14 +75,20 @@ class SurfaceBoundary:
 
     @classmethod
     def of(
-        cls, objects: Sequence[SceneObject], among: Container[int] | None = None
+        cls,
+        objects: Sequence[SceneObject],
+        among: Container[int] | None = None,
+        part: Part = WHOLE,
     ) -> SurfaceBoundary:
         """Boundary of the diffuse objects and sensors among the objects of a scene.
 
         With `among` only of those whose numbers are in it; the others cover parts of them all the
-        same.
+        same. With `part` of what is in some dielectrics and not in others.
         """
-        numbers = [i for i, item in enumerate(objects) if not item.material.has_inside]
+        divides = part.inside | part.outside
+        numbers = [
+            i for i, item in enumerate(objects) if i in divides or not item.material.has_inside
+        ]
         items = [objects[i] for i in numbers]
         stores = [
             i
@@ -74,18 +97,24 @@ class SurfaceBoundary:
         ]
         if not stores:
             return cls(*NO_SEGMENTS, np.empty(0, dtype=bool))
-        scene = _Surfaces(items, stores)
+        scene = _Surfaces(items, stores, {numbers.index(i) for i in part.inside})
         segments, one_sided = zip(*(scene.boundary(i) for i in stores), strict=True)
         ends, normals = (np.ascontiguousarray(column) for column in concatenated(segments))
         return cls(ends, normals, np.concatenate(one_sided))
 
 
 class _Surfaces:
-    """The surfaces of opaque objects and sensors, of which those in `stores` store photons."""
+    """The surfaces of opaque objects and sensors, of which those in `stores` store photons.
 
-    def __init__(self, items: Sequence[SceneObject], stores: Sequence[int]) -> None:
+    They end at dielectrics among them: those in `around` have them inside, the others outside.
+    """
+
+    def __init__(
+        self, items: Sequence[SceneObject], stores: Sequence[int], around: Container[int]
+    ) -> None:
         self._surfaces = [Surface.of(item) for item in items]
         self._sensors = {i for i, item in enumerate(items) if item.material.is_sensor}
+        self._around = around
         self._resolution = _resolution(self._surfaces)
         self._near = _near(self._surfaces, self._resolution)
         self._inside = [self._inside_of(i) for i in range(len(items))]
@@ -120,16 +149,24 @@ class _Surfaces:
             return NO_SEGMENTS
         solids = self._solids(i)
         parts = [self._edges(i, side)]
-        parts += [contact_lines(side, solid, self._resolution) for solid in solids.values()]
+        parts += [self._contact_lines(side, j, solid) for j, solid in solids.items()]
         found = concatenated(parts)
         # The solid at which a contact line is; no object has the number of the surface itself.
         source = np.repeat([i, *solids], [len(part.ends) for part in parts])
         for j, solid in solids.items():
             near = (source != j) & self._meet(found, solid.bounds)
-            left = outside(found.rows(near), solid, self._resolution)
+            if j in self._around:
+                kept = near | (source == j)
+                found, source, near = found.rows(kept), source[kept], near[kept]
+            left = uncovered(found.rows(near), solid, self._resolution, j in self._around)
             found = found.with_parts(near, left)
             source = np.concatenate([source[~near], source[near][left.row]])
         return found
+
+    def _contact_lines(self, side: Side, j: int, solid: Solid) -> Segments:
+        """Contact lines with a solid, which have what is in it on their left if it is around."""
+        lines = contact_lines(side, solid, self._resolution)
+        return Segments(lines.ends[:, ::-1], lines.normals) if j in self._around else lines
 
     def _edges(self, i: int, side: Side) -> Segments:
         """Edges that are not within another object's surface; those of sensors all."""

@@ -19,11 +19,15 @@ _BESIDE = 1.5
 _PARALLEL = 1.0 - 1e-6
 
 
-def outside(segments: Segments, solid: Solid, resolution: Resolution) -> Spans:
-    """Spans of segments at which there is no solid just above the surface."""
+def uncovered(
+    segments: Segments, solid: Solid, resolution: Resolution, inside: bool = False
+) -> Spans:
+    """Spans of segments at which there is no solid just above the surface; or is, `inside`."""
     margin = _margin(segments, resolution)
     step = _BESIDE * segments.inward() + _ABOVE * segments.normals
     spans = _spans_inside(segments.moved(margin[:, np.newaxis] * step), solid)
+    if inside:
+        spans = between(spans, len(segments.ends))
     return _without(segments, spans, margin)
 
 

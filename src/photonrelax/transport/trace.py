@@ -39,6 +39,7 @@ from .._util.validation import Floats, check_choice, count, float_array
 from .._util.workers import checked_executor, n_workers, worker_map
 from ..photons.energy_ledger import PATH_OUTCOMES, EnergyLedger
 from ..photons.photon_map import NothingStoredError, PhotonMap
+from ..scene.digest import light_digest
 from ..scene.dispersion import N_WAVELENGTHS
 from ..scene.scene import Scene
 from .allotment import allotted_plan
@@ -423,6 +424,7 @@ def _photon_map(
         extended_ids=plan.extended_ids,
         n_wavelengths=N_WAVELENGTHS if context.materials.has_dispersion else None,
         emitted_ranges=None if is_whole else [(traced.start, traced.stop)],
+        scene_digest=light_digest(context.scene),
     )
     if is_whole and not len(photons):
         raise NothingStoredError(_nothing_stored(context, ledger, ledgers), photons)

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 import photonrelax as pr
 from photonrelax import cli
+from photonrelax.scene.textures import face_texture
 
 XML = """<?xml version="1.0"?>
 <!-- A ball of glass above a floor. -->
@@ -219,3 +221,115 @@ def test_files_elsewhere_are_not_read(xml):
     xml.write_text(XML.replace("</scene>", f"{shape}</scene>"))
     with pytest.raises(ValueError, match="should name a file in"):
         pr.load_scene(xml)
+
+
+# Bitmaps. Which way round they are was compared with renders of Mitsuba 3.9.
+
+TEXELS = np.array([[[250, 10, 10], [10, 250, 10]], [[10, 10, 250], [250, 250, 10]]], np.uint8)
+LIGHT = {"type": "point", "position": [0, 0, 3]}
+
+
+@pytest.fixture
+def bitmap(tmp_path, monkeypatch):
+    Image.fromarray(TEXELS).save(tmp_path / "texels.png")
+    monkeypatch.chdir(tmp_path)
+    return {"type": "bitmap", "filename": "texels.png", "filter_type": "nearest"}
+
+
+def textured(shape, texture):
+    """The first object of a scene of a diffuse shape, and its colours at points."""
+    bsdf = {"type": "diffuse", "reflectance": texture}
+    scene = pr.load_scene({"type": "scene", "shape": shape | {"bsdf": bsdf}, "light": LIGHT})
+    item = scene.objects[0]
+
+    def colours(points):
+        face = [0 if y < x else 1 for x, y, _ in points]
+        return face_texture(item).at(item, np.array(face), np.array(points, float), None)
+
+    return item, colours
+
+
+QUARTERS = [(-0.4, -0.5, 0.0), (0.5, -0.4, 0.0), (-0.5, 0.4, 0.0), (0.4, 0.5, 0.0)]
+
+
+def test_row_0_of_a_bitmap_is_at_v_0(bitmap):
+    _, colours = textured({"type": "rectangle"}, bitmap | {"raw": True})
+    np.testing.assert_allclose(colours(QUARTERS), TEXELS.reshape(4, 3) / 255.0, rtol=1e-6)
+
+
+def test_bytes_are_srgb_and_transforms_move_coordinates(bitmap):
+    half_right = np.eye(4)
+    half_right[0, 3] = 0.5
+    _, colours = textured({"type": "rectangle"}, bitmap | {"to_uv": half_right})
+    meaning = pr.Texture(TEXELS, encoding="srgb").meaning
+    np.testing.assert_allclose(colours(QUARTERS), meaning[TEXELS[:, ::-1]].reshape(4, 3), rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply"])
+def test_coordinates_of_files_are_v_up_in_obj_and_v_down_in_ply(bitmap, tmp_path, kind):
+    corners = ["-1 -1 0 0 0", "1 -1 0 1 0", "1 1 0 1 1", "-1 1 0 0 1"]
+    faces = [(0, 1, 2), (0, 2, 3)]
+    if kind == "ply":
+        head = ["ply", "format ascii 1.0", "element vertex 4"]
+        head += [f"property float {name}" for name in "xyzuv"]
+        head += ["element face 2", "property list uchar int vertex_indices", "end_header"]
+        lines = head + corners + ["3 {} {} {}".format(*face) for face in faces]
+    else:
+        lines = [f"v {each[:-4]}" for each in corners] + [f"vt {each[-3:]}" for each in corners]
+        lines += ["f " + " ".join(f"{i + 1}/{i + 1}" for i in face) for face in faces]
+    (tmp_path / f"quad.{kind}").write_text("\n".join(lines) + "\n")
+    shape = {"type": kind, "filename": f"quad.{kind}"}
+    _, colours = textured(shape, bitmap | {"raw": True})
+    rows = TEXELS[::-1] if kind == "obj" else TEXELS
+    np.testing.assert_allclose(colours(QUARTERS), rows.reshape(4, 3) / 255.0, rtol=1e-6)
+
+
+def test_a_bitmap_on_what_has_no_coordinates_is_its_mean(bitmap):
+    with pytest.warns(UserWarning, match="texture without coordinates"):
+        item, _ = textured({"type": "sphere"}, bitmap | {"raw": True})
+    np.testing.assert_allclose(item.material.albedo, TEXELS.mean(axis=(0, 1)) / 255.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"filename": "../texels.png"}, "should name a file in"),
+        ({"filename": "none.png"}, "none.png"),
+        ({"filename": ""}, "should have a filename"),
+        ({"wrap_mode": "twice"}, "wrap_mode should be one of repeat, mirror, clamp"),
+    ],
+)
+def test_what_is_wrong_with_a_bitmap_is_told(bitmap, change, message):
+    with pytest.raises((ValueError, OSError), match=message):
+        textured({"type": "rectangle"}, bitmap | change)
+
+
+# Rotations about axes by 90 degrees, from x, y and z.
+X_TO_Y_TO_Z = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
+
+
+def surroundings(tmp_path, radiance, **values):
+    pr.Image({"radiance": radiance.astype(np.float32)}).write_exr(tmp_path / "map.exr")
+    sky = {"type": "envmap", "filename": "map.exr", **values}
+    return pr.load_scene({"type": "scene", "ball": {"type": "sphere"}, "sky": sky}).emitters[0]
+
+
+def test_an_envmap_has_row_0_up_and_its_left_edge_at_minus_z(bitmap, tmp_path):
+    blocks = np.random.default_rng(2).random((4, 8, 3))
+    found = surroundings(tmp_path, blocks.repeat(8, 0).repeat(8, 1), scale=2.0)
+    # By Mitsuba: atan2(x, -z) / 2π along a row, acos(y) / π down.
+    polar, around = np.pi * (np.arange(4) + 0.5) / 4, 2 * np.pi * (np.arange(8) + 0.5) / 8
+    polar, around = np.meshgrid(polar, around, indexing="ij")
+    directions = np.stack(
+        [np.sin(polar) * np.sin(around), np.cos(polar), -np.sin(polar) * np.cos(around)], axis=-1
+    )
+    seen = found.background(directions.reshape(-1, 3)).reshape(4, 8, 3)
+    np.testing.assert_allclose(seen, 2.0 * blocks, rtol=1e-6)
+
+
+def test_an_envmap_turned_to_z_is_taken_as_it_is(bitmap, tmp_path):
+    radiance = np.random.default_rng(2).random((8, 16, 3)).astype(np.float32)
+    found = surroundings(tmp_path, radiance, to_world=X_TO_Y_TO_Z)
+    np.testing.assert_array_equal(found.radiance, radiance)
+    with pytest.raises(ValueError, match="to_world should turn alone"):
+        surroundings(tmp_path, radiance, to_world=np.eye(4) + np.eye(4, k=1))

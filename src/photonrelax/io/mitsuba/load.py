@@ -24,6 +24,7 @@ from ..substitutions import Substitutions
 from .materials import material_of
 from .nodes import Plugin, parse_dict, parse_xml
 from .shapes import mesh_of
+from .textures import BitmapReader
 
 # Mitsuba's own size of a film.
 _WIDTH, _HEIGHT = 768.0, 576.0
@@ -58,12 +59,13 @@ def load_mitsuba_dict(value: Mapping[str, Any], options: LoadOptions) -> Scene:
 
 def _scene(root: Plugin, path: Path, options: LoadOptions) -> Scene:
     substitutions = Substitutions()
-    shapes = _Shapes(path, options, substitutions)
+    bitmaps = BitmapReader(path, substitutions)
+    shapes = _Shapes(path, options, bitmaps)
     for shape in root.all_of("shape"):
         shapes.add(shape)
     emitters = shapes.emitters
     for emitter in root.all_of("emitter"):
-        emitters += _emitter(emitter, substitutions)
+        emitters += _emitter(emitter, bitmaps)
     for other in root.all_of("plugin"):
         substitutions.add(other.label, f"type {other.kind!r}", "nothing of it")
     cameras = {
@@ -82,15 +84,15 @@ def _scene(root: Plugin, path: Path, options: LoadOptions) -> Scene:
 class _Shapes:
     """Objects, and emitters with a surface, of shapes so far."""
 
-    def __init__(self, path: Path, options: LoadOptions, substitutions: Substitutions) -> None:
-        self._path, self._maker, self._substitutions = path, options.maker, substitutions
+    def __init__(self, path: Path, options: LoadOptions, bitmaps: BitmapReader) -> None:
+        self._path, self._maker, self._bitmaps = path, options.maker, bitmaps
         self.objects: list[SceneObject] = []
         self.emitters: list[Emitter] = []
 
     def add(self, shape: Plugin) -> None:
         """Add a shape; raises ValueError, which names it, if its mesh is none of its material."""
-        material = material_of(shape.first_of("bsdf"), self._substitutions)
-        mesh, smooth = mesh_of(shape, self._path)
+        mesh, smooth, uv = mesh_of(shape, self._path)
+        material = material_of(shape.first_of("bsdf"), uv, self._bitmaps)
         lamp = shape.first_of("emitter")
         try:
             if lamp is not None:
@@ -104,10 +106,13 @@ class _Shapes:
             raise ValueError(f"{self._path}: {shape.label}: {error}") from None
 
 
-def _emitter(emitter: Plugin, substitutions: Substitutions) -> list[Emitter]:
+def _emitter(emitter: Plugin, bitmaps: BitmapReader) -> list[Emitter]:
+    substitutions = bitmaps.substitutions
     to_world = emitter.transform()
     if emitter.kind == "constant":
         return [EnvironmentEmitter(emitter.colour("radiance", 1.0))]
+    if emitter.kind == "envmap":
+        return [bitmaps.environment(emitter)]
     if emitter.kind == "directional":
         direction = emitter.vector("direction", tuple(to_world[:3, 2]))
         return [CollimatedEmitter(direction, emitter.colour("irradiance", 1.0))]

@@ -6,8 +6,10 @@ import numpy as np
 
 from ..._util.validation import Floats
 from ...scene.materials import Dielectric, Diffuse, Material, Mirror
+from ...scene.textures import Texture
 from ..substitutions import Substitutions
 from .nodes import Plugin
+from .textures import BitmapReader
 
 # Indices of refraction by Mitsuba's names.
 _IORS = {
@@ -41,34 +43,45 @@ _METALS = {
 _WRAPPERS = ("mask", "bumpmap", "normalmap")
 _SMOOTH = {"roughconductor": "conductor", "roughdielectric": "dielectric"}
 _ABSENT = 0.5
+# Names of the diffuse colour, where it is not "diffuse_reflectance".
+_ALBEDOS = {"diffuse": "reflectance", "principled": "base_color"}
 
 
-def material_of(bsdf: Plugin | None, substitutions: Substitutions) -> Material | None:
+def material_of(bsdf: Plugin | None, uv: Floats | None, bitmaps: BitmapReader) -> Material | None:
     """Material of a BSDF, Mitsuba's default where there is none; None of one that is not there.
+
+    Parameters
+    ----------
+    bsdf : Plugin, optional
+    uv : (v, 2), optional
+        Texture coordinates of the vertices of its shape.
+    bitmaps : BitmapReader
 
     Raises
     ------
-    ValueError
-        If a value of it is none.
+    OSError, ValueError
+        If a bitmap cannot be read, or a value is none.
     """
+    substitutions = bitmaps.substitutions
     if bsdf is None:
         return Diffuse(_ABSENT)
     if bsdf.kind == "null":
         return None
     inner = bsdf.first_of("bsdf")
     if bsdf.kind == "twosided":
-        return material_of(inner, substitutions)
+        return material_of(inner, uv, bitmaps)
     if bsdf.kind in _WRAPPERS:
         substitutions.add(bsdf.label, bsdf.kind, "the BSDF inside of it")
-        return material_of(inner, substitutions)
-    for child in bsdf.children.values():
-        if child.tag == "texture":
+        return material_of(inner, uv, bitmaps)
+    albedo = _ALBEDOS.get(bsdf.kind, "diffuse_reflectance")
+    for name, child in bsdf.children.items():
+        if child.tag == "texture" and not (name == albedo and child.kind == "bitmap"):
             substitutions.add(bsdf.label, f"texture {child.kind}", "the default colour")
     kind = _SMOOTH.get(bsdf.kind, bsdf.kind)
     if kind != bsdf.kind:
         substitutions.add(bsdf.label, bsdf.kind, f"a smooth {kind}")
     if kind == "diffuse":
-        return Diffuse(bsdf.colour("reflectance", _ABSENT))
+        return Diffuse(_albedo(bsdf, albedo, uv, bitmaps))
     if kind == "dielectric":
         return _dielectric(bsdf, substitutions)
     if kind == "conductor":
@@ -76,9 +89,15 @@ def material_of(bsdf: Plugin | None, substitutions: Substitutions) -> Material |
     if kind == "thindielectric":
         substitutions.add(bsdf.label, kind, "a surface that light passes unchanged")
         return None
-    name = "base_color" if kind == "principled" else "diffuse_reflectance"
     substitutions.add(bsdf.label, kind, "a diffuse surface")
-    return Diffuse(bsdf.colour(name, _ABSENT))
+    return Diffuse(_albedo(bsdf, albedo, uv, bitmaps))
+
+
+def _albedo(bsdf: Plugin, name: str, uv: Floats | None, bitmaps: BitmapReader) -> Texture | Floats:
+    child = bsdf.children.get(name)
+    if child is None or child.kind != "bitmap":
+        return bsdf.colour(name, _ABSENT)
+    return bitmaps.texture(child, uv, bsdf.label)
 
 
 def _dielectric(bsdf: Plugin, substitutions: Substitutions) -> Dielectric:

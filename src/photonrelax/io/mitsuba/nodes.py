@@ -63,9 +63,9 @@ class Plugin:
         """Text."""
         return str(self.values.get(name, default))
 
-    def flag(self, name: str) -> bool:
-        """True or false, the latter by default."""
-        return self.values.get(name, False) in (True, "true", "True", "1")
+    def flag(self, name: str, default: bool = False) -> bool:
+        """True or false."""
+        return self.values.get(name, default) in (True, "true", "True", "1")
 
     def transform(self) -> Floats:
         """``to_world`` (4, 4)."""
@@ -254,6 +254,7 @@ KINDS = {
     ),
     "emitter": ("point", "spot", "directional", "area", "constant", "envmap"),
     "sensor": ("perspective", "thinlens", "orthographic"),
+    "texture": ("bitmap", "checkerboard", "mesh_attribute", "volume"),
     "film": ("hdrfilm", "specfilm"),
 }
 

@@ -24,8 +24,10 @@ _SUBDIVISIONS, _SIDES = 5, 128
 _ALL_SMOOTH, _CREASE = 180.0, 30.0
 
 
-def mesh_of(shape: Plugin, scene_path: Path) -> tuple[trimesh.Trimesh, bool | float]:
-    """Mesh of a shape in the world, and the ``smooth`` of its object.
+def mesh_of(shape: Plugin, scene_path: Path) -> tuple[trimesh.Trimesh, bool | float, Floats | None]:
+    """Mesh of a shape in the world, the ``smooth`` of its object and texture coordinates.
+
+    Those (v, 2) are of rectangles and files that have them, v down as Mitsuba has it; else None.
 
     Raises
     ------
@@ -34,34 +36,45 @@ def mesh_of(shape: Plugin, scene_path: Path) -> tuple[trimesh.Trimesh, bool | fl
     ValueError
         If that is damaged or leads out of the folder of the scene, or the shape is not known.
     """
-    to_world = shape.transform()
+    to_world, uv = shape.transform(), None
     if shape.kind in _PRIMITIVES:
         mesh = _PRIMITIVES[shape.kind](shape)
         smooth: bool | float = _CREASE if shape.kind in ("sphere", "cylinder") else False
+        if shape.kind == "rectangle":
+            uv = 0.5 * (1.0 + np.asarray(mesh.vertices)[:, :2])
     elif shape.kind in ("obj", "ply", "stl"):
         name = shape.text("filename", "")
         path = path_beside(scene_path, name, f"{shape.label}: filename")
         try:
-            mesh, smooth = _joined(_READERS[shape.kind](path))
+            mesh, smooth, uv = _joined(_READERS[shape.kind](path, _has_bitmap(shape)))
         except OSError as error:
             raise type(error)(f"{scene_path}, {shape.label}: {error}") from None
     else:
         raise ValueError(f"{shape.label}: a shape of type {shape.kind!r} is not read")
+    if uv is not None and shape.flag("flip_tex_coords", shape.kind == "obj"):
+        uv = uv * [1.0, -1.0] + [0.0, 1.0]
     mesh.apply_transform(to_world)
     if shape.flag("flip_normals"):
         mesh.invert()
-    return mesh, False if shape.flag("face_normals") else smooth
+    return mesh, False if shape.flag("face_normals") else smooth, uv
 
 
-def _joined(parts: list[Part]) -> tuple[trimesh.Trimesh, bool | float]:
-    """One mesh of parts whose materials do not count."""
+def _has_bitmap(plugin: Plugin) -> bool:
+    children = plugin.children.values()
+    return any(child.kind == "bitmap" or _has_bitmap(child) for child in children)
+
+
+def _joined(parts: list[Part]) -> tuple[trimesh.Trimesh, bool | float, Floats | None]:
+    """One mesh of parts whose materials do not count, and texture coordinates if all have them."""
     import trimesh
 
+    uvs = [part.uv for part in parts if part.uv is not None]
+    uv = np.concatenate(uvs) if len(uvs) == len(parts) else None
     meshes = [part.mesh(np.eye(3)) for part in parts]
     if len(meshes) == 1 and parts[0].normals is not None:
-        return meshes[0], True
+        return meshes[0], True, uv
     joined: Any = trimesh.util.concatenate(meshes) if len(meshes) > 1 else meshes[0]
-    return joined, _ALL_SMOOTH
+    return joined, _ALL_SMOOTH, uv
 
 
 def _sphere(shape: Plugin) -> trimesh.Trimesh:
@@ -121,10 +134,10 @@ def _across(axis: Floats) -> tuple[Floats, Floats]:
 
 
 # Materials of files do not count.
-_READERS: dict[str, Callable[[Path], list[Part]]] = {
-    "obj": lambda path: read_obj(path, Substitutions(), with_materials=False),
-    "ply": lambda path: read_ply(path, Substitutions()),
-    "stl": lambda path: read_stl(path, Substitutions()),
+_READERS: dict[str, Callable[[Path, bool], list[Part]]] = {
+    "obj": lambda path, uv: read_obj(path, Substitutions(), with_materials=False, with_uv=uv),
+    "ply": lambda path, _: read_ply(path, Substitutions()),
+    "stl": lambda path, _: read_stl(path, Substitutions()),
 }
 _PRIMITIVES: dict[str, Callable[[Plugin], trimesh.Trimesh]] = {
     "sphere": _sphere,
