@@ -93,10 +93,8 @@ def _common(sweeps: list[list[Point]]) -> list[dict[str, Any]]:
     for name in sorted(set.intersection(*map(set, by_scene))):
         curves = [scene[name] for scene in by_scene]
         choice = curves[0][0].choice
-        if not METHODS[choice.method].needs_photons:
-            rows.append(_row(choice, [_of(curve[0]) for curve in curves]))
-            continue
-        if min(map(len, curves)) < _FITTED:
+        # Whether envelopes suit a scene takes a pilot to tell.
+        if not METHODS[choice.method].needs_photons or min(map(len, curves)) < _FITTED:
             continue
         most = _FARTHEST * min(curve[-1].choice.n_emitted for curve in curves)
         for n in (n for n in _NUMBERS if n <= most):
