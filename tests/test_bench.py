@@ -275,6 +275,15 @@ def test_table_1_has_a_column_for_every_method(monkeypatch):
     assert cells["total"][0].endswith("(14.8 s)")
 
 
+def test_the_papers_settings_are_told_beside_quicker_ones_with_errors():
+    lines = table1.by_settings(300, 2, 1).splitlines()
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[:11]]
+    assert cells[0] == ["prism", *table1.SETTINGS]
+    assert all(float(cell.rstrip("%")) > 0.0 for cell in cells[-1][1:])
+    # Fewer iterations and neighbours take other photons nowhere.
+    assert len(set(cells[3][1:])) == 1
+
+
 def test_squared_errors_are_located_in_the_brightest_pixels():
     exact = np.ones((4, 5, 3))
     exact[1, 2], exact[2, 3] = 9.0, 7.0
