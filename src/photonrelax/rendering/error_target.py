@@ -23,7 +23,7 @@ from .passes import pass_seed
 # the next.
 _PILOT, _PILOT_SHARE, _LEAST_FACTOR, _LARGEST_FACTOR = 4000, 1 / 64, 1.6, 24.0
 # Exponents of the error over photons: expected, and believed when measured.
-_EXPONENT, _EXPONENTS = 0.4, (0.25, 0.5)
+_EXPONENT, _EXPONENTS = 0.45, (0.35, 0.65)
 # Photons are chosen for an error that is less than asked, as estimates have noise too, and for a
 # time that is less.
 _ERROR_SHARE, _TIME_SHARE = 0.93, 0.9
