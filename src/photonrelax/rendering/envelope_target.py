@@ -351,7 +351,7 @@ class EnvelopeAttempt:
     seed: int
 
     def is_worth(self, trials: PhotonTrials, goal: Goal, left: float) -> bool:
-        """Whether photons for the error would take longer than two divisions.
+        """Whether photons for the error would take longer than a first division.
 
         By counts and measured times of other scenes, so that the same is chosen on every machine,
         unless a time is given.
@@ -359,7 +359,7 @@ class EnvelopeAttempt:
         is_in_time = left > _TIMES_FIRST * self.work.envelope
         if goal.error is None:
             return is_in_time and trials.photons_for(1.0, "caustic") > 0.0
-        return is_in_time and self._seconds(trials, goal.error) > 2.0 * self.work.envelope
+        return is_in_time and self._seconds(trials, goal.error) > self.work.envelope
 
     def _seconds(self, trials: PhotonTrials, error: float) -> float:
         """Seconds of the images of the next trial, were they of caustics alone."""
