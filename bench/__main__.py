@@ -25,6 +25,7 @@ python -m bench error-times       errors of irradiance maps over the time they t
 python -m bench resolution        errors by gaps, thicknesses and widths that float32 tells apart
 python -m bench extremes          errors at extremes of sizes, densities, indices and cameras
 python -m bench promises          true errors and times of renders that promise some
+python -m bench fronts            times of methods by error, on many scenes
 python -m bench presets           presets from the fronts of `photonrelax tradeoff`
 python -m bench tessellation      changes of the caustic of `cognac` with twice the facets
 python -m bench dispersion        noise of colour behind plates, by how light is dispersed
@@ -47,6 +48,7 @@ from bench.studies import (
     figure9,
     flicker,
     frequency,
+    fronts,
     gallery_light,
     initial_radius,
     kernels,
@@ -93,6 +95,7 @@ _COMMANDS = {
     "slopes": slopes,
     "tessellation": tessellation,
     "extremes": extremes,
+    "fronts": fronts,
     "presets": presets,
     "promises": promises,
     # The processes that `compare` and `memory` start.

@@ -20,6 +20,7 @@ from bench.studies import (
     initial_radius,
     methods,
     pixel_means,
+    promises,
     refinements,
     resolution,
     shapes,
@@ -273,6 +274,25 @@ def test_table_1_has_a_column_for_every_method(monkeypatch):
         True,
     ]
     assert cells["total"][0].endswith("(14.8 s)")
+
+
+def test_promises_are_told_with_the_method_chosen(monkeypatch):
+    ring = gallery.scene("ring", pixels=16, sections=64)
+    monkeypatch.setattr(gallery, "scene", lambda name: ring)
+    sizes = {"pixels": 16, "reference_error": 0.05, "reference_photons": 5000}
+    study = promises.Study(("ring",), errors=(0.3,), seeds=2, **sizes)
+    ((scene, method, asked, runs, estimate, *_),) = promises.rows(study)
+    assert (scene, method, asked, runs) == ("ring", "chosen: mapped", "0.3", "2")
+    assert 0.0 < float(estimate) < 0.3
+
+
+def test_the_papers_settings_are_told_beside_quicker_ones_with_errors():
+    lines = table1.by_settings(300, 2, 1).splitlines()
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[:11]]
+    assert cells[0] == ["prism", *table1.SETTINGS]
+    assert all(float(cell.rstrip("%")) > 0.0 for cell in cells[-1][1:])
+    # Fewer iterations and neighbours take other photons nowhere.
+    assert len(set(cells[3][1:])) == 1
 
 
 def test_squared_errors_are_located_in_the_brightest_pixels():

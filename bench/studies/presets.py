@@ -49,14 +49,16 @@ def presets(folders: Iterable[Path]) -> dict[str, Any]:
     by_class: dict[str, list[str]] = {name: [] for name in SCENE_CLASSES}
     for scene in sweeps:
         by_class[scene_class(gallery.scene(scene))].append(scene)
-    found = {}
+    found, envelopes = {}, {}
     for name, scenes in by_class.items():
         # Classes without a sweep have the presets of all scenes.
-        found[name] = _of_class([sweeps[scene] for scene in scenes or sweeps], bool(scenes))
+        mine = [sweeps[scene] for scene in scenes or sweeps]
+        found[name], envelopes[name] = _of_class(mine, bool(scenes)), _of_envelopes(mine)
     return {
         "version": __version__,
         "date": date.today().isoformat(),
         "measured_on": by_class,
+        "envelopes": envelopes,
         "presets": found,
     }
 
@@ -64,6 +66,16 @@ def presets(folders: Iterable[Path]) -> dict[str, Any]:
 def _sweep(folder: Path) -> tuple[str, list[Point]]:
     data = json.loads((folder / STATE).read_text())
     return data["about"]["scene"], [Point.from_dict(each) for each in data["points"]]
+
+
+def _of_envelopes(sweeps: list[list[Point]]) -> float | None:
+    """Geometric mean of the seconds of the quickest envelopes; None if no scene has any."""
+    found = [
+        min(point.cpu_seconds for point in points if point.choice.method == "envelope")
+        for points in sweeps
+        if any(point.choice.method == "envelope" for point in points)
+    ]
+    return round(float(np.exp(np.log(found).mean())), 3) if found else None
 
 
 def _of_class(sweeps: list[list[Point]], measured: bool) -> dict[str, Any]:
@@ -81,10 +93,8 @@ def _common(sweeps: list[list[Point]]) -> list[dict[str, Any]]:
     for name in sorted(set.intersection(*map(set, by_scene))):
         curves = [scene[name] for scene in by_scene]
         choice = curves[0][0].choice
-        if not METHODS[choice.method].needs_photons:
-            rows.append(_row(choice, [_of(curve[0]) for curve in curves]))
-            continue
-        if min(map(len, curves)) < _FITTED:
+        # Whether envelopes suit a scene takes a pilot to tell.
+        if not METHODS[choice.method].needs_photons or min(map(len, curves)) < _FITTED:
             continue
         most = _FARTHEST * min(curve[-1].choice.n_emitted for curve in curves)
         for n in (n for n in _NUMBERS if n <= most):

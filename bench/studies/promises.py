@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +16,13 @@ from bench.arguments import numbers
 from bench.markdown import markdown_table
 from photonrelax import gallery
 from photonrelax.imaging.metrics import relative_l1
+from photonrelax.rendering.plan import COMPONENTS
 from photonrelax.rendering.view import resized
 
 # A true error is to be at most, and at least, so many times the estimate.
 _MOST, _LEAST = 1.25, 0.5
 _COUNTS = 4
+_DIRECT = ("emission", "direct", "caustic")
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,9 @@ class Study:
     reference_error : float
         Misplaced light of envelopes that are references.
     reference_photons : int
-        Photons counted, four times.
+        Photons counted, four times, and photons of indirect light.
+    has_indirect : bool
+        Indirect light is not left out.
     """
 
     scenes: tuple[str, ...] = ("ring", "sphere", "ripples", "prism", "pool")
@@ -45,6 +50,12 @@ class Study:
     counted: tuple[str, ...] = ("prism",)
     reference_error: float = 0.004
     reference_photons: int = 2_000_000
+    has_indirect: bool = False
+
+    @property
+    def light(self) -> tuple[str, ...]:
+        """Components that are rendered."""
+        return COMPONENTS if self.has_indirect else _DIRECT
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,6 +65,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--errors", default="0.1,0.03")
     parser.add_argument("--seconds", type=numbers, default=[])
     parser.add_argument("--seeds", type=int, default=default.seeds)
+    parser.add_argument("--indirect", action="store_true", help="with indirect light")
+    parser.add_argument("--reference-error", type=float, default=default.reference_error)
+    parser.add_argument("--reference-photons", type=numbers, default=[default.reference_photons])
 
 
 def run(options: argparse.Namespace) -> None:
@@ -64,6 +78,9 @@ def run(options: argparse.Namespace) -> None:
         errors=tuple(float(text) for text in options.errors.split(",") if text),
         seconds=tuple(options.seconds),
         seeds=options.seeds,
+        has_indirect=options.indirect,
+        reference_error=options.reference_error,
+        reference_photons=options.reference_photons[0],
     )
     print(markdown(study))
 
@@ -74,7 +91,7 @@ def markdown(study: Study) -> str:
     titles += [f"≤ {_MOST:g}", f"≥ {_LEAST:g}", "met", "seconds, median, worst"]
     return (
         f"{markdown_table(titles, rows(study))}\n\nRelative L1 of radiance over {study.pixels} x "
-        f"{study.pixels} pixels, without indirect light.\n"
+        f"{study.pixels} pixels, {'with' if study.has_indirect else 'without'} indirect light.\n"
     )
 
 
@@ -87,40 +104,51 @@ def rows(study: Study) -> Iterator[list[str]]:
         expected = reference(scene, study)
         for method in study.methods:
             for goal in goals:
-                cells = _row(scene, expected, method, goal, study)
-                yield [name, method or "chosen", _text(goal), *cells]
+                asked = goal | {"method": method or None, "components": study.light}
+                yield [name, *_row(scene, expected, _text(goal), asked, study.seeds)]
 
 
 def reference(scene: pr.Scene, study: Study) -> NDArray:
-    """Radiance of an envelope, or of photons that are counted."""
-    light = ("emission", "direct", "caustic")
+    """Radiance of an envelope, or of photons that are counted, and of other light."""
+    others = tuple(name for name in study.light if name != "caustic")
     if scene.name not in study.counted:
         settings = pr.EnvelopeSettings(error=study.reference_error)
-        image = pr.render(scene, method="envelope", envelope=settings, components=light)
-        return np.asarray(image.layers["radiance"])
+        image = pr.render(scene, method="envelope", envelope=settings, components=("caustic",))
+        caustic = image.layers["radiance"]
+    else:
+        caustic = _mean(scene, study, method="standard", gather=pr.GatherSettings(k=4))
+    n_global = study.reference_photons if study.has_indirect else 0
+    rest = _mean(scene, study, components=others, n_global=n_global)
+    return np.asarray(caustic) + rest
+
+
+def _mean(scene: pr.Scene, study: Study, **settings: Any) -> NDArray:
+    """Mean radiance of images of other photons, of caustics unless settings tell others."""
     images = [
         pr.render(
             scene,
-            method="standard",
             n_emitted=study.reference_photons,
             seed=1000 + seed,
-            gather=pr.GatherSettings(k=4),
-            components=light,
+            **({"components": ("caustic",)} | settings),
         )
         for seed in range(_COUNTS)
     ]
-    return np.mean([image.layers["radiance"] for image in images], axis=0)
+    mean: NDArray = np.mean([image.layers["radiance"] for image in images], axis=0)
+    return mean
 
 
 def _row(
-    scene: pr.Scene, expected: NDArray, method: str, goal: dict[str, float], study: Study
+    scene: pr.Scene, expected: NDArray, text: str, asked: dict[str, Any], seeds: int
 ) -> list[str]:
     """Cells of the runs of all seeds."""
-    runs = [_run(scene, expected, method, goal, seed) for seed in range(study.seeds)]
-    estimate, true, met, seconds = np.array(runs).T
+    runs = [_run(scene, expected, asked, seed) for seed in range(seeds)]
+    methods = dict.fromkeys(method for method, *_ in runs)
+    estimate, true, met, seconds = np.array([figures for _, *figures in runs]).T
     ratio = true / estimate
     low, middle, high = np.percentile(ratio, [5, 50, 95])
     return [
+        ", ".join(methods) if asked["method"] else f"chosen: {', '.join(methods)}",
+        text,
         f"{len(runs)}",
         f"{np.median(estimate):.4f}",
         f"{middle:.2f}, {low:.2f}…{high:.2f}",
@@ -132,21 +160,16 @@ def _row(
 
 
 def _run(
-    scene: pr.Scene, expected: NDArray, method: str, goal: dict[str, float], seed: int
-) -> tuple[float, float, bool, float]:
-    """Estimate, true error, whether the goal was met, and seconds."""
+    scene: pr.Scene, expected: NDArray, asked: dict[str, Any], seed: int
+) -> tuple[str, float, float, bool, float]:
+    """Method, estimate, true error, whether the goal was met, and seconds."""
     started = perf_counter()
-    image = pr.render(
-        scene,
-        method=method or None,
-        seed=seed,
-        components=("emission", "direct", "caustic"),
-        **goal,
-    )
+    image = pr.render(scene, seed=seed, **asked)
     seconds = perf_counter() - started
     told = image.stats["error"]
     true = relative_l1(image.layers["radiance"], expected)
-    return told["estimate"], true, told["is_met"], seconds
+    method = image.metadata["photonrelax.method"]
+    return method, told["estimate"], true, told["is_met"], seconds
 
 
 def _text(goal: dict[str, float]) -> str:

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import argparse
 import sys
-from time import perf_counter
+from dataclasses import replace
+from time import perf_counter, process_time
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 import photonrelax as pr
 from bench.markdown import markdown_table
 from bench.speed import inputs, machine
+from photonrelax.imaging.metrics import relative_l1
+from photonrelax.rendering.presets import Choice
 
 # Rows of the table by stage; every other stage of a method counts as feature detection.
 _FEATURES = "structure (feature detect)"
@@ -34,9 +40,21 @@ def _column(render: float, total: float, **others: float) -> dict[str, float]:
     return {**found, **named, "render": render, "total": total}
 
 
+def _quick(n_iterations: tuple[int, int]) -> dict[str, dict[str, Any]]:
+    return {"relax": {"n_iterations": n_iterations}, "gather": {"k": 8}}
+
+
 _GATHER = pr.GatherSettings(k=15)
 # ibid., §5: 500 photons and q = 0.02; eigenvalues over the largest, as in SSO08.
 _DIFFUSION = pr.DiffusionSettings(k=500, edge_threshold=0.02, normalisation="maximum")
+# The paper's settings, and those of the fronts of docs/measurements/tradeoff.md.
+SETTINGS = {
+    "7 + 7, k = 15": Choice("parameterised", 0, 2, {"gather": {"k": 15}}),
+    "2 + 2, k = 8": Choice("parameterised", 0, 2, _quick((2, 2))),
+    "2 + 2, k = 8, 1 sample": Choice("parameterised", 0, 1, _quick((2, 2))),
+    "mapped, 3 + 3, k = 8, 1 sample": Choice("mapped", 0, 1, _quick((3, 3))),
+}
+_ERROR = "error of the caustic"
 # ibid., all columns.
 PAPER_OF = {
     "standard": _column(4.3, 14.8),
@@ -58,18 +76,29 @@ def measured(
 
     K = 15, 7 + 7 iterations, K_c = 50; 600 x 600 pixels of 2 x 2 samples.
     """
-    scene = inputs.scene(pixels)
-    image = pr.render(
-        scene,
-        method=method,
-        n_emitted=n_emitted,
-        gather=_GATHER,
-        diffusion=_DIFFUSION,
+    choice = Choice(method, n_emitted, 2)
+    return _columns_of(_image(choice, n_threads, pixels, gather=_GATHER, diffusion=_DIFFUSION))
+
+
+def _image(
+    choice: Choice, n_threads: int | None, pixels: int, seed: int = 0, **settings: Any
+) -> pr.Image:
+    """Image of the prism, with settings of a choice and others."""
+    return pr.render(
+        inputs.scene(pixels),
+        method=choice.method,
+        n_emitted=choice.n_emitted,
         components=("direct", "caustic"),
-        supersampling=2,
+        supersampling=choice.supersampling,
+        seed=seed,
         n_threads=n_threads,
         progress=_report,
+        **(choice.settings.given | settings),
     )
+
+
+def _columns_of(image: pr.Image) -> dict[str, float]:
+    """Seconds and counts of an image by the table's rows."""
     stages: dict[str, Any] = image.stats["stages"]
     seconds: dict[str, float] = {}
     for name, stage in stages.items():
@@ -113,6 +142,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--emitted", type=float, default=20e6, help="default 20e6")
     parser.add_argument("--stored", type=float, default=863e3, help="of the second column")
     parser.add_argument("--methods", action="store_true", help="all five columns of the paper")
+    parser.add_argument("--settings", action="store_true", help="the paper's and quicker ones")
+    parser.add_argument("--counts", type=int, default=4, help="of --settings, default 4")
     parser.add_argument("--passes", type=int, default=50, help="of progressive, default 50")
     parser.add_argument("--threads", type=int, help="default all")
     parser.add_argument("--quick", action="store_true", help="few photons: does it run?")
@@ -121,7 +152,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Print photonrelax's column next to the paper's, or all columns."""
     stored, emitted = (2e4, 2e5) if options.quick else (options.stored, options.emitted)
-    if options.methods:
+    if options.settings:
+        print(by_settings(int(stored), options.counts, options.threads))
+    elif options.methods:
         print(every_method(int(stored), options.passes, options.threads))
     else:
         print(markdown(int(emitted), int(stored), options.threads))
@@ -168,6 +201,43 @@ def every_method(n_stored: int, n_passes: int, n_threads: int | None = None) -> 
     return f"{table}\n\n{_threads_and_machine(n_threads)}\n"
 
 
+def by_settings(n_stored: int, n_counts: int, n_threads: int | None = None) -> str:
+    """Return a column for each of `SETTINGS`, with the errors of the caustic.
+
+    Against the mean of so many images of as many other photons, counted, whose noise is half of the
+    difference of its halves.
+    """
+    pixels, n_emitted = 600 if n_stored > 100_000 else 60, int(n_stored / inputs.STORED)
+    expected, noise = _counts(n_emitted, n_counts, n_threads, pixels)
+    columns = {}
+    for name, choice in SETTINGS.items():
+        started = process_time()
+        image = _image(replace(choice, n_emitted=n_emitted), n_threads, pixels)
+        columns[name] = _columns_of(image) | {"of the processors": process_time() - started}
+        columns[name][_ERROR] = relative_l1(image.layers["caustic"], expected)
+    rows = [*PAPER, "of the processors", _ERROR]
+    table = markdown_table(
+        ["prism", *columns], ([row, *(_cell(row, columns[m]) for m in columns)] for row in rows)
+    )
+    return (
+        f"{table}\n\nErrors are relative L1, with the noise of the {n_counts} x {n_emitted:,} "
+        f"photons counted, {noise:.2%}. {_threads_and_machine(n_threads)}\n"
+    )
+
+
+def _counts(
+    n_emitted: int, n_counts: int, n_threads: int | None, pixels: int
+) -> tuple[NDArray[np.float64], float]:
+    """Mean caustic of images of counted photons, an even number, and its noise."""
+    choice = Choice("standard", n_emitted, 2, {"gather": {"k": 4}})
+    images = [
+        np.asarray(_image(choice, n_threads, pixels, 1000 + seed).layers["caustic"])
+        for seed in range(n_counts)
+    ]
+    halves = [np.mean(images[first::2], axis=0) for first in range(2)]
+    return np.mean(halves, axis=0), 0.5 * relative_l1(halves[0], halves[1])
+
+
 def _threads_and_machine(n_threads: int | None) -> str:
     return f"Threads: {n_threads or machine.machine()['cores']}. {machine.description()}."
 
@@ -175,6 +245,8 @@ def _threads_and_machine(n_threads: int | None) -> str:
 def _cell(row: str, column: dict[str, float]) -> str:
     if row not in column:
         return "–"
+    if row == _ERROR:
+        return f"{column[row]:.2%}"
     if row.startswith("photons"):
         return f"{column[row]:,}"
     return f"{column[row]:,.0f} s" if column[row] >= 100.0 else f"{column[row]:.3g} s"

@@ -1,4 +1,4 @@
-"""Estimates of error from halves, and renders that go on until one is reached."""
+"""Renders of photons that go on until an error is reached, and what may take their place."""
 
 import json
 
@@ -9,7 +9,7 @@ import photonrelax as pr
 from photonrelax.cli import main
 from photonrelax.imaging.image import Image, read_exr
 from photonrelax.rendering import error_target
-from photonrelax.rendering.error_target import Goal, divide_to_goal, estimate_error, render_to_goal
+from photonrelax.rendering.error_target import Goal, render_to_goal
 
 SHAPE = (64, 64, 3)
 TRUTH = 1.0 + np.random.default_rng(5).random(SHAPE)
@@ -22,28 +22,6 @@ def image_of(n, seed, *, noise=1.0, bias=1.0):
     values = TRUTH + (noise * drawn + bias * PATTERN) / np.sqrt(n)
     stats = {"stages": {"render": {"seconds": 0.0}}}
     return Image({"radiance": values, "Z": np.full(SHAPE[:2], np.inf)}, {}, stats)
-
-
-@pytest.mark.parametrize(("noise", "bias"), [(1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.2, 1.0)])
-def test_the_estimate_is_the_error_of_the_mean(noise, bias):
-    images = [image_of(n, n, noise=noise, bias=bias) for n in (500, 501, 1000)]
-    first, second, whole = (image.layers["radiance"] for image in images)
-    found = estimate_error(first, second, whole)
-    mean = found.weight * whole + (1.0 - found.weight) * 0.5 * (first + second)
-    error = np.abs(mean - TRUTH).sum() / TRUTH.sum()
-    assert found.total == pytest.approx(error, rel=0.1)
-    assert found.total == pytest.approx(np.hypot(found.noise, found.bias))
-
-
-def test_noise_alone_weighs_all_photons_alike_and_bias_alone_takes_the_most():
-    noise = [image_of(n, n, bias=0.0).layers["radiance"] for n in (500, 501, 1000)]
-    assert estimate_error(*noise).weight == pytest.approx(0.5, abs=0.1)
-    bias = [image_of(n, 1, noise=0.0).layers["radiance"] for n in (500, 500, 1000)]
-    assert estimate_error(*bias).weight == 1.0
-
-
-def test_black_images_have_no_error():
-    assert estimate_error(*np.zeros((3, *SHAPE))).total == 0.0
 
 
 def test_photons_are_added_until_the_error_is_reached():
@@ -91,19 +69,37 @@ def test_what_is_reached_stays_where_more_does_not_fit_in_memory():
     assert not reached["is_met"]
 
 
-def test_envelopes_are_divided_until_the_error_is_reached():
-    def divide(misplaced, seed):
-        return image_of(1.0 / (0.1 * misplaced) ** 2, 1, noise=0.0)
+class Attempt:
+    """Another way to an image that is worth it, once, and finds one or not."""
 
-    image = divide_to_goal(divide, Goal(error=0.004), 0, "radiance")
-    reached = image.stats["error"]
-    assert reached["is_met"]
-    error = np.abs(image.layers["radiance"] - TRUTH).sum() / TRUTH.sum()
-    assert error == pytest.approx(reached["estimate"], rel=0.01)
+    def __init__(self, image):
+        self.found, self.tried = image, 0
+
+    def is_worth(self, trials, goal, left):
+        return True
+
+    def image(self, trials, goal, left):
+        self.tried += 1
+        return self.found
 
 
-def test_an_envelope_is_rendered_to_an_error(ring):
-    assert pr.render(ring, method="envelope", error=0.05).stats["error"]["is_met"]
+def test_an_alternative_takes_the_place_of_photons():
+    other = image_of(1, 1)
+    found = render_to_goal(image_of, Goal(0.004), 1000, 0, "radiance", alternative=Attempt(other))
+    assert found is other
+
+
+def test_an_alternative_that_fails_is_not_tried_again():
+    attempt = Attempt(None)
+    found = render_to_goal(image_of, Goal(0.004), 1000, 0, "radiance", alternative=attempt)
+    assert found.stats["error"]["is_met"]
+    assert attempt.tried == 1
+
+
+def test_a_time_alone_takes_the_most_exact_preset():
+    assert Goal(seconds=1.0).preset_error == 0.0
+    assert Goal(error=0.1, seconds=1.0).preset_error == 0.1
+    assert Goal().preset_error is None
 
 
 def test_a_scene_is_rendered_to_an_error(ring):

@@ -16,6 +16,7 @@ from photonrelax.rendering.presets import (
     preset,
     preset_data,
     scene_class,
+    work_of,
 )
 
 ROWS = [
@@ -63,6 +64,12 @@ def test_the_papers_settings_are_the_defaults(ring):
 def test_presets_get_more_exact(ring):
     errors = [preset_data()["presets"]["sharp"][name]["mapped"]["error"] for name in PRESETS[:3]]
     assert errors == sorted(errors, reverse=True)
+
+
+def test_work_is_that_of_the_class(ring):
+    work, row = work_of(ring), preset_data()["presets"]["sharp"]["final"]["mapped"]
+    assert work.photon == row["seconds"] / row["n_emitted"]
+    assert work.envelope == preset_data()["envelopes"]["sharp"]
 
 
 def test_nothing_asked_for_is_the_default(ring):

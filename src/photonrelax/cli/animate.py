@@ -47,12 +47,11 @@ def animate(options: argparse.Namespace, interrupts: Interrupts) -> None:
 
 def _animation(options: argparse.Namespace, bars: ProgressBars, paths: list[Path]) -> Animation:
     from ..rendering.animation import Animation
-    from ..rendering.presets import choose
-    from .render_arguments import render_arguments
+    from .render_arguments import chosen_method, render_arguments
 
     times = [options.start + number / options.fps for number in range(options.frames)]
     scene_at = _scene_at(options)
-    method = choose(scene_at(times[0]), options.method, options.preset, options.error).method
+    method = chosen_method(options, scene_at(times[0]))
     animation = Animation(scene_at, times, **render_arguments(options, method, bars))
     if (options.error, options.seconds) != (None, None):
         n_emitted = _photons_there(paths)

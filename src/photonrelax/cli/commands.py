@@ -191,13 +191,12 @@ def _render_passes(options: argparse.Namespace, interrupts: Interrupts) -> pr.Im
 
 
 def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Image:
-    from ..rendering.presets import choose
     from ..rendering.view import resized
-    from .render_arguments import render_arguments
+    from .render_arguments import chosen_method, render_arguments
 
     photons = None if options.photon_map is None else pr.PhotonMap.load(options.photon_map)
     scene = resized(scene_of(options.scene, options), options.width, options.height)
-    method = choose(scene, options.method, options.preset, options.error).method
+    method = chosen_method(options, scene)
     with ProgressBars(options.quiet, interrupts) as bars, executor_of(options) as executor:
         return pr.render(
             scene,

@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .._util.progress import Progress
+from ..rendering.error_target import Goal
+from ..rendering.presets import choose
 from .arguments import SAMPLER
 from .settings import settings_from_options
+
+if TYPE_CHECKING:
+    import photonrelax as pr
+
+
+def chosen_method(options: argparse.Namespace, scene: pr.Scene) -> str:
+    """Method that options say, or a preset chooses for a scene, whose settings may be given."""
+    goal = Goal(options.error, options.seconds)
+    return choose(scene, options.method, options.preset, goal.preset_error).method
 
 
 def render_arguments(
@@ -16,7 +27,7 @@ def render_arguments(
     """Arguments of `render` that images and frames of animations are rendered with, by name."""
     settings = settings_from_options(options, (method,), ("gather", "progressive"))
     return {
-        "method": method,
+        "method": options.method,
         "n_emitted": options.photons,
         "n_global": options.n_global,
         "components": options.components,

@@ -32,6 +32,8 @@ from .surface import Surface, lit_objects
 # estimate takes more than a share, or it would be of the whole scene.
 _K, _K_OF_MANY, _MANY = 800, 1600, 3_000_000
 _SMALLEST_K, _SHARE = 50, 50
+# Photons stored by default.
+_USUAL = 1_000_000
 # Estimates among the photons of one, and those that a mean is taken of: the mean adds a sixth to
 # the area of a kernel.
 _ESTIMATES, _NEAREST = 50, 8
@@ -141,6 +143,14 @@ def _means(
 
 def _n_paths(photons: PhotonMap) -> int:
     return round(len(photons) / photons.photons_per_path)
+
+
+def widening_settings(n_photons: int) -> GatherSettings:
+    """Settings whose k goes with the root of a number of photons, the default of a million.
+
+    Noise and bias then both fall with each photon: n^-¼ and, on smooth light, n^-½.
+    """
+    return GatherSettings(k=max(round(_K * (n_photons / _USUAL) ** 0.5), _SMALLEST_K))
 
 
 def default_settings(n_photons: int) -> GatherSettings:

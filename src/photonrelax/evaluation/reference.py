@@ -44,7 +44,8 @@ from .request import ComparisonRequest
 
 # Keys of the metadata of references.
 ABOUT, COST = "photonrelax.reference", "photonrelax.reference_cost"
-_KEY, _UNCERTAINTY = "photonrelax.reference_of", "photonrelax.reference_doubt"
+UNCERTAINTY = "photonrelax.reference_doubt"
+_KEY = "photonrelax.reference_of"
 # Discs of twice the width hold four times as many photons.
 _WIDE = 4
 _LAYERS = ("radiance", "caustic")
@@ -326,13 +327,13 @@ def cached_reference(
 
 def uncertainty_of(reference: Image) -> Uncertainty | None:
     """Uncertainty of a reference, None unless it was estimated."""
-    text = reference.metadata.get(_UNCERTAINTY)
+    text = reference.metadata.get(UNCERTAINTY)
     if text is None:
         return None
     try:
         return Uncertainty(**json.loads(text))
     except (ValueError, TypeError, RecursionError) as error:
-        raise ValueError(f"{_UNCERTAINTY} should be an uncertainty as JSON: {error}") from None
+        raise ValueError(f"{UNCERTAINTY} should be an uncertainty as JSON: {error}") from None
 
 
 def estimate_uncertainty(narrow: list[Floats], wide: list[Floats]) -> Uncertainty:
@@ -382,7 +383,7 @@ def _computed(
     metadata = {
         ABOUT: _description(settings, cost["stored"], uncertainty),
         COST: json.dumps(cost),
-        _UNCERTAINTY: json.dumps(asdict(uncertainty)),
+        UNCERTAINTY: json.dumps(asdict(uncertainty)),
         _KEY: _key(request, settings),
     }
     return Image(layers, {**narrow[0].metadata, **metadata})

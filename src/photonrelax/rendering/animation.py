@@ -82,7 +82,7 @@ class Animation:
     def _chosen(self, settings: dict[str, Any]) -> dict[str, Any]:
         """Settings, with what a preset or an error chooses for the first frame."""
         name = settings.pop("preset", None)
-        choice = choose(self._first, settings.get("method"), name, self._goal.error)
+        choice = choose(self._first, settings.get("method"), name, self._goal.preset_error)
         if self._goal.is_given and not method_named(choice.method).needs_photons:
             raise ValueError(
                 f"error and seconds find a number of photons for all frames, but {choice.method} "

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 from .._util.validation import check_choice
 from ..estimation.methods import DEFAULT_METHOD, Settings, method_named
@@ -115,6 +115,30 @@ def preset(name: str, scene: Scene, method: str | None = None) -> Choice:
         )
     row = rows[method]
     return Choice(method, row["n_emitted"], row["supersampling"], row["stages"])
+
+
+class Work(NamedTuple):
+    """Processor seconds that were measured in scenes of a class.
+
+    Attributes
+    ----------
+    photon : float
+        For each photon emitted, of the best preset.
+    envelope : float
+        Of the first division of an envelope.
+    """
+
+    photon: float
+    envelope: float
+
+
+def work_of(scene: Scene) -> Work:
+    """What photons and envelopes take in scenes of the class."""
+    name = scene_class(scene)
+    row = next(iter(preset_data()["presets"][name][_MEASURED[-1]].values()))
+    # Where no envelope was measured none is worth a try.
+    envelope = preset_data()["envelopes"][name] or float("inf")
+    return Work(row["seconds"] / row["n_emitted"], envelope)
 
 
 def choose(

@@ -17,7 +17,7 @@ from .._util.workers import Workers, checked_executor
 from ..estimation.envelope.envelope import EnvelopeSettings
 from ..estimation.envelope.field import EnvelopeField
 from ..estimation.field import Field
-from ..estimation.indirect import IndirectField
+from ..estimation.indirect import IndirectField, widening_settings
 from ..estimation.methods import (
     MethodInput,
     Settings,
@@ -35,11 +35,18 @@ from ..transport.emission import PATHS, SAMPLERS, EmissionPlan, plan_emission
 from ..transport.trace import trace_photons
 from .bands import BandRenderer
 from .budget import check_render_fits
-from .error_target import Goal, divide_to_goal, render_to_goal
+from .envelope_target import (
+    DivisionLimits,
+    EnvelopeAttempt,
+    Parts,
+    divide_to_goal,
+    envelope_summary,
+)
+from .error_target import Goal, render_to_goal
 from .final_gather import FinalGather
 from .metadata import ledger_values, metadata, photon_metadata
 from .plan import Plan, plan
-from .presets import Choice, choose
+from .presets import Choice, choose, work_of
 from .view import View, concatenate_bands
 
 
@@ -132,13 +139,19 @@ def render(
         If more memory is estimated to be taken than may be.
     """
     goal = Goal(settings.pop("error", None), settings.pop("seconds", None))
-    choice = choose(scene, method, settings.pop("preset", None), goal.error)
+    name = settings.pop("preset", None)
+    choice = choose(scene, method, name, goal.preset_error)
+    if goal.is_given:
+        # Errors of samples alone are in no estimate.
+        choice = replace(choice, supersampling=max(choice.supersampling, _LEAST_SAMPLES))
     view = _view(scene, choice, settings, seed=seed, n_threads=n_threads)
     light = _Light(photons, n_global, components)
     workers = Workers(checked_executor(executor), n_threads or 1)
     job = _Job(view, choice, light, partial(_Stages, progress, workers, sampler=sampler), settings)
     n_emitted = choice.n_emitted if n_emitted is None else n_emitted
-    return job.image(n_emitted, seed) if not goal.is_given else job.to_goal(goal, n_emitted, seed)
+    if not goal.is_given:
+        return job.image(n_emitted, seed)
+    return job.to_goal(goal, n_emitted, seed, is_free=method is None and name is None)
 
 
 def _view(scene: Scene, choice: Choice, settings: RenderSettings, **others: Any) -> View:
@@ -174,36 +187,79 @@ class _Job:
     ) -> None:
         self._view, self._choice, self._light, self._stages = view, choice, light, stages
         self._memory = settings.pop("memory", None)
-        self._indirect = settings.pop("indirect", None), settings.pop("final_gather", 0)
-        self._given = choice.settings.given | settings_of("render", dict(settings)).given
+        self._indirect: GatherSettings | Callable[[int], GatherSettings] | None
+        self._indirect = settings.pop("indirect", None)
+        self._final_gather = settings.pop("final_gather", 0)
+        given = settings_of("render", dict(settings)).given
+        self._given, self._has_given = choice.settings.given | given, bool(given)
 
-    def image(self, n_emitted: int, seed: int, **changed: EnvelopeSettings) -> Image:
-        """Image by a number of photons and a seed, with some settings changed."""
-        view, method = self._view, self._choice.method
+    def image(
+        self,
+        n_emitted: int,
+        seed: int,
+        method: str | None = None,
+        light: _Light | None = None,
+        **changed: EnvelopeSettings,
+    ) -> Image:
+        """Image by a number of photons and a seed; other method, light or settings if given."""
+        view, method = self._view, method or self._choice.method
         settings = Settings(**self._given | changed)
         stages = self._stages(view if seed == view.seed else view.variant(seed=seed), seed=seed)
-        stages.plan(self._light, n_emitted)
+        stages.plan(light or self._light, n_emitted)
         stages.check_fits(method, settings, self._memory)
         stages.prepare_caustic(method, settings)
-        stages.prepare_indirect(*self._indirect)
+        stages.prepare_indirect(self._indirect, self._final_gather)
         return stages.image(method)
 
-    def to_goal(self, goal: Goal, n_emitted: int, seed: int) -> Image:
-        """Image by as many photons, or as finely divided envelopes, as reach a goal."""
+    def to_goal(self, goal: Goal, n_emitted: int, seed: int, *, is_free: bool) -> Image:
+        """Image by as many photons, or as finely divided envelopes, as reach a goal.
+
+        The method follows from the scene if it `is_free`, unless settings are given.
+        """
         if self._light.photons is not None:
             raise ValueError(
                 "photons should not be given with error or seconds, which trace their own"
             )
-        if method_named(self._choice.method).needs_photons:
-            return render_to_goal(self.image, goal, n_emitted, seed, "radiance")
+        # So that the error of indirect light falls with photons.
+        self._indirect = self._indirect or widening_settings
         envelope = self._given.get("envelope", EnvelopeSettings())
 
-        def divide(misplaced: float, seed: int) -> Image:
-            return self.image(n_emitted, seed, envelope=replace(envelope, error=misplaced))
+        def divide(limits: DivisionLimits, only: Iterable[str] | None) -> Image:
+            changed = limits.applied_to(envelope)
+            return self._of_goal(n_emitted, seed, only, "envelope", envelope=changed)
 
-        return divide_to_goal(divide, goal, seed, "radiance")
+        # A final gather needs the light of caustics too.
+        scene, components, is_whole = (
+            self._view.scene,
+            self._light.components,
+            self._final_gather > 0,
+        )
+        parts = Parts.of(scene, divide, self._of_goal, components, is_whole=is_whole)
+        if not method_named(self._choice.method).needs_photons:
+            return divide_to_goal(parts, goal, seed)
+        is_free = is_free and not self._has_given and not is_whole
+        other = EnvelopeAttempt(parts, work_of(scene), seed) if is_free else None
+        return render_to_goal(self._of_goal, goal, n_emitted, seed, "radiance", alternative=other)
+
+    def _of_goal(
+        self,
+        n_emitted: int,
+        seed: int,
+        only: Iterable[str] | None = None,
+        method: str | None = None,
+        **changed: EnvelopeSettings,
+    ) -> Image:
+        """Image of some components; photons of indirect light are as many, unless given."""
+        light = self._light
+        light = light._replace(
+            n_global=n_emitted if light.n_global is None else light.n_global,
+            components=light.components if only is None else only,
+        )
+        return self.image(n_emitted, seed, method, light, **changed)
 
 
+# Samples a side of pixels whose error is estimated, at least.
+_LEAST_SAMPLES = 2
 # Far more than any gather needs.
 _MOST_RAYS = 65536
 # Relative. Emission regions are spheres around objects, which finer meshes fill a little more.
@@ -354,8 +410,13 @@ class _Stages:
         for stage, seconds in self._caustic.seconds.items():
             self._record(stage, seconds, **n_photons)
 
-    def prepare_indirect(self, settings: GatherSettings | None, n_rays: int) -> None:
-        """Trace the photons of indirect light, if there is any, and prepare their estimates."""
+    def prepare_indirect(
+        self, settings: GatherSettings | Callable[[int], GatherSettings] | None, n_rays: int
+    ) -> None:
+        """Trace the photons of indirect light, if there is any, and prepare their estimates.
+
+        Settings may depend on the number of photons stored.
+        """
         n_rays = count(n_rays, "final_gather", low=0, high=_MOST_RAYS)
         if not self._plan.models("indirect"):
             return
@@ -365,6 +426,8 @@ class _Stages:
             photons = error.photons
             self._record("trace indirect", 0.0, emitted=self._plan.n_global, stored=0)
         started, view = perf_counter(), self._view
+        if callable(settings):
+            settings = settings(len(photons))
         self._indirect = IndirectField(
             photons, settings, scene=view.scene, n_threads=view.n_threads
         )
@@ -401,6 +464,8 @@ class _Stages:
         layers = self._layers()
         total = sum(stage["seconds"] for stage in self._stages.values())
         stats = {"stages": self._stages, "seconds": total, "ledger": self._ledger()}
+        if isinstance(self._caustic, EnvelopeField):
+            stats["envelope"] = envelope_summary(self._caustic)
         return Image(layers, self._metadata(method), stats)
 
     def _ledger(self) -> dict[str, Any] | None:

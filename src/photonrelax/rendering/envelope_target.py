@@ -1,0 +1,427 @@
+"""Envelopes divided until the estimated error of an image is what is asked for.
+
+The light of an envelope is compared with that of a coarser one. All other light is that of photons
+and shadow rays, rendered by itself until its error is no larger. Where neither method is given,
+`EnvelopeAttempt` tells by a pilot of photons whether envelopes are worth a try, and gives up where
+they are not.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .._util.validation import Floats
+from ..estimation.envelope.envelope import EnvelopeSettings
+from ..estimation.envelope.field import EnvelopeField
+from ..imaging.image import Image
+from ..scene.scene import Scene
+from .error_estimate import ErrorEstimate, refined_error
+from .error_target import Goal, PhotonTrials, Render, first_number, told
+from .layers import with_radiance
+from .passes import pass_seed
+from .plan import checked_components, plan
+from .presets import Work
+
+# Misplaced light of the first envelope over the error asked for, which may be unknown: pixels do
+# not see most of what is misplaced. Of the second over that of the first, and of the next over the
+# last, at least and at most.
+_FIRST, _UNKNOWN_ERROR, _SECOND, _NEXT = 4.0, 1 / 16, 0.4, (0.1, 0.5)
+# Share of the error asked for that envelopes are divided for, as the next estimate may be larger.
+_ERROR_SHARE = 0.8
+# Least misplaced light; what an envelope misplaces over what a coarser one does where its limits
+# keep it from being finer.
+_LEAST_MISPLACED, _LIMITED = 1e-4, 0.9
+# Rays of a first division, and misplaced light over rays: as of quadratic maps with borders.
+_FIRST_RAYS, _EXPONENT = 20_000, 1.5
+# Rays of a first division, at most: where they do not suffice nearly all light is left to photons.
+_MOST_FIRST_RAYS = 40_000
+# Time that has to be left, over that of a first division; of a next envelope over the last.
+_TIMES_FIRST, _TIMES_LAST = 5.0, 2.5
+_SETTINGS = "photonrelax.settings"
+# Relaxed photons of a map whose relative L1 error would be one: it falls with their root.
+_PHOTONS_OF_NOISE = 300.0
+# Photons for light without images, at most.
+_MOST_PHOTONS = 1_000_000
+# Share of the light that is of photons from which on an envelope is given up.
+_OF_PHOTONS = 0.5
+
+
+class DivisionLimits(NamedTuple):
+    """What may end the division of an envelope.
+
+    Attributes
+    ----------
+    misplaced : float
+        Share of the light that may be misplaced.
+    n_rays, n_photons : int, optional
+        Rays, and photons for light without images, at most.
+    """
+
+    misplaced: float
+    n_rays: int | None = None
+    n_photons: int | None = None
+
+    def applied_to(self, given: EnvelopeSettings) -> EnvelopeSettings:
+        """Settings with these limits, where they have none."""
+        return replace(
+            given,
+            error=self.misplaced,
+            n_rays=given.n_rays or self.n_rays,
+            n_photons=given.n_photons or self.n_photons,
+        )
+
+
+def envelope_summary(field: EnvelopeField) -> dict[str, float]:
+    """What an envelope misplaces, and its rays; share of its photons, and their noise."""
+    n_photons = len(field.flux) - len(field.envelope)
+    of_photons, total = field.flux[len(field.envelope) :].sum(), field.flux.sum()
+    share = float(of_photons / total) if total > 0.0 else 0.0
+    return {
+        "error": field.envelope.error,
+        "rays": field.envelope.n_rays,
+        "of_photons": share,
+        "noise": share * (_PHOTONS_OF_NOISE / max(n_photons, 1)) ** 0.5,
+    }
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Renders of the light of an envelope and of all other light.
+
+    Attributes
+    ----------
+    divide : callable
+        Maps limits to an image of the light of an envelope.
+    others : callable, optional
+        ``others(n, seed)``, of the light that is none of an envelope.
+    has_indirect, is_noisy : bool
+        Indirect light is among others; images of others differ by their seeds.
+    """
+
+    divide: Callable[[DivisionLimits], Image]
+    others: Render | None = None
+    has_indirect: bool = False
+    is_noisy: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        divide: Callable[[DivisionLimits, Iterable[str] | None], Image],
+        once: Callable[..., Image],
+        components: Iterable[str] | None,
+        *,
+        is_whole: bool,
+    ) -> Parts:
+        """Parts of a render.
+
+        Parameters
+        ----------
+        divide, once : callable
+            ``divide(limits, components)`` and ``once(n, seed, only=components)``.
+        components : iterable of str, optional
+            Those asked for.
+        is_whole : bool
+            All light is rendered with that of envelopes, and its noise not told.
+        """
+        wanted = checked_components(components)
+        others = tuple(name for name in wanted if name != "caustic")
+        if is_whole or not others:
+            return cls(lambda limits: divide(limits, wanted))
+        spread = any(emitter.is_extended for emitter in scene.emitters)
+        has_indirect = plan(scene, n_emitted=1, components=others).models("indirect")
+        return cls(
+            lambda limits: divide(limits, ("caustic",)),
+            partial(once, only=others),
+            has_indirect,
+            has_indirect or ("direct" in others and spread),
+        )
+
+
+class _Division(NamedTuple):
+    """An image of an envelope, what it misplaces, and what it took."""
+
+    image: Image
+    misplaced: float
+    rays: int
+    seconds: float
+
+    @property
+    def caustic(self) -> Floats:
+        return np.asarray(self.image.layers["radiance"])
+
+    @property
+    def noise(self) -> float:
+        """L1 norm of the noise of its photons."""
+        return float(self.image.stats["envelope"]["noise"] * self.caustic.sum())
+
+    @property
+    def of_photons(self) -> float:
+        """Share of its light that is of photons."""
+        return float(self.image.stats["envelope"]["of_photons"])
+
+
+class EnvelopeTrials:
+    """Envelopes that are divided ever more, and trials of other light.
+
+    Parameters
+    ----------
+    parts : Parts
+    goal : Goal
+    seed : int
+    n_photons : int, optional
+        Photons for light without images, at most.
+    started : float, optional
+        Time of `perf_counter` from which the goal's counts; now by default.
+    """
+
+    def __init__(
+        self,
+        parts: Parts,
+        goal: Goal,
+        seed: int,
+        n_photons: int | None = None,
+        started: float | None = None,
+    ) -> None:
+        self._parts, self._goal, self._seed = parts, goal, seed
+        self._n_photons = n_photons
+        self._started = perf_counter() if started is None else started
+        self._divisions: list[_Division] = []
+        self._others: PhotonTrials | None = None
+        self._fixed: Image | None = None
+        self._fixed_noise = 0.0
+
+    def start(
+        self, misplaced: float, n_rays: int | None = None, known: PhotonTrials | None = None
+    ) -> None:
+        """Render the first envelope, of some rays at most, and the first images of other light.
+
+        Direct light is taken from images that are known.
+        """
+        self._divide(misplaced, n_rays)
+        render = self._parts.others
+        if known is not None and not self._parts.has_indirect:
+            self._fixed = _without_caustics(known.image)
+            self._fixed_noise = known.error_of(("direct", "emission")) * _norm(known.image)
+        elif render is not None and self._parts.is_noisy:
+            self._others = PhotonTrials(render, self._seed, "radiance")
+            self._others.add(first_number(0, self._goal))
+        elif render is not None:
+            self._fixed = render(1, pass_seed(self._seed, 0))
+
+    def _divide(self, misplaced: float, n_rays: int | None = None) -> None:
+        started = perf_counter()
+        image = self._parts.divide(DivisionLimits(misplaced, n_rays, self._n_photons))
+        found = image.stats["envelope"]
+        seconds = perf_counter() - started
+        self._divisions.append(_Division(image, found["error"], found["rays"], seconds))
+
+    @property
+    def first(self) -> _Division:
+        """The first envelope."""
+        return self._divisions[0]
+
+    @property
+    def image(self) -> Image:
+        """The last envelope and the best image of other light together."""
+        mine = self._divisions[-1].image
+        others = self._fixed if self._others is None else self._others.image
+        return mine if others is None else _together(others, mine)
+
+    @property
+    def estimate(self) -> ErrorEstimate:
+        """Its error; infinite with one envelope alone, unless nothing is misplaced."""
+        scale = max(_norm(self.image), 1e-300)
+        bias = self._bias / scale
+        noise = np.hypot(self._divisions[-1].noise, self._fixed_noise) / scale
+        if self._others is not None:
+            share = _norm(self._others.image) / scale
+            bias = np.hypot(bias, share * self._others.estimate.bias)
+            noise = np.hypot(noise, share * self._others.estimate.noise)
+        return ErrorEstimate(float(np.hypot(noise, bias)), float(noise), float(bias), 1.0)
+
+    @property
+    def _bias(self) -> float:
+        """L1 norm of the light that the last envelope misplaces."""
+        last = self._divisions[-1]
+        if not last.misplaced > 0.0:
+            return 0.0
+        if len(self._divisions) < 2:
+            return np.inf
+        before = self._divisions[-2]
+        return refined_error(before.caustic, last.caustic, last.misplaced / before.misplaced)
+
+    def improve(self, most_rays: float = np.inf) -> bool:
+        """Make the part with the larger error better; False if that takes too much."""
+        left = self._goal.left(self._started)
+        if self._others is not None and self._share_of_others > 0.5:
+            n = self._others.next_number(self._error_of_others, left)
+            if n is not None:
+                self._others.add(n)
+            return n is not None
+        misplaced, last = self._next_misplaced(), self._divisions[-1]
+        rays = last.rays * (last.misplaced / misplaced) ** (1.0 / _EXPONENT)
+        takes = _TIMES_LAST * last.seconds
+        if self._is_limited or misplaced < _LEAST_MISPLACED or rays > most_rays or takes > left:
+            return False
+        self._divide(misplaced)
+        return True
+
+    def error_within(self, left: float) -> float:
+        """Error that is reached within a time, s: at least as its inverse."""
+        takes = _TIMES_LAST * self._divisions[-1].seconds
+        return self.estimate.total * min(takes / max(left, 1e-9), 1.0)
+
+    @property
+    def _is_limited(self) -> bool:
+        if len(self._divisions) < 2:
+            return False
+        before, last = self._divisions[-2:]
+        return last.misplaced >= _LIMITED * before.misplaced
+
+    def _next_misplaced(self) -> float:
+        last, error = self._divisions[-1].misplaced, self.estimate.total
+        if len(self._divisions) < 2:
+            return _SECOND * last
+        wanted = 0.0 if self._goal.error is None else _ERROR_SHARE * self._goal.error / error
+        least, most = _NEXT if self._goal.error is not None else (_NEXT[1], _NEXT[1])
+        return last * float(np.clip(wanted, least, most))
+
+    @property
+    def _share_of_others(self) -> float:
+        """Share of the square of the error that is of other light."""
+        assert self._others is not None
+        total = self.estimate.total
+        if not 0.0 < total < np.inf:
+            return 0.0
+        return (self._scaled_to_others(1.0) * self._others.estimate.total / total) ** 2
+
+    @property
+    def _error_of_others(self) -> float | None:
+        """Error that other light may have of itself, if an error is asked for."""
+        if self._goal.error is None:
+            return None
+        return self._goal.error / np.sqrt(2.0) / self._scaled_to_others(1.0)
+
+    def _scaled_to_others(self, error: float) -> float:
+        assert self._others is not None
+        return error * _norm(self._others.image) / max(_norm(self.image), 1e-300)
+
+    def told(self, **before: int) -> Image:
+        """The image with what was reached; photons emitted before are counted."""
+        counts = {"photons": 0, "photons_of_image": 0}
+        if self._others is not None:
+            counts = self._others.counts
+        counts["photons"] += before.get("photons", 0)
+        seconds = perf_counter() - self._started
+        return told(self.image, self.estimate, self._goal, "radiance", seconds=seconds, **counts)
+
+
+def divide_to_goal(parts: Parts, goal: Goal, seed: int) -> Image:
+    """Divide envelopes ever more until a goal is reached; see `render_to_goal`."""
+    trials = EnvelopeTrials(parts, goal, seed)
+    trials.start(_FIRST * (goal.error or _UNKNOWN_ERROR))
+    while not goal.is_met(trials.estimate.total):
+        if not trials.improve():
+            break
+    return trials.told()
+
+
+@dataclass(frozen=True)
+class EnvelopeAttempt:
+    """Envelopes in place of photons, where these would take longer.
+
+    Attributes
+    ----------
+    parts : Parts
+    work : Work
+        What photons and envelopes take in scenes of the class.
+    seed : int
+    """
+
+    parts: Parts
+    work: Work
+    seed: int
+
+    def is_worth(self, trials: PhotonTrials, goal: Goal, left: float) -> bool:
+        """Whether photons for the error would take longer than a first division.
+
+        By counts and measured times of other scenes, so that the same is chosen on every machine,
+        unless a time is given.
+        """
+        is_in_time = left > _TIMES_FIRST * self.work.envelope
+        if goal.error is None:
+            return is_in_time and trials.photons_for(1.0, "caustic") > 0.0
+        return is_in_time and self._seconds(trials, goal.error) > self.work.envelope
+
+    def _seconds(self, trials: PhotonTrials, error: float) -> float:
+        """Seconds of the images of the next trial, were they of caustics alone."""
+        return 2.0 * self.work.photon * trials.photons_for(error, "caustic")
+
+    def image(self, trials: PhotonTrials, goal: Goal, left: float) -> Image | None:
+        """Image of an envelope; None where photons are sooner there."""
+        started = perf_counter() - (0.0 if goal.seconds is None else goal.seconds - left)
+        most_rays, n_photons = np.inf, None
+        if goal.error is not None:
+            most_rays = _FIRST_RAYS * self._seconds(trials, goal.error) / self.work.envelope
+            n_photons = int(min(trials.photons_for(goal.error, "caustic"), _MOST_PHOTONS))
+        found = EnvelopeTrials(self.parts, goal, self.seed, n_photons, started)
+        error = goal.error or _UNKNOWN_ERROR
+        found.start(_FIRST * error / max(_share(trials.image), 1e-3), _MOST_FIRST_RAYS, trials)
+        if found.first.of_photons > _OF_PHOTONS:
+            return None
+        while not goal.is_met(found.estimate.total) and found.improve(most_rays):
+            if _is_worse(found, trials, goal.left(started)):
+                return None
+        if goal.seconds is None and not goal.is_met(found.estimate.total):
+            return None
+        return found.told(**trials.counts)
+
+
+def _is_worse(found: EnvelopeTrials, trials: PhotonTrials, left: float) -> bool:
+    """Whether photons would reach a smaller error in the time that is left."""
+    return np.isfinite(left) and found.error_within(left) > trials.error_within(left)
+
+
+def _share(image: Image) -> float:
+    """Share of the light of an image that is of caustics."""
+    radiance = _norm(image)
+    return float(np.abs(image.layers["caustic"]).sum()) / radiance if radiance > 0.0 else 1.0
+
+
+def _norm(image: Image) -> float:
+    return float(np.abs(image.layers["radiance"]).sum())
+
+
+def _without_caustics(image: Image) -> Image:
+    """The light and surfaces of an image without what is of photons."""
+    layers = {
+        name: values
+        for name, values in image.layers.items()
+        if name not in ("radiance", "caustic") and not name.startswith("photons.")
+    }
+    return Image(with_radiance(layers), {}, {"stages": {}})
+
+
+def _together(others: Image, mine: Image) -> Image:
+    """Image of the light of two, with what is known of both."""
+    layers = {**others.layers, **mine.layers}
+    del layers["radiance"]
+    settings = {
+        name: value
+        for image in (others, mine)
+        for name, value in json.loads(image.metadata.get(_SETTINGS, "{}")).items()
+    }
+    metadata = {**others.metadata, **mine.metadata, _SETTINGS: json.dumps(settings)}
+    stages: dict[str, Any] = {**others.stats["stages"], **mine.stats["stages"]}
+    for name in others.stats["stages"].keys() & mine.stats["stages"].keys():
+        both = (each.stats["stages"][name] for each in (others, mine))
+        stages[name] = {**stages[name], "seconds": sum(stage["seconds"] for stage in both)}
+    return Image(with_radiance(layers), metadata, {**mine.stats, "stages": stages})
