@@ -282,11 +282,12 @@ class _Stage:
 
     def finish(self, n_iterations: int, position: Floats, normal: Floats) -> None:
         """Iterate so often, then write positions and, on surfaces, normals to their rows."""
-        for _ in range(n_iterations):
+        for iteration in range(n_iterations):
+            if iteration:
+                self._refit()
             self._move()
             if self._relaxation.projector is not None:
                 self._project(self._relaxation.projector)
-            self._refit()
         distinct = self._group_tree.distinct
         if self._group_tree.n_merged:
             self._relaxation.report.advance(n_iterations * self._group_tree.n_merged)
