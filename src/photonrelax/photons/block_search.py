@@ -61,11 +61,10 @@ class GroupTiles:
         """Set the boxes of a column whose rows in a segment have these values."""
         tiles = self.of_segment(segment)
         values = values.reshape(len(values), -1)
-        low, high = self._boxes.setdefault(
-            name, (np.empty((len(self.first), values.shape[1])),) * 2
-        )
-        if low is high:
-            low, high = self._boxes[name] = low, np.empty_like(low)
+        if name not in self._boxes:
+            shape = len(self.first), values.shape[1]
+            self._boxes[name] = np.empty(shape), np.empty(shape)
+        low, high = self._boxes[name]
         starts = self.first[tiles] - self.first[tiles[0]]
         low[tiles] = np.minimum.reduceat(values, starts, axis=0)
         high[tiles] = np.maximum.reduceat(values, starts, axis=0)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,8 +20,11 @@ from .._ext.spatial.morton import morton_order
 from .._util.files import make_folder, whole_file, write_json
 from .._util.validation import Floats
 from .columns import ColumnFolder, Scatter
+from .energy_ledger import EnergyLedger
+from .joining import summed
+from .parts import shared_fields
 from .photon_map import ARRAY_FIELDS, PhotonMap
-from .streamed_groups import StreamedGroup, StreamedGroups
+from .streamed_groups import Parts, StreamedGroup, StreamedGroups
 
 PHOTONS_PER_BLOCK = 1_000_000
 """Photons of a block, about: a block with its halo takes some 500 bytes for each."""
@@ -113,7 +116,9 @@ class BlockedPhotons:
         """Some photons of the map, whose columns these are."""
         for column in columns.values():
             column.setflags(write=False)
-        return PhotonMap(**columns, **self.shared)
+        shared, ledger = dict(self.shared), self.shared["ledger"]
+        shared["ledger"] = None if ledger is None else EnergyLedger.from_dict(ledger)
+        return PhotonMap(**columns, **shared)
 
     def photon_map(self) -> PhotonMap:
         """All photons in memory, in the order of the map that they were sorted from."""
@@ -138,7 +143,7 @@ class BlockedPhotons:
 
 
 def sort_into_blocks(
-    parts: Iterable[PhotonMap],
+    parts: Parts,
     n_photons: int,
     folder: Path,
     *,
@@ -149,8 +154,8 @@ def sort_into_blocks(
 
     Parameters
     ----------
-    parts : iterable of PhotonMap
-        Can be iterated over several times.
+    parts : callable
+        Yields parts of one emission, anew at each call.
     n_photons : int
         Of all parts.
     folder : Path
@@ -159,33 +164,47 @@ def sort_into_blocks(
     n_threads : int
     """
     make_folder(folder, [])
-    groups = StreamedGroups(lambda: parts, n_threads)
+    groups = StreamedGroups(parts, n_threads)
     columns = ColumnFolder(folder, n_photons)
     depth = max(int(np.ceil(np.log2(max(n_photons, 1) / photons_per_block))), 0)
     cells = Cells(_sampled(parts, n_photons, _SAMPLE_OF_CELL << depth), depth)
-    n_rows, first_part = np.zeros(1 << depth, dtype=np.int64), None
-    for photons in parts:
-        first_part = first_part or photons
-        n_rows += np.bincount(cells.of(photons.position), minlength=len(n_rows))
-    if first_part is None:
-        raise ValueError("photons should be in parts, but there are none")
-    names = _create_columns(columns, first_part)
-    scatter, row = Scatter(columns, n_rows), 0
-    for photons in parts:
-        group, label = groups.assign(photons)
-        of_map = {name: getattr(photons, name) for name in names}
-        rows = np.arange(row, row + len(photons))
-        scatter.write(
-            cells.of(photons.position), **of_map, **{ROW: rows, LABEL: label, GROUP: group}
-        )
-        row += len(photons)
+    n_rows, names = _scattered(parts, columns, groups, cells)
     segments = sort_blocks(
         columns, n_rows, [*names, ROW, LABEL], along="position", n_threads=n_threads
     )
     columns.remove(GROUP)
-    blocked = BlockedPhotons(columns, _shared(first_part), tuple(groups.groups), segments)
+    blocked = BlockedPhotons(columns, _shared(parts), tuple(groups.groups), segments)
     blocked.write_manifest()
     return blocked
+
+
+def _scattered(
+    parts: Parts, columns: ColumnFolder, groups: StreamedGroups, cells: Cells
+) -> tuple[NDArray[np.int64], list[str]]:
+    """Write the photons to their cells; their numbers, and the names of columns of `PhotonMap`."""
+    n_rows, names = np.zeros(cells.n_cells, dtype=np.int64), list[str]()
+    for photons in parts():
+        names = names or _create_columns(columns, photons)
+        n_rows += np.bincount(cells.of(photons.position), minlength=cells.n_cells)
+    scatter, row = Scatter(columns, n_rows), 0
+    for photons in parts():
+        group, label = groups.assign(photons)
+        values = {name: getattr(photons, name) for name in names}
+        values |= {ROW: np.arange(row, row + len(photons)), LABEL: label, GROUP: group}
+        scatter.write(cells.of(photons.position), **values)
+        row += len(photons)
+    return n_rows, names
+
+
+def _shared(parts: Parts) -> dict[str, Any]:
+    """Fields of the whole map beside its arrays, for JSON."""
+    shared: dict[str, Any] = {}
+    ledgers = []
+    for photons in parts():
+        shared = shared or shared_fields(photons)
+        ledgers.append(photons.ledger)
+    ledger = summed(ledgers)
+    return shared | {"ledger": None if ledger is None else ledger.to_dict()}
 
 
 class Cells:
@@ -210,6 +229,10 @@ class Cells:
             else:
                 runs += [points, points]
 
+    @property
+    def n_cells(self) -> int:
+        return 1 << self._depth
+
     def of(self, points: Floats) -> NDArray[np.intp]:
         """Cells (n,) of points (n, axes)."""
         node, rows = np.zeros(len(points), dtype=np.intp), np.arange(len(points))
@@ -218,10 +241,10 @@ class Cells:
         return node - ((1 << self._depth) - 1)
 
 
-def _sampled(parts: Iterable[PhotonMap], n_photons: int, n_sample: int) -> Floats:
+def _sampled(parts: Parts, n_photons: int, n_sample: int) -> Floats:
     """Positions of photons spread evenly over the parts."""
     step = max(n_photons // n_sample, 1)
-    return np.concatenate([photons.position[::step] for photons in parts])
+    return np.concatenate([photons.position[::step] for photons in parts()])
 
 
 def _create_columns(columns: ColumnFolder, photons: PhotonMap) -> list[str]:
@@ -234,15 +257,6 @@ def _create_columns(columns: ColumnFolder, photons: PhotonMap) -> list[str]:
     columns.create(LABEL, np.float64)
     columns.create(GROUP, np.int32)
     return names
-
-
-def _shared(photons: PhotonMap) -> dict[str, Any]:
-    ids = {
-        name: None if getattr(photons, name) is None else getattr(photons, name).tolist()
-        for name in ("sensor_ids", "extended_ids")
-    }
-    names = ("n_emitted", "seed", "sampler", "paths", "n_wavelengths", "well_spaced")
-    return {name: getattr(photons, name) for name in names} | ids
 
 
 def sort_blocks(

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from .._util.files import make_folder, whole_file, write_json
-from .energy_ledger import PATH_OUTCOMES, EnergyLedger
+from .energy_ledger import EnergyLedger
 from .photon_map import ARRAY_FIELDS, PhotonMap
 
 MANIFEST = "manifest.json"
@@ -72,7 +72,7 @@ class PhotonParts:
         """A folder without parts yet; made unless there is one, which has to be empty."""
         folder = Path(folder)
         make_folder(folder, [MANIFEST])
-        if any(folder.iterdir()):
+        if any(not path.name.startswith(".") for path in folder.iterdir()):
             raise FileExistsError(
                 f"{folder} should be an empty folder or one of photons in parts, but has other files"
             )
@@ -101,18 +101,22 @@ class PhotonParts:
         ValueError
             If a file is damaged; arrays pass the checks of `PhotonMap`.
         """
+        dispersed = any("wavelength" in part["columns"] for part in self.parts)
         for number in range(len(self.parts)):
-            yield self._map(number)
+            photons = self._map(number)
+            if dispersed and photons.wavelength is None:
+                # Of a part of white light alone.
+                photons = photons.replace(wavelength=np.zeros(len(photons)))
+            yield photons
 
     def photon_map(self) -> PhotonMap:
         """The photons of all parts as one map in memory."""
-        maps = list(self.maps())
-        return PhotonMap.concatenate(_with_wavelengths(maps))
+        return PhotonMap.concatenate(self.maps())
 
     def append(self, photons: PhotonMap) -> PhotonParts:
         """The parts with one more, the photons of the next range of the emission."""
         stop = photons.n_emitted if photons.emitted_ranges is None else photons.emitted_ranges[-1, 1]
-        number, shared = len(self.parts), _shared_fields(photons)
+        number, shared = len(self.parts), shared_fields(photons)
         if self.parts and shared != self.shared:
             raise ValueError(f"photons should be of the emission in {self.folder}, but are not")
         columns = _write_columns(self.folder / _part_name(number), photons)
@@ -165,8 +169,9 @@ class PhotonParts:
         shared: dict[str, Any] = dict(self.shared)
         ranges = [(part["start"], part["stop"])]
         try:
+            ledger = None if part["ledger"] is None else EnergyLedger.from_dict(part["ledger"])
             photons = PhotonMap(
-                **columns, **shared, ledger=_ledger(part["ledger"]), emitted_ranges=ranges
+                **columns, **shared, ledger=ledger, emitted_ranges=ranges
             )
         except (TypeError, ValueError, KeyError) as error:
             raise ValueError(
@@ -175,16 +180,6 @@ class PhotonParts:
         if len(photons) != part["n_photons"]:
             raise _damaged(self.folder, f"part {number} has {len(photons)} photons")
         return photons
-
-
-def _with_wavelengths(maps: list[PhotonMap]) -> list[PhotonMap]:
-    """Maps of which all have wavelengths, zero of white light, if one has."""
-    if all(each.wavelength is None for each in maps):
-        return maps
-    return [
-        each.replace(wavelength=np.zeros(len(each))) if each.wavelength is None else each
-        for each in maps
-    ]
 
 
 def _read_manifest(folder: Path) -> dict[str, Any]:
@@ -212,7 +207,7 @@ def _damaged(folder: Path, reason: str) -> ValueError:
     )
 
 
-def _shared_fields(photons: PhotonMap) -> dict[str, Any]:
+def shared_fields(photons: PhotonMap) -> dict[str, Any]:
     """Fields, for JSON, that all parts of an emission share."""
     ids = {
         name: None if getattr(photons, name) is None else getattr(photons, name).tolist()
@@ -247,9 +242,3 @@ def _mapped(path: Path) -> np.ndarray:
     except (ValueError, OSError) as error:
         raise ValueError(f"{path} is not an array: {error}; copy or trace it again") from None
 
-
-def _ledger(content: Mapping[str, Any] | None) -> EnergyLedger | None:
-    if content is None:
-        return None
-    flux = {name: content[name] for name in ("emitted", *PATH_OUTCOMES)}
-    return EnergyLedger(**flux, ends=content["ends"])

@@ -68,7 +68,7 @@ class BlockWork:
     relax: RelaxSettings
     scene: Scene | None
     caster: RayCaster | None
-    workers: Workers
+    n_threads: int
     has_rest: bool = False
 
 
@@ -101,8 +101,8 @@ class BlockRelaxation:
     Columns of the folder are added, and those of positions and normals replaced at the end.
     """
 
-    def __init__(self, work: BlockWork, report: Reporter) -> None:
-        self._work, self._report = work, report
+    def __init__(self, work: BlockWork, workers: Workers, report: Reporter) -> None:
+        self._work, self._workers, self._report = work, workers, report
         self._columns = work.photons.columns
         self._has_coords = "emitter_coords" in self._columns
         self._n_moves = 0
@@ -254,7 +254,7 @@ class BlockRelaxation:
         renamed = dict(zip(("position", "normal"), names, strict=True))
         for number, tiles in enumerate(self.tiles):
             value, jobs = build(number), range(tiles.n_segments)
-            for segment, found in enumerate(self._work.workers.map(work, value, jobs)):
+            for segment, found in enumerate(self._workers.map(work, value, jobs)):
                 first, stop = tiles.rows(segment)
                 for name, column in found.items():
                     self._columns.write(renamed.get(name, name), first, column)
@@ -336,7 +336,7 @@ def _detection(
     report = Reporter(None, "structure", len(some.rows))
     photons = _local_map(some, some.read(given.position), some.read(given.normal))
     return StructureDetection(
-        photons, given.work.structure, given.work.workers.n_threads, report, reach
+        photons, given.work.structure, given.work.n_threads, report, reach
     )
 
 
@@ -348,7 +348,7 @@ def _surface(given: _GroupWork, segment: int) -> Columns:
     flux = np.broadcast_to(0.0, position.shape)
     photons = PhotonMap(position, normal, flux, object_id=object_id)
     photons = photons.replace(sensor_ids=work.photons.shared["sensor_ids"])
-    projector = SurfaceProjector(work.scene, photons, work.workers.n_threads, work.caster)
+    projector = SurfaceProjector(work.scene, photons, work.n_threads, work.caster)
     return {"at": projector.at}
 
 
@@ -411,12 +411,12 @@ def _relaxation(
     if work.scene is not None:
         photons = photons.replace(object_id=some.read("object_id"))
         projector = SurfaceProjector(
-            work.scene, photons, work.workers.n_threads, work.caster, some.read_own("at")
+            work.scene, photons, work.n_threads, work.caster, some.read_own("at")
         )
     report = Reporter(None, "relax", len(photons))
     structure = _local_structure(some, photons, work.structure)
     return Relaxation(
-        photons, structure, work.relax, rest, projector, work.workers.n_threads, report
+        photons, structure, work.relax, rest, projector, work.n_threads, report
     )
 
 
