@@ -13,12 +13,15 @@ from numpy.typing import NDArray
 from .._util.validation import Floats
 from .blocks import BlockedPhotons
 from .columns import ColumnFolder
-from .tiles import TILE, Boxes, Tiles, guessed_radius, halo, within
+from .tiles import TILE, Boxes, Tiles, balls, near_tiles
 
 Columns = dict[str, NDArray]
 
-# Factor of a radius that was too small by nobody knows how much, and margin of one that is known.
-_WIDER, _MARGIN = 4.0, 1.01
+Rows = NDArray[np.intp]
+
+# Factor of a radius that was too small by nobody knows how much, which is at least a share of the
+# extent of a group; margin for rounding of one that is known.
+_WIDER, _LEAST, _MARGIN = 4.0, 1e-3, 1e-9
 
 
 class GroupTiles:
@@ -72,10 +75,6 @@ class GroupTiles:
     def largest(self, name: str) -> Floats:
         """Largest value (t,) of a column of numbers in each tile."""
         return self._boxes[name][1][:, 0]
-
-    def least(self, name: str) -> Floats:
-        """Least value (t,) of a column of numbers in each tile."""
-        return self._boxes[name][0][:, 0]
 
     def extent(self, name: str) -> Floats:
         """Extent of a column over the whole group."""
@@ -152,21 +151,28 @@ class BlockSearch:
     tiles : GroupTiles
     axes : tuple of (str, float)
         Columns that neighbours are searched by and their factors; the first has the metric.
-    radius : (t,) float array
-        Distance to which the photons of each tile are expected to search.
+    expected : (str, float) or None
+        Column, and its factor, of the distances to which photons are expected to search; None if
+        nothing is known of them, so that blocks are searched without a halo first.
     range_radius : (t,) float array
-        Largest radius of the balls over the other axes.
+        Largest radius, in each tile, of the balls over the other axes.
     """
 
     columns: ColumnFolder
     tiles: GroupTiles
     axes: tuple[tuple[str, float], ...]
-    radius: Floats
+    expected: tuple[str, float] | None
     range_radius: Floats
 
     @cached_property
     def _boxes(self) -> Boxes:
         return self.tiles.boxes(self.axes)
+
+    @cached_property
+    def _segment_boxes(self) -> Boxes:
+        boxes, segments = self._boxes, self.tiles.segments
+        low = np.minimum.reduceat(boxes.low, segments, axis=0)
+        return Boxes(low, np.maximum.reduceat(boxes.high, segments, axis=0), boxes.n_metric)
 
     @cached_property
     def _extent(self) -> float:
@@ -177,74 +183,96 @@ class BlockSearch:
         return float(np.linalg.norm(high - low)) * (1.0 + 1e-9)
 
     def run(self, segment: int, compute: Compute) -> Columns:
-        """Results of the photons of a segment, with halos as wide as they turn out to need."""
-        todo = own = self.tiles.of_segment(segment)
-        least = 1e-6 * self._extent
-        radius = np.clip(self.radius[own], least, self._extent)
+        """Results of the photons of a segment, with halos as wide as they turn out to need.
+
+        Photons whose searches went further than was expected are searched again, if there are
+        photons in that distance that were left out.
+        """
+        first, stop = self.tiles.rows(segment)
+        own = todo = np.arange(first, stop)
+        radius = np.zeros(len(own))
+        if self.expected is not None:
+            name, factor = self.expected
+            radius = np.minimum(factor * self.columns.read(name, first, stop), self._extent)
+        halo, _ = self._halo(own, radius)
         results: Columns = {}
         while len(todo):
-            found = compute(self._neighbourhood(todo, radius))
-            n_rows = self.tiles.stop[todo] - self.tiles.first[todo]
-            need = np.maximum.reduceat(found.reached, np.cumsum(n_rows) - n_rows)
-            short = (need > radius) & (radius < self._extent)
-            self._place(results, own, todo, found.columns)
-            wider = np.where(np.isinf(need), _WIDER * radius, _MARGIN * need)
-            if found.merged and short.any():
-                # Photons at the same point may be of several tiles.
-                todo, radius = own, np.where(short, wider, radius) if len(todo) == len(own) else (
-                    np.full(len(own), wider[short].max())
-                )
-            else:
-                todo, radius = todo[short], wider[short]
-            radius = np.minimum(radius, self._extent)
+            found = compute(Neighbourhood(self.columns, np.concatenate([todo, halo]), len(todo)))
+            _place(results, todo - first, found.columns, len(own))
+            wider = np.where(np.isinf(found.reached), self._widened(radius), found.reached)
+            wider = np.minimum((1.0 + _MARGIN) * wider, self._extent)
+            short = np.flatnonzero((found.reached > radius) & (radius < self._extent))
+            if found.merged and len(short):
+                # Photons at the same point are searched together.
+                short = np.arange(len(todo))
+            _, left_out = self._halo(todo[short], wider[short], known=todo)
+            # Of too few, who knows how far the others are.
+            left_out |= np.isinf(found.reached[short]) & (radius[short] < self._extent)
+            if found.merged and left_out.any():
+                left_out[:] = True
+            todo, radius = todo[short][left_out], wider[short][left_out]
+            halo, _ = self._halo(todo, radius)
         return results
 
-    def _place(self, results: Columns, own: Tiles, todo: Tiles, columns: Columns) -> None:
-        """Write the results of the photons of some tiles among those of all."""
-        first, stop = self.tiles.first, self.tiles.stop
-        if len(todo) == len(own):
-            results.update(columns)
-            return
-        rows = _rows(first[todo], stop[todo]) - first[own[0]]
-        for name, column in columns.items():
-            results[name][rows] = column
+    def _widened(self, radius: Floats) -> Floats:
+        """Radii beyond some that were too small by nobody knows how much."""
+        return _WIDER * np.maximum(radius, _LEAST * self._extent)
 
-    def _neighbourhood(self, todo: Tiles, radius: Floats) -> Neighbourhood:
-        """The photons of some tiles and those within their radii."""
-        range_radius = self.range_radius[todo]
-        near = halo(self._boxes, todo, self.tiles.segments, radius, range_radius)
-        own = _rows(self.tiles.first[todo], self.tiles.stop[todo])
-        if not len(near.tile):
-            return Neighbourhood(self.columns, own, len(own))
-        some = self._boxes.take(todo)
-        order = np.argsort(near.tile, kind="stable")
-        tiles, starts = np.unique(near.tile[order], return_index=True)
-        rows = [own]
-        for tile, around in zip(tiles, np.split(near.around[order], starts[1:]), strict=True):
-            first = int(self.tiles.first[tile])
-            points = self._points(first, int(self.tiles.stop[tile]))
-            close = within(points, some.take(around), radius[around], range_radius[around])
-            rows.append(first + np.flatnonzero(close))
-        return Neighbourhood(self.columns, np.concatenate(rows), len(own))
+    def _halo(
+        self, rows: Rows, radius: Floats, known: Rows | None = None
+    ) -> tuple[Rows, NDArray[np.bool_]]:
+        """Photons within the radii of some, and which of these have any.
 
-    def _points(self, first: int, stop: int) -> Floats:
-        """Coordinates (n, axes) of the photons of a range of rows."""
-        columns = [scale * self.columns.read(name, first, stop) for name, scale in self.axes]
-        return np.hstack([column.reshape(stop - first, -1) for column in columns])
-
-
-def first_radius(tiles: GroupTiles, name: str, k: int) -> Floats:
-    """Radius (t,) that holds some more than k photons, by the extents of tiles."""
-    return guessed_radius(tiles.boxes(((name, 1.0),)), tiles.stop - tiles.first, k)
+        Photons of `rows`, which are ascending, do not count, nor do those of `known`.
+        """
+        near, has_any = [np.empty(0, dtype=np.intp)], np.zeros(len(rows), dtype=bool)
+        if not len(rows):
+            return near[0], has_any
+        columns = [(scale, self.columns.mapped(name)) for name, scale in self.axes]
+        tile = np.searchsorted(self.tiles.first, rows, side="right") - 1
+        queries = balls(
+            _points(columns, rows), radius, self.range_radius[tile], self._boxes.n_metric
+        )
+        left_out = rows if known is None else known
+        for number, hits in near_tiles(
+            queries, self._boxes, self._segment_boxes, self.tiles.segments
+        ):
+            there = np.arange(self.tiles.first[number], self.tiles.stop[number])
+            there = there[~_contains(left_out, there)]
+            if not len(there):
+                continue
+            points, some = _points(columns, there), queries.take(hits)
+            own = Boxes(points, points, some.boxes.n_metric)
+            close = some.boxes.near(own, some.radius, some.range_radius)
+            near.append(there[close.any(axis=0)])
+            has_any |= np.isin(queries.query_of, hits[close.any(axis=1)])
+        return np.concatenate(near), has_any
 
 
-def _rows(first: NDArray[np.intp], stop: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Rows of some ranges, one after the other."""
-    n = stop - first
-    return np.repeat(first - (np.cumsum(n) - n), n) + np.arange(n.sum())
+def _contains(ascending: Rows, rows: Rows) -> NDArray[np.bool_]:
+    """Which of some rows are among ascending ones."""
+    place = np.minimum(np.searchsorted(ascending, rows), len(ascending) - 1)
+    return ascending[place] == rows
 
 
-def _of_rows(columns: ColumnFolder, name: str, rows: NDArray[np.intp]) -> NDArray:
+def _points(columns: list[tuple[float, NDArray]], rows: Rows) -> Floats:
+    """Coordinates (n, axes) of some photons."""
+    some = slice(rows[0], rows[-1] + 1) if rows[-1] - rows[0] == len(rows) - 1 else rows
+    return np.hstack([scale * column[some].reshape(len(rows), -1) for scale, column in columns])
+
+
+def _place(results: Columns, rows: Rows, columns: Columns, n: int) -> None:
+    """Write the results of some rows among those of n."""
+    if len(rows) == n:
+        results.update(columns)
+        return
+    for name, column in columns.items():
+        if not results[name].flags.writeable:
+            results[name] = results[name].copy()
+        results[name][rows] = column
+
+
+def _of_rows(columns: ColumnFolder, name: str, rows: Rows) -> NDArray:
     """Some rows of a column; faster where they follow one another."""
     if len(rows) and rows[-1] - rows[0] == len(rows) - 1:
         return columns.read(name, int(rows[0]), int(rows[-1]) + 1)

@@ -34,7 +34,7 @@ class ColumnFolder:
 
     def like(self, name: str, other: str) -> None:
         """A column without content, of the dtype and width of another."""
-        mapped = self._open(other)
+        mapped = self.mapped(other)
         self.create(name, mapped.dtype, mapped.shape[1:])
 
     def rename(self, name: str, new: str) -> None:
@@ -48,23 +48,24 @@ class ColumnFolder:
 
     def read(self, name: str, start: int = 0, stop: int | None = None) -> NDArray:
         """Rows of a column, copied."""
-        return self._open(name)[start:stop].copy()
+        return self.mapped(name)[start:stop].copy()
 
     def take(self, name: str, rows: NDArray[np.intp]) -> NDArray:
         """Some rows (m,) of a column, ascending."""
-        return self._open(name)[rows]
+        return self.mapped(name)[rows]
 
     def write(self, name: str, start: int, values: NDArray) -> None:
         """Write rows of a column from one on."""
         if len(values):
-            self._open(name, "r+")[start : start + len(values)] = values
+            self.mapped(name, "r+")[start : start + len(values)] = values
 
     def put(self, name: str, rows: NDArray[np.intp], values: NDArray) -> None:
         """Write some rows (m,) of a column."""
         if len(rows):
-            self._open(name, "r+")[rows] = values
+            self.mapped(name, "r+")[rows] = values
 
-    def _open(self, name: str, mode: str = "r") -> NDArray:
+    def mapped(self, name: str, mode: str = "r") -> NDArray:
+        """A whole column, mapped for as long as the array is held."""
         path = self._path(name)
         try:
             # Files without rows cannot be mapped.

@@ -1,11 +1,8 @@
-"""Tiles: short runs of photons that are close to one another, and which of them are near others.
-
-A block's photons are searched for among its own and those of a halo: the photons within the search
-radius of any of its tiles. What a search has reached says whether the halo was wide enough.
-"""
+"""Tiles: short runs of photons that are close to one another, and which are near other photons."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -18,6 +15,12 @@ TILE = 1024
 """Photons of a tile, at most."""
 
 Tiles = NDArray[np.intp]
+
+# Photons of a search, and searches that are compared with tiles at once.
+_RUN, _TOGETHER = 32, 2048
+# Photons are isolated if they search so much farther than those around them, whose mean is of radii
+# clipped to so many medians of all.
+_ISOLATED, _CLIPPED = 3.0, 4.0
 
 
 @dataclass(frozen=True)
@@ -41,84 +44,85 @@ class Boxes:
         return near & (_squared_gaps(self, other, ranged) <= np.square(range_radius)[:, np.newaxis])
 
 
-def boxes_of(points: Floats, first: NDArray[np.intp], n_metric: int) -> Boxes:
-    """Boxes of points (n, axes) in runs that start at `first` (t,)."""
-    low = np.minimum.reduceat(points, first, axis=0)
-    return Boxes(low, np.maximum.reduceat(points, first, axis=0), n_metric)
-
-
 def _squared_gaps(boxes: Boxes, other: Boxes, axes: slice) -> Floats:
+    """Squared distances (t, u) between boxes over some axes."""
     squared = np.zeros((len(boxes.low), len(other.low)))
-    for low, high, low_there, high_there in zip(
-        boxes.low[:, axes].T, boxes.high[:, axes].T, other.low[:, axes].T, other.high[:, axes].T,
-        strict=True,
-    ):
+    sides = (boxes.low, boxes.high, other.low, other.high)
+    for low, high, low_there, high_there in zip(*(side[:, axes].T for side in sides), strict=True):
         gap = np.maximum(low_there - high[:, np.newaxis], low[:, np.newaxis] - high_there)
         squared += np.square(np.maximum(gap, 0.0))
     return squared
 
 
-class Halo(NamedTuple):
-    """Tiles `tile` (p,) that may have photons within the radii of tiles `around` (p,)."""
+class Balls(NamedTuple):
+    """Searches of photons, of short runs of them together: boxes that are searched around.
 
-    tile: Tiles
-    around: Tiles
-
-
-def halo(
-    boxes: Boxes, todo: Tiles, segments: NDArray[np.intp], radius: Floats, range_radius: Floats
-) -> Halo:
-    """Tiles near some tiles, themselves left out.
-
-    Parameters
+    Attributes
     ----------
     boxes : Boxes
-        Of all tiles of a group.
-    todo : (d,) intp array
-        Tiles whose photons search.
-    segments : (s,) intp array
-        First tiles of runs of tiles that are close to one another.
-    radius, range_radius : (d,) float arrays
-        Of the searches of photons of `todo`, over the metric and over the range axes.
+        Of q searches.
+    radius, range_radius : (q,) float arrays
+        Over the metric, and over the range axes.
+    query_of : (n,) intp array
+        The search that each photon is of.
     """
-    some = boxes.take(todo)
-    coarse = Boxes(
-        np.minimum.reduceat(boxes.low, segments, axis=0),
-        np.maximum.reduceat(boxes.high, segments, axis=0),
-        boxes.n_metric,
+
+    boxes: Boxes
+    radius: Floats
+    range_radius: Floats
+    query_of: NDArray[np.intp]
+
+    def take(self, some: NDArray[np.intp]) -> Balls:
+        """Some of the searches."""
+        return Balls(
+            self.boxes.take(some), self.radius[some], self.range_radius[some], self.query_of
+        )
+
+
+def balls(points: Floats, radius: Floats, range_radius: Floats, n_metric: int) -> Balls:
+    """Searches of photons (n, axes), in an order in which they are close to one another.
+
+    Isolated photons, which search much farther than those around them, are alone in theirs: the
+    region within so far of all the others would have far more photons than any search finds.
+    """
+    n = len(points)
+    run = np.arange(n) // _RUN
+    starts = np.arange(0, n, _RUN)
+    typical = np.add.reduceat(np.minimum(radius, _CLIPPED * np.median(radius)), starts)
+    typical /= np.diff(np.append(starts, n))
+    alone = radius > _ISOLATED * typical[run]
+    n_runs, n_alone = len(starts), int(np.count_nonzero(alone))
+    query_of = run.copy()
+    query_of[alone] = n_runs + np.arange(n_alone)
+    low, high = np.where(alone[:, np.newaxis], np.inf, points), points.copy()
+    high[alone] = -np.inf
+    together = np.where(alone, 0.0, radius)
+    boxes = Boxes(
+        np.concatenate([np.minimum.reduceat(low, starts, axis=0), points[alone]]),
+        np.concatenate([np.maximum.reduceat(high, starts, axis=0), points[alone]]),
+        n_metric,
     )
-    stops = np.append(segments[1:], len(boxes.low))
-    is_todo = np.zeros(len(boxes.low), dtype=bool)
-    is_todo[todo] = True
-    tiles, around = [np.empty(0, dtype=np.intp)], [np.empty(0, dtype=np.intp)]
-    close = some.near(coarse, radius, range_radius)
-    for segment in np.flatnonzero(close.any(axis=0)):
-        those = np.arange(segments[segment], stops[segment])
-        those = those[~is_todo[those]]
-        mine = np.flatnonzero(close[:, segment])
-        if len(those):
-            near = some.take(mine).near(boxes.take(those), radius[mine], range_radius[mine])
-            one, other = np.nonzero(near.T)
-            tiles.append(those[one])
-            around.append(mine[other])
-    return Halo(np.concatenate(tiles), np.concatenate(around))
+    largest = np.concatenate([np.maximum.reduceat(together, starts), radius[alone]])
+    ranges = np.concatenate([np.maximum.reduceat(range_radius, starts), range_radius[alone]])
+    return Balls(boxes, largest, ranges, query_of)
 
 
-def within(
-    points: Floats, some: Boxes, radius: Floats, range_radius: Floats
-) -> NDArray[np.bool_]:
-    """Mask (n,) of the points (n, axes) within the radii of any of some boxes."""
-    own = Boxes(points, points, some.n_metric)
-    return some.near(own, radius, range_radius).any(axis=0)
+def near_tiles(
+    queries: Balls, tiles: Boxes, segments: Boxes, first_tile: NDArray[np.intp]
+) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Yield tiles that searches may find photons in, and these searches.
 
-
-def guessed_radius(boxes: Boxes, n_points: NDArray[np.intp], k: int) -> Floats:
-    """Radius (t,) that holds some more than k points of tiles of even sheets."""
-    extent = np.sort((boxes.high - boxes.low)[:, : boxes.n_metric], axis=1)
-    area = extent[:, -1] * np.maximum(extent[:, -2], 1e-3 * extent[:, -1])
-    return 1.5 * np.sqrt(k * area / (np.pi * np.maximum(n_points, 1)))
-
-
-def tile_starts(n: int, size: int = TILE) -> NDArray[np.intp]:
-    """First rows of the tiles of n rows."""
-    return np.arange(0, n, size)
+    `segments` are the boxes of runs of tiles, which start at `first_tile` (s,).
+    """
+    stops = np.append(first_tile[1:], len(tiles.low))
+    for segment in range(len(first_tile)):
+        one = segments.take(np.array([segment]))
+        mine = np.flatnonzero(
+            queries.boxes.near(one, queries.radius, queries.range_radius)[:, 0]
+        )
+        for some in np.array_split(mine, -(-len(mine) // _TOGETHER)) if len(mine) else ():
+            those = np.arange(first_tile[segment], stops[segment])
+            hit = queries.take(some)
+            near = hit.boxes.near(tiles.take(those), hit.radius, hit.range_radius)
+            for tile in np.flatnonzero(near.any(axis=0)):
+                yield int(those[tile]), some[near[:, tile]]

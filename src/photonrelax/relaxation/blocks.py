@@ -29,7 +29,6 @@ from ..photons.block_search import (
     Found,
     GroupTiles,
     Neighbourhood,
-    first_radius,
 )
 from ..photons.blocks import LABEL, BlockedPhotons
 from ..photons.neighbourhoods import Group, WholeGroup
@@ -122,7 +121,7 @@ class BlockRelaxation:
         if self._has_coords:
             columns.create("reach", np.float64)
             columns.create("merged", np.bool_)
-            self._pass(_reach, self._search_in_space("position", "normal", None))
+            self._pass(_reach, self._search_reach)
         self._pass(_structure, self._search_structure)
 
     def relax(self) -> None:
@@ -133,7 +132,7 @@ class BlockRelaxation:
         position, normal = "position", "normal"
         if self._work.scene is not None:
             columns.create("at", SURFACE_POSITION)
-            self._pass(_surface, self._search_in_space(position, normal, 0.0))
+            self._pass(_surface, self._search_reach)
         for constrained, n in zip((True, False), settings.n_iterations, strict=True):
             start = position
             for iteration in range(n):
@@ -176,26 +175,15 @@ class BlockRelaxation:
 
     # --- searches ---------------------------------------------------------------------------------
 
-    def _search_in_space(
-        self, position: str, normal: str, radius: float | None
-    ) -> Callable[[int], _GroupWork]:
-        """Searches among all photons of a group; `radius` None for one that holds k photons."""
-
-        def build(number: int) -> _GroupWork:
-            tiles, k = self.tiles[number], self._work.structure.k
-            expected = first_radius(tiles, position, k)
-            if radius is not None:
-                expected = np.full(len(tiles.first), radius)
-            return self._group_work(number, expected, position, normal, constrained=False)
-
-        return build
+    def _search_reach(self, number: int) -> _GroupWork:
+        return self._group_work(number, None, ("position", "normal"), constrained=False)
 
     def _search_structure(self, number: int) -> _GroupWork:
-        tiles, settings = self.tiles[number], self._work.structure
-        expected = first_radius(tiles, "position", settings.k)
-        if self._has_coords and np.isfinite(settings.reach_scale):
-            expected = 1.5 * tiles.largest("reach") / settings.reach_scale
-        return self._group_work(number, expected, "position", "normal", constrained=True)
+        expected = None
+        if self._has_coords and np.isfinite(self._work.structure.reach_scale):
+            # Where photons are of one sheet.
+            expected = "reach", _GROWTH / self._work.structure.reach_scale
+        return self._group_work(number, expected, ("position", "normal"), constrained=True)
 
     def _search_moves(
         self,
@@ -206,21 +194,21 @@ class BlockRelaxation:
         constrained: bool,
         is_first: bool,
     ) -> _GroupWork:
-        tiles = self.tiles[number]
-        if not is_first:
-            expected = _GROWTH * tiles.largest("searched")
-        elif constrained:
-            share = np.sqrt(self._work.relax.k / self._work.structure.k)
-            expected = 1.5 * share * tiles.largest("radius")
-        else:
-            expected = first_radius(tiles, before[0], self._work.relax.k)
-        work = self._group_work(number, expected, *before, constrained=constrained)
+        share = np.sqrt(self._work.relax.k / self._work.structure.k)
+        expected = ("radius", _GROWTH * share) if is_first else ("searched", _GROWTH)
+        work = self._group_work(number, expected, before, constrained=constrained)
         return replace(work, start=start)
 
     def _group_work(
-        self, number: int, radius: Floats, position: str, normal: str, *, constrained: bool
+        self,
+        number: int,
+        expected: tuple[str, float] | None,
+        now: tuple[str, str],
+        *,
+        constrained: bool,
     ) -> _GroupWork:
         tiles, group = self.tiles[number], self._work.photons.groups[number]
+        position, normal = now
         facing = bool((tiles.extent(normal) > _ROUNDING).any())
         in_emitter = constrained and self._has_coords and not group.mixed
         largest, range_radius = MAX_NORMAL_CHORD, np.full(len(tiles.first), MAX_NORMAL_CHORD)
@@ -233,7 +221,7 @@ class BlockRelaxation:
             axes.append((LABEL, 2.0 * largest))
         if facing:
             axes.append((normal, largest / MAX_NORMAL_CHORD))
-        search = BlockSearch(self._columns, tiles, tuple(axes), radius, range_radius)
+        search = BlockSearch(self._columns, tiles, tuple(axes), expected, range_radius)
         whole = WholeGroup(facing, float(largest))
         return _GroupWork(
             self._work, search, group, whole, position, normal, constrained=constrained
@@ -278,7 +266,7 @@ class BlockRelaxation:
                     tiles.bound(segment, "emitter_range", ranges)
 
 
-_BOUND = ("position", "normal", "reach", "radius", "searched")
+_BOUND = ("position", "normal")
 
 
 def n_passes(settings: RelaxSettings, *, has_coords: bool, has_scene: bool) -> int:
