@@ -110,15 +110,16 @@ class BlockedPhotons:
 
     def photons(self, start: int = 0, stop: int | None = None) -> PhotonMap:
         """Photons of a range of rows, in the order of blocks."""
-        return self.photons_of({name: self.columns.read(name, start, stop) for name in self.names()})
+        columns = {name: self.columns.read(name, start, stop) for name in self.names()}
+        return self.photons_of(columns)
 
     def photons_of(self, columns: Mapping[str, NDArray]) -> PhotonMap:
         """Some photons of the map, whose columns these are."""
         for column in columns.values():
             column.setflags(write=False)
-        shared, ledger = dict(self.shared), self.shared["ledger"]
-        shared["ledger"] = None if ledger is None else EnergyLedger.from_dict(ledger)
-        return PhotonMap(**columns, **shared)
+        fields, ledger = {**self.shared, **columns}, self.shared["ledger"]
+        fields["ledger"] = None if ledger is None else EnergyLedger.from_dict(ledger)
+        return PhotonMap(**fields)
 
     def photon_map(self) -> PhotonMap:
         """All photons in memory, in the order of the map that they were sorted from."""

@@ -1,10 +1,11 @@
-"""Columns of large tables on disk: read and written by ranges of rows, mapped no longer than that."""
+"""Columns of large tables on disk: read and written by ranges of rows, and mapped no longer."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -64,7 +65,7 @@ class ColumnFolder:
         if len(rows):
             self.mapped(name, "r+")[rows] = values
 
-    def mapped(self, name: str, mode: str = "r") -> NDArray:
+    def mapped(self, name: str, mode: Literal["r", "r+"] = "r") -> NDArray:
         """A whole column, mapped for as long as the array is held."""
         path = self._path(name)
         try:

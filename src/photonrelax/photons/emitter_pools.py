@@ -116,13 +116,12 @@ def emitter_pools(photons: PhotonMap, n_threads: int) -> EmitterPools:
     thinned = Thinned(photons.position, photons.normal, emitter)
     kept = kept_by_thinning(photons.position, n_photons)
     if kept is not None:
-        thinned = Thinned(*(column[kept] for column in thinned))
-    numbers = pool_numbers(
-        thinned,
-        n_photons,
-        lambda: np.bincount(emitter, photons.flux.mean(axis=1)),
-        n_threads=n_threads,
-    )
+        thinned = Thinned(photons.position[kept], photons.normal[kept], emitter[kept])
+
+    def flux() -> Floats:
+        return np.bincount(emitter, photons.flux.mean(axis=1)).astype(np.float64)
+
+    numbers = pool_numbers(thinned, n_photons, flux, n_threads=n_threads)
     return EmitterPools(numbers.number[emitter], numbers.first_pool, numbers.first_at_rest)
 
 

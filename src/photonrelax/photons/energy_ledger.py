@@ -89,7 +89,7 @@ class EnergyLedger:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> EnergyLedger:
-        """The ledger of which `to_dict` returned the content; raises KeyError if some is missing."""
+        """The ledger of which `to_dict` is the content; raises KeyError if some is missing."""
         flux = {name: content[name] for name in ("emitted", *PATH_OUTCOMES)}
         return cls(**flux, ends=content["ends"])
 

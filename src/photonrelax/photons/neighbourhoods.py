@@ -144,7 +144,7 @@ def _groups_of_emitters(pools: EmitterPools, face: NDArray) -> list[Group]:
 
 
 def trees_of_labels(label: NDArray, n_photons: NDArray) -> tuple[NDArray, NDArray]:
-    """Labels of groups that have a tree each, those of most photons, and of those that share one."""
+    """Labels of groups that have a tree each, of most photons, and of those that share one."""
     order = np.argsort(-n_photons, kind="stable")
     return label[order[:_MAX_TREES]], label[order[_MAX_TREES:]]
 

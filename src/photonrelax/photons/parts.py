@@ -74,7 +74,7 @@ class PhotonParts:
         make_folder(folder, [MANIFEST])
         if any(not path.name.startswith(".") for path in folder.iterdir()):
             raise FileExistsError(
-                f"{folder} should be an empty folder or one of photons in parts, but has other files"
+                f"{folder} should be empty or a folder of photons in parts, but has other files"
             )
         created = cls(folder, about, {}, ())
         created._write_manifest()
@@ -115,14 +115,15 @@ class PhotonParts:
 
     def append(self, photons: PhotonMap) -> PhotonParts:
         """The parts with one more, the photons of the next range of the emission."""
-        stop = photons.n_emitted if photons.emitted_ranges is None else photons.emitted_ranges[-1, 1]
+        ranges = photons.emitted_ranges
+        stop = photons.n_emitted if ranges is None else ranges[-1, 1]
         number, shared = len(self.parts), shared_fields(photons)
         if self.parts and shared != self.shared:
             raise ValueError(f"photons should be of the emission in {self.folder}, but are not")
         columns = _write_columns(self.folder / _part_name(number), photons)
         part = {
             "start": self.n_traced,
-            "stop": int(stop),
+            "stop": int(stop or 0),
             "n_photons": len(photons),
             "columns": columns,
             "ledger": None if photons.ledger is None else photons.ledger.to_dict(),
@@ -165,14 +166,12 @@ class PhotonParts:
 
     def _map(self, number: int) -> PhotonMap:
         part, folder = self.parts[number], self.folder / _part_name(number)
-        columns = {name: _mapped(folder / f"{name}.npy") for name in part["columns"]}
-        shared: dict[str, Any] = dict(self.shared)
+        fields: dict[str, Any] = dict(self.shared)
+        fields |= {name: _mapped(folder / f"{name}.npy") for name in part["columns"]}
         ranges = [(part["start"], part["stop"])]
         try:
             ledger = None if part["ledger"] is None else EnergyLedger.from_dict(part["ledger"])
-            photons = PhotonMap(
-                **columns, **shared, ledger=ledger, emitted_ranges=ranges
-            )
+            photons = PhotonMap(**fields, ledger=ledger, emitted_ranges=ranges)
         except (TypeError, ValueError, KeyError) as error:
             raise ValueError(
                 f"{folder} is not a part of a photon map: {error}; copy or trace it again"
@@ -185,7 +184,9 @@ class PhotonParts:
 def _read_manifest(folder: Path) -> dict[str, Any]:
     path = folder / MANIFEST
     if not path.is_file():
-        raise FileNotFoundError(f"{folder} should be a folder of photons in parts, but has no {MANIFEST}")
+        raise FileNotFoundError(
+            f"{folder} should be a folder of photons in parts, but has no {MANIFEST}"
+        )
     try:
         manifest = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
@@ -241,4 +242,3 @@ def _mapped(path: Path) -> np.ndarray:
         return np.load(path, mmap_mode="r" if path.stat().st_size > 128 else None)
     except (ValueError, OSError) as error:
         raise ValueError(f"{path} is not an array: {error}; copy or trace it again") from None
-

@@ -71,6 +71,10 @@ class _Light:
         """Photons of each emitter, in the order of their ids."""
         return np.array([self.n_photons[each] for each in sorted(self.n_photons)])
 
+    def sums_of_flux(self) -> Floats:
+        """Flux of each emitter, in the order of their ids."""
+        return np.array([self.flux[each] for each in sorted(self.flux)])
+
     def place(self, emitter_id: NDArray[np.int32]) -> Numbers:
         """Places of photons' emitters among all."""
         return np.searchsorted(sorted(self.n_photons), emitter_id)
@@ -129,9 +133,8 @@ class StreamedGroups:
                     thinned[number].append(_thinned(some, pooled[number]))
         for number, light in pooled.items():
             columns = (np.concatenate(each) for each in zip(*thinned.pop(number), strict=True))
-            flux = np.array([light.flux[each] for each in sorted(light.flux)])
             light.pools = pool_numbers(
-                Thinned(*columns), light.counts, lambda flux=flux: flux, n_threads=n_threads
+                Thinned(*columns), light.counts, light.sums_of_flux, n_threads=n_threads
             )
 
     def _number(self, parts: Parts) -> None:

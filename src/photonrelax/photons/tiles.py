@@ -117,9 +117,7 @@ def near_tiles(
     stops = np.append(first_tile[1:], len(tiles.low))
     for segment in range(len(first_tile)):
         one = segments.take(np.array([segment]))
-        mine = np.flatnonzero(
-            queries.boxes.near(one, queries.radius, queries.range_radius)[:, 0]
-        )
+        mine = np.flatnonzero(queries.boxes.near(one, queries.radius, queries.range_radius)[:, 0])
         for some in np.array_split(mine, -(-len(mine) // _TOGETHER)) if len(mine) else ():
             those = np.arange(first_tile[segment], stops[segment])
             hit = queries.take(some)

@@ -252,7 +252,7 @@ def _write_back(
         fits += np.bincount(sheet, residual <= settings.max_residual, minlength=len(fits))
         count += np.bincount(sheet, minlength=len(count))
         keys.append(noise_keys(source.read("noise", *rows), sheet))
-        n_unmapped += np.count_nonzero(~np.isfinite(residual))
+        n_unmapped += int(np.count_nonzero(~np.isfinite(residual)))
     medians = medians_of_sheets(np.concatenate(keys), sheets.n_sheets)
     noise = SheetNoise(medians, fits / np.maximum(count, 1))
     for rows in ranges:

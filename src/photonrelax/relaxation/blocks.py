@@ -10,7 +10,7 @@ largest range over the emitter coordinates, follows from the boxes of tiles.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -317,15 +317,11 @@ def _structure(given: _GroupWork, segment: int) -> Columns:
     return given.search.run(segment, compute)
 
 
-def _detection(
-    given: _GroupWork, some: Neighbourhood, reach: Floats | None
-) -> StructureDetection:
+def _detection(given: _GroupWork, some: Neighbourhood, reach: Floats | None) -> StructureDetection:
     """Detection around the photons of a neighbourhood."""
     report = Reporter(None, "structure", len(some.rows))
     photons = _local_map(some, some.read(given.position), some.read(given.normal))
-    return StructureDetection(
-        photons, given.work.structure, given.work.n_threads, report, reach
-    )
+    return StructureDetection(photons, given.work.structure, given.work.n_threads, report, reach)
 
 
 def _surface(given: _GroupWork, segment: int) -> Columns:
@@ -403,9 +399,7 @@ def _relaxation(
         )
     report = Reporter(None, "relax", len(photons))
     structure = _local_structure(some, photons, work.structure)
-    return Relaxation(
-        photons, structure, work.relax, rest, projector, work.n_threads, report
-    )
+    return Relaxation(photons, structure, work.relax, rest, projector, work.n_threads, report)
 
 
 def _local_structure(

@@ -280,7 +280,8 @@ class _Stage:
         self._few = constrained & (structure.n_found[self._rows] < relaxation.settings.k)
         start = None if constrained else position
         if begun is not None:
-            self._squared, self._few = np.square(begun.radius[self._rows]), begun.too_few[self._rows]
+            self._squared = np.square(begun.radius[self._rows])
+            self._few = begun.too_few[self._rows]
             start = None if constrained else begun.start
         self._inputs = _relax.RelaxInputs(
             rows=self._rows,
