@@ -156,6 +156,9 @@ class BlockSearch:
         nothing is known of them, so that blocks are searched without a halo first.
     range_radius : (t,) float array
         Largest radius, in each tile, of the balls over the other axes.
+    k : int
+        Photons that a search finds at most. As many are searched at least, as long as a group has
+        them: of trees with fewer, kernels take all for the neighbours asked for.
     """
 
     columns: ColumnFolder
@@ -163,6 +166,7 @@ class BlockSearch:
     axes: tuple[tuple[str, float], ...]
     expected: tuple[str, float] | None
     range_radius: Floats
+    k: int
 
     @cached_property
     def _boxes(self) -> Boxes:
@@ -197,6 +201,7 @@ class BlockSearch:
         halo, _ = self._halo(own, radius)
         results: Columns = {}
         while len(todo):
+            halo = self._filled(todo, halo)
             found = compute(Neighbourhood(self.columns, np.concatenate([todo, halo]), len(todo)))
             _place(results, todo - first, found.columns, len(own))
             wider = np.where(np.isinf(found.reached), self._widened(radius), found.reached)
@@ -213,6 +218,16 @@ class BlockSearch:
             todo, radius = todo[short][left_out], wider[short][left_out]
             halo, _ = self._halo(todo, radius)
         return results
+
+    def _filled(self, todo: Rows, halo: Rows) -> Rows:
+        """A halo with some more photons of the group, if there are fewer than k in all."""
+        near, missing = np.concatenate([todo, halo]), self.k - len(todo) - len(halo)
+        for first, stop in zip(self.tiles.first, self.tiles.stop, strict=True):
+            if missing <= 0:
+                break
+            more = np.setdiff1d(np.arange(first, stop), near)[:missing]
+            halo, missing = np.concatenate([halo, more]), missing - len(more)
+        return halo
 
     def _widened(self, radius: Floats) -> Floats:
         """Radii beyond some that were too small by nobody knows how much."""

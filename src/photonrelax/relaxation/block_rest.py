@@ -203,7 +203,7 @@ def _prescribe(
         for name in ("emitter_coords", "normal", _SHEET):
             tiles.bound(segment, name, columns.read(name, *tiles.rows(segment)))
     axes = (("emitter_coords", 1.0), (_SHEET, 2.0), ("normal", 1.0 / MAX_NORMAL_CHORD))
-    search = BlockSearch(columns, tiles, axes, None, np.ones(len(tiles.first)))
+    search = BlockSearch(columns, tiles, axes, None, np.ones(len(tiles.first)), settings.k)
     value = _GroupWork(search, settings, workers.n_threads)
     found = workers.map(_prescribed, value, range(tiles.n_segments))
     for segment, values in enumerate(found):

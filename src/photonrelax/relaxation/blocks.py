@@ -221,7 +221,8 @@ class BlockRelaxation:
             axes.append((LABEL, 2.0 * largest))
         if facing:
             axes.append((normal, largest / MAX_NORMAL_CHORD))
-        search = BlockSearch(self._columns, tiles, tuple(axes), expected, range_radius)
+        k = max(self._work.structure.k, self._work.relax.k)
+        search = BlockSearch(self._columns, tiles, tuple(axes), expected, range_radius, k)
         whole = WholeGroup(facing, float(largest))
         return _GroupWork(
             self._work, search, group, whole, position, normal, constrained=constrained
