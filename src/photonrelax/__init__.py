@@ -14,6 +14,7 @@ from ._version import __version__ as __version__
 if TYPE_CHECKING:
     from . import gallery as gallery
     from ._util.workers import WorkerLostError as WorkerLostError
+    from .estimation.block_relaxation import relax_parts as relax_parts
     from .estimation.diffusion import DiffusionSettings as DiffusionSettings
     from .estimation.envelope.envelope import Envelope as Envelope
     from .estimation.envelope.envelope import EnvelopeSettings as EnvelopeSettings
@@ -33,7 +34,9 @@ if TYPE_CHECKING:
     from .imaging.image import Image as Image
     from .io.load import load_scene as load_scene
     from .io.save import save_scene as save_scene
+    from .photons.blocks import BlockedPhotons as BlockedPhotons
     from .photons.energy_ledger import EnergyLedger as EnergyLedger
+    from .photons.parts import PhotonParts as PhotonParts
     from .photons.photon_map import PhotonMap as PhotonMap
     from .relaxation.gradient import GradientSettings as GradientSettings
     from .relaxation.gradient import detect_gradient as detect_gradient
@@ -73,6 +76,7 @@ if TYPE_CHECKING:
     from .spatial.kdtree import KDTree as KDTree
     from .spatial.kdtree import Neighbours as Neighbours
     from .transport.hit_points import HitPoints as HitPoints
+    from .transport.parts import trace_parts as trace_parts
     from .transport.trace import trace_photons as trace_photons
 
 
@@ -102,7 +106,9 @@ _MODULE_OF = {
     "LambertianEmitter": "scene.emitters",
     "Mirror": "scene.materials",
     "Neighbours": "spatial.kdtree",
+    "BlockedPhotons": "photons.blocks",
     "PhotonMap": "photons.photon_map",
+    "PhotonParts": "photons.parts",
     "Plan": "rendering.plan",
     "PointEmitter": "scene.emitters",
     "ProgressiveSettings": "estimation.progressive",
@@ -131,11 +137,13 @@ _MODULE_OF = {
     "load_scene": "io.load",
     "plan": "rendering.plan",
     "relax": "relaxation.relax",
+    "relax_parts": "estimation.block_relaxation",
     "render": "rendering.render",
     "render_progressive": "rendering.progressive_render",
     "rest_density": "relaxation.rest_density",
     "save_scene": "io.save",
     "trace_envelope": "estimation.envelope.tracing",
+    "trace_parts": "transport.parts",
     "trace_photons": "transport.trace",
     "tradeoff": "evaluation.tradeoff",
 }

@@ -225,9 +225,16 @@ def _add_trace(parser: argparse.ArgumentParser) -> None:
 
     with_spectra = ", ".join(each.name for each in METHODS.values() if each.needs_spectra)
     add_scene(parser)
-    _add_output(parser, "FILE.npz")
+    _add_output(parser, "FILE.npz|DIR")
     _add_emission(parser)
     _add_sampler(parser)
+    parser.add_argument(
+        "--chunk",
+        type=positive,
+        metavar="N",
+        help="write a folder of parts of N photons emitted each, which takes memory for one; "
+        "started again, an interrupted run goes on",
+    )
     parser.add_argument(
         "--frequency-share",
         type=float,
@@ -243,8 +250,19 @@ def _add_trace(parser: argparse.ArgumentParser) -> None:
 def _add_relax(parser: argparse.ArgumentParser) -> None:
     from ..estimation.methods import DEFAULT_METHOD, METHODS
 
-    parser.add_argument("photon_map", metavar="PHOTONS.npz", type=Path)
-    _add_output(parser, "FILE.npz")
+    parser.add_argument(
+        "photon_map",
+        metavar="PHOTONS.npz|DIR",
+        type=Path,
+        help="photon map; or the folder of its parts, which are relaxed by blocks into another",
+    )
+    _add_output(parser, "FILE.npz|DIR")
+    parser.add_argument(
+        "--block",
+        type=positive,
+        metavar="N",
+        help="photons of a block, about, of those in parts (1000000)",
+    )
     parser.add_argument(
         "--scene",
         type=lambda text: scene_name(text, gallery.names()),

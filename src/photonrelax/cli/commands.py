@@ -34,6 +34,7 @@ from .arguments import (
 )
 from .casters import axis_point, complete_options, gather_radius, map_size, unit_of
 from .interrupts import Interrupts
+from .parts import relax_in_blocks, trace_in_parts
 from .progress_bar import ProgressBars
 from .scenes import scene_of
 from .streams import complain, escaping_streams, write_lines
@@ -234,6 +235,9 @@ def _plan(options: argparse.Namespace, interrupts: Interrupts) -> None:
 def _trace(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from .reports import stage_table
 
+    if options.chunk is not None:
+        trace_in_parts(options, interrupts)
+        return
     output = output_path(options.output, ".npz")
     scene = scene_of(options.scene, options)
     with ProgressBars(options.quiet, interrupts) as bars, executor_of(options) as executor:
@@ -259,6 +263,11 @@ def _relax(options: argparse.Namespace, interrupts: Interrupts) -> None:
     from ..estimation.methods import MethodInput, Settings, method_named, relaxed_photons
     from .reports import stage_table
 
+    if options.photon_map.is_dir():
+        relax_in_blocks(options, interrupts)
+        return
+    if options.block is not None:
+        options.wrong_usage("--block is of photons in parts: leave it out")
     output = output_path(options.output, ".npz")
     photons = pr.PhotonMap.load(options.photon_map)
     scene = None if options.scene is None else scene_of(options.scene, options)

@@ -18,6 +18,7 @@ Pools of less than a ninth of the photons around theirs stay where they are.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -63,6 +64,25 @@ class EmitterPools(NamedTuple):
     first_at_rest: int
 
 
+class PoolNumbers(NamedTuple):
+    """Number (emitters,) of each emitter or of its pool; the others as of `EmitterPools`."""
+
+    number: Numbers
+    first_pool: int
+    first_at_rest: int
+
+
+class Thinned(NamedTuple):
+    """Some photons of a map, in its order: the columns that pools depend on.
+
+    `emitter` (n,) is the place of each photon's emitter among those of the map.
+    """
+
+    position: Floats
+    normal: Floats
+    emitter: Numbers
+
+
 class _Sample(NamedTuple):
     """Some photons and those around them.
 
@@ -77,7 +97,7 @@ class _Sample(NamedTuple):
     def shares(self, number: Numbers, n_numbers: int) -> Floats:
         """Mean share (n_numbers,) of photons of the same number around those of each number.
 
-        `number` (n,) is that of all photons of the map.
+        `number` (n,) is that of all photons that the sample is of.
         """
         mine = number[self.rows]
         found = self.neighbours >= 0
@@ -93,23 +113,63 @@ def emitter_pools(photons: PhotonMap, n_threads: int) -> EmitterPools:
     """Emitters by themselves and pools of a map, which has emitter ids."""
     assert photons.emitter_id is not None, "photons have emitter ids"
     emitter, n_photons = _numbered(photons.emitter_id)
+    thinned = Thinned(photons.position, photons.normal, emitter)
+    kept = kept_by_thinning(photons.position, n_photons)
+    if kept is not None:
+        thinned = Thinned(photons.position[kept], photons.normal[kept], emitter[kept])
+
+    def flux() -> Floats:
+        return np.bincount(emitter, photons.flux.mean(axis=1)).astype(np.float64)
+
+    numbers = pool_numbers(thinned, n_photons, flux, n_threads=n_threads)
+    return EmitterPools(numbers.number[emitter], numbers.first_pool, numbers.first_at_rest)
+
+
+def kept_by_thinning(position: Floats, n_photons: Numbers) -> NDArray[np.bool_] | None:
+    """Mask (n,) of the photons from which pools are found, None for all.
+
+    They are chosen by their positions: whatever their order, and together where they coincide.
+    `n_photons` (emitters,) are those of the whole map.
+    """
+    share = min(int(n_photons.sum()) // _ENOUGH, int(n_photons.min()) // _ENOUGH_OF_EMITTER)
+    if share <= 1:
+        return None
+    kept: NDArray[np.bool_] = row_hashes(position) % np.uint64(share) == 0
+    return kept
+
+
+def pool_numbers(
+    thinned: Thinned, n_photons: Numbers, flux: Callable[[], Floats], *, n_threads: int
+) -> PoolNumbers:
+    """Numbers of the emitters by themselves, and of pools.
+
+    Parameters
+    ----------
+    thinned : Thinned
+        The photons that are kept by thinning.
+    n_photons : (emitters,) intp array
+        Of the whole map.
+    flux : callable
+        Returns the sums (emitters,) of the flux of all photons, the mean of their channels.
+    n_threads : int
+    """
     n_emitters = len(n_photons)
-    sample = _sampled(photons, emitter, n_photons, n_threads)
-    weak = (n_photons < _K) | (sample.shares(emitter, n_emitters) < _LEAST_SHARE)
-    if not weak.any():
-        return EmitterPools(emitter, n_emitters, n_emitters)
-    # That of few photons of pure colours may be negative.
-    flux = np.abs(np.bincount(emitter, photons.flux.mean(axis=1))) / n_photons
+    sample = _sampled(thinned, n_photons, n_threads)
+    weak = (n_photons < _K) | (sample.shares(thinned.emitter, n_emitters) < _LEAST_SHARE)
     number = np.arange(n_emitters)
-    number[weak] = n_emitters + _similar(flux[weak])
+    if not weak.any():
+        return PoolNumbers(number, n_emitters, n_emitters)
+    # That of few photons of pure colours may be negative.
+    mean_flux = np.abs(flux()) / n_photons
+    number[weak] = n_emitters + _similar(mean_flux[weak])
     n_numbers = number.max() + 1
-    share = sample.shares(number[emitter], n_numbers)[n_emitters:]
+    share = sample.shares(number[thinned.emitter], n_numbers)[n_emitters:]
     # Pools at rest are the last.
     at_rest = share < _LEAST_SHARE
     renumbered = np.empty(len(share), dtype=np.intp)
     renumbered[np.argsort(at_rest, kind="stable")] = np.arange(len(share))
     number[weak] = n_emitters + renumbered[number[weak] - n_emitters]
-    return EmitterPools(number[emitter], n_emitters, n_numbers - int(at_rest.sum()))
+    return PoolNumbers(number, n_emitters, n_numbers - int(at_rest.sum()))
 
 
 def _numbered(emitter_id: NDArray[np.int32]) -> tuple[Numbers, Numbers]:
@@ -135,13 +195,12 @@ def _similar(flux: Floats) -> Numbers:
     return number
 
 
-def _sampled(photons: PhotonMap, emitter: Numbers, n_photons: Numbers, n_threads: int) -> _Sample:
+def _sampled(thinned: Thinned, n_photons: Numbers, n_threads: int) -> _Sample:
     """Photons spread evenly over those of each emitter, and over all of emitters that have few."""
-    share = min(len(photons) // _ENOUGH, int(n_photons.min()) // _ENOUGH_OF_EMITTER)
-    tree, rows = _tree(photons, emitter, max(share, 1), n_threads)
+    tree, rows = _tree(thinned, n_threads)
     ordered = rows[np.asarray(tree.kernel.ids)]
     unit = np.where(n_photons < _K, 0, 1 + np.arange(len(n_photons)))
-    place, weight = _spread(unit[emitter[ordered]])
+    place, weight = _spread(unit[thinned.emitter[ordered]])
     lanes = np.asarray(tree.kernel.coords)
     block = lanes.shape[2]
     found = tree.query(
@@ -154,27 +213,22 @@ def _sampled(photons: PhotonMap, emitter: Numbers, n_photons: Numbers, n_threads
     return _Sample(ordered[place], neighbours, weight)
 
 
-def _tree(
-    photons: PhotonMap, emitter: Numbers, share: int, n_threads: int
-) -> tuple[KDTree, Numbers]:
-    """Tree of one in `share` photons, normals on range axes unless all are equal, and their rows.
+def _tree(thinned: Thinned, n_threads: int) -> tuple[KDTree, Numbers]:
+    """Tree of photons, normals on range axes unless all are equal, and their rows.
 
-    The photons are chosen by their positions: whatever their order, and together where they
-    coincide. An emitter's photons at the same point count as one.
+    An emitter's photons at the same point count as one.
     """
-    columns = [photons.position]
-    if not all_nearly_equal(photons.normal, None):
-        columns.append(photons.normal)
-    rows = np.arange(len(photons))
-    if share > 1:
-        rows = np.flatnonzero(row_hashes(photons.position) % np.uint64(share) == 0)
-    points = hstack_rows(columns, [1.0] * len(columns), rows, n_threads)
+    columns = [thinned.position]
+    if not all_nearly_equal(thinned.normal, None):
+        columns.append(thinned.normal)
+    rows = np.arange(len(thinned.position))
+    points = hstack_rows(columns, [1.0] * len(columns), slice(None), n_threads)
     tree = KDTree(points, 3, n_threads=n_threads)
     first = None
     if tree.kernel.may_coincide:
-        first = first_equal_rows([photons.position[rows], emitter[rows]])
+        first = first_equal_rows([thinned.position, thinned.emitter])
     if first is not None:
-        rows = rows[np.unique(first)]
+        rows = np.unique(first)
         points = hstack_rows(columns, [1.0] * len(columns), rows, n_threads)
         tree = KDTree(points, 3, n_threads=n_threads)
     return tree, rows

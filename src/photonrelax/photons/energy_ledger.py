@@ -87,6 +87,12 @@ class EnergyLedger:
         flux = {name: getattr(self, name).tolist() for name in ("emitted", *PATH_OUTCOMES)}
         return {**flux, "ends": {name: self.ends[name].tolist() for name in PATH_OUTCOMES}}
 
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> EnergyLedger:
+        """The ledger of which `to_dict` is the content; raises KeyError if some is missing."""
+        flux = {name: content[name] for name in ("emitted", *PATH_OUTCOMES)}
+        return cls(**flux, ends=content["ends"])
+
 
 def ledger_arrays(ledger: EnergyLedger) -> dict[str, NDArray]:
     """Return the arrays of a ledger in a photon map's file."""

@@ -30,6 +30,8 @@ class GroupTree(NamedTuple):
         These and the photons that they stand for, if there are such.
     normal_axis : int
         First axis of the normals; the number of axes for a tree without.
+    normal_scale : float
+        Factor of the normals on their axes.
     """
 
     tree: KDTree
@@ -37,6 +39,7 @@ class GroupTree(NamedTuple):
     rows: NDArray[np.intp]
     distinct: Distinct | None
     normal_axis: int
+    normal_scale: float
 
     @property
     def n_merged(self) -> int:
@@ -71,12 +74,17 @@ def group_tree(
     between normals.
     """
     rows = group.rows
-    facing = not all_nearly_equal(normal, None if isinstance(rows, slice) else rows)
+    if group.whole is not None:
+        facing = group.whole.facing
+    else:
+        facing = not all_nearly_equal(normal, None if isinstance(rows, slice) else rows)
     if coords is None or ranges is None or group.mixed:
         coords = ranges = None
         if facing or group.labels is not None:
             ranges = np.broadcast_to(MAX_NORMAL_CHORD, len(position))
     largest = 1.0 if ranges is None else ranges[rows].max(initial=0.0)
+    if group.whole is not None and coords is not None:
+        largest = group.whole.largest_range
     axes = [(position, 1.0)]
     if coords is not None:
         axes.append((coords, 1.0))
@@ -92,7 +100,8 @@ def group_tree(
         rows = distinct.rows
         tree = _tree_on(axes, rows, n_threads)
     normal_axis = tree.n_axes - (3 if facing else 0)
-    return GroupTree(tree, ranges, leaf_rows(tree, rows), distinct, normal_axis)
+    scale = largest / MAX_NORMAL_CHORD
+    return GroupTree(tree, ranges, leaf_rows(tree, rows), distinct, normal_axis, scale)
 
 
 def _tree_on(axes: list[tuple[Floats, float]], rows: Rows, n_threads: int) -> KDTree:

@@ -37,7 +37,7 @@ def concatenate(maps: Sequence[PhotonMap], names: Sequence[str]) -> PhotonMap:
         columns,
         names,
         well_spaced=len(ranges) == 1 and all(part.well_spaced for part in parts),
-        ledger=_summed([part.ledger for part in parts]),
+        ledger=summed([part.ledger for part in parts]),
         emitted_ranges=ranges,
     )
 
@@ -53,7 +53,7 @@ def average(maps: Sequence[PhotonMap], names: Sequence[str]) -> PhotonMap:
     if densities is not None and n_emitted is not None:
         pairs = zip(densities, numbers, strict=True)
         columns["emitter_density"] = [density * (n_emitted / n) for density, n in pairs]
-    ledger = _summed([each.ledger for each in maps])
+    ledger = summed([each.ledger for each in maps])
     return _joined(
         maps[0],
         columns,
@@ -154,7 +154,8 @@ def _merged(ranges: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.column_stack([ranges[starts, 0], ranges[ends, 1]])
 
 
-def _summed(ledgers: Sequence[EnergyLedger | None]) -> EnergyLedger | None:
+def summed(ledgers: Sequence[EnergyLedger | None]) -> EnergyLedger | None:
+    """Sum of the ledgers of parts, of those that are known."""
     known = [ledger for ledger in ledgers if ledger is not None]
     if not known:
         return None

@@ -31,12 +31,30 @@ class Group(NamedTuple):
         They are too few to have a structure, and stay where they are.
     labels : (n, 1) float array, optional
         Groups that share a tree: photons of the map whose labels differ are not neighbours.
+    whole : WholeGroup, optional
+        What is known of all photons of a group, of which these are some.
     """
 
     rows: Rows
     mixed: bool = False
     at_rest: bool = False
     labels: Floats | None = None
+    whole: WholeGroup | None = None
+
+
+class WholeGroup(NamedTuple):
+    """What the trees of a group's parts have to share.
+
+    Attributes
+    ----------
+    facing : bool
+        Its normals are not all equal.
+    largest_range : float
+        The largest radius of its photons' balls over the range axes.
+    """
+
+    facing: bool
+    largest_range: float
 
 
 def neighbour_groups(photons: PhotonMap, n_threads: int) -> list[Group]:
@@ -114,8 +132,7 @@ def _groups_of_emitters(pools: EmitterPools, face: NDArray) -> list[Group]:
     label = face + MAX_FACES * pools.number
     present, n_photons = np.unique(label, return_counts=True)
     own = present < MAX_FACES * pools.first_pool
-    order = np.argsort(-n_photons[own], kind="stable")
-    alone, together = present[own][order[:_MAX_TREES]], present[own][order[_MAX_TREES:]]
+    alone, together = trees_of_labels(present[own], n_photons[own])
     groups = [Group(np.flatnonzero(label == one)) for one in alone]
     if len(together):
         labels = label[:, np.newaxis].astype(np.float64)
@@ -124,6 +141,12 @@ def _groups_of_emitters(pools: EmitterPools, face: NDArray) -> list[Group]:
         at_rest = bool(one >= MAX_FACES * pools.first_at_rest)
         groups.append(Group(np.flatnonzero(label == one), mixed=True, at_rest=at_rest))
     return groups
+
+
+def trees_of_labels(label: NDArray, n_photons: NDArray) -> tuple[NDArray, NDArray]:
+    """Labels of groups that have a tree each, of most photons, and of those that share one."""
+    order = np.argsort(-n_photons, kind="stable")
+    return label[order[:_MAX_TREES]], label[order[_MAX_TREES:]]
 
 
 def _face_labels(normal: Floats) -> tuple[NDArray, NDArray]:
@@ -135,9 +158,14 @@ def _face_labels(normal: Floats) -> tuple[NDArray, NDArray]:
     faces, face = group_normals(normal, MAX_FACES)
     if faces is None or len(faces) < 2:
         return np.zeros(len(normal), dtype=np.int8), np.zeros(1, dtype=np.int8)
+    label = connected_faces(faces)
+    return label[face], np.unique(label)
+
+
+def connected_faces(faces: Floats) -> NDArray[np.int8]:
+    """Label (f,) of each of some normals, the same for those connected by steps."""
     connected = within_chord(faces)
     # Squaring the matrix doubles the number of steps.
     for _ in range(len(faces).bit_length()):
         connected = connected @ connected
-    label = connected.argmax(axis=1).astype(np.int8)
-    return label[face], np.unique(label)
+    return connected.argmax(axis=1).astype(np.int8)

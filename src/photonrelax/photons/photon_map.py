@@ -227,7 +227,7 @@ class PhotonMap:
         return round(k * self.photons_per_path)
 
     def __repr__(self) -> str:
-        given = [name for name in _ARRAY_FIELDS if getattr(self, name) is not None]
+        given = [name for name in ARRAY_FIELDS if getattr(self, name) is not None]
         return f"PhotonMap({len(self)} photons: {', '.join(given)}; n_emitted={self.n_emitted})"
 
     def replace(self, **changes: Any) -> PhotonMap:
@@ -242,7 +242,7 @@ class PhotonMap:
         selected = index if isinstance(index, slice) else _row_index(index, len(self))
         rows = {
             name: getattr(self, name)[selected]
-            for name in _ARRAY_FIELDS
+            for name in ARRAY_FIELDS
             if getattr(self, name) is not None
         }
         return replace(self, **rows)
@@ -264,7 +264,7 @@ class PhotonMap:
         TypeError, ValueError
             If there are none, they are of different emissions, or ranges overlap.
         """
-        return joining.concatenate(_maps(maps), _ARRAY_FIELDS)
+        return joining.concatenate(_maps(maps), ARRAY_FIELDS)
 
     @staticmethod
     def average(maps: Iterable[PhotonMap]) -> PhotonMap:
@@ -282,12 +282,12 @@ class PhotonMap:
         TypeError, ValueError
             If there are none, two are of the same seed and number, or some cannot be of one scene.
         """
-        return joining.average(_maps(maps), _ARRAY_FIELDS)
+        return joining.average(_maps(maps), ARRAY_FIELDS)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the map as an ``.npz`` file, whole or not at all."""
         arrays: dict[str, Any] = {
-            name: getattr(self, name) for name in _ARRAY_FIELDS if getattr(self, name) is not None
+            name: getattr(self, name) for name in ARRAY_FIELDS if getattr(self, name) is not None
         }
         white = self.wavelength is None
         arrays["photonmap_version"] = FORMAT_VERSION if white else DISPERSED_VERSION
@@ -312,7 +312,7 @@ class PhotonMap:
         """
         arrays = _read_arrays(Path(path))
         known: dict[str, Any] = {
-            name: read_only(arrays[name]) for name in _ARRAY_FIELDS if name in arrays
+            name: read_only(arrays[name]) for name in ARRAY_FIELDS if name in arrays
         }
         try:
             scalars = {name: scalar(arrays, name, kinds) for name, kinds in _SCALARS.items()}
@@ -348,13 +348,14 @@ _SCALARS = {
 _ID_LISTS = ("sensor_ids", "extended_ids")
 # Fields that hold neither an array with a row for each photon nor a single value.
 _LISTS = (*_ID_LISTS, "emitted_ranges")
-_ARRAY_FIELDS = tuple(
+ARRAY_FIELDS = tuple(
     f.name for f in fields(PhotonMap) if f.name not in (*_SCALARS, *_LISTS, "ledger")
 )
+"""Fields that hold an array with a row for each photon."""
 
 
 # Arrays of a file; others are not read.
-_NAMES = frozenset(["photonmap_version", *_ARRAY_FIELDS, *_SCALARS, *_LISTS, *LEDGER_NAMES])
+_NAMES = frozenset(["photonmap_version", *ARRAY_FIELDS, *_SCALARS, *_LISTS, *LEDGER_NAMES])
 
 
 class NothingStoredError(ValueError):

@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .._ext.relaxation.projection import DOWN, UP, Displacements, SurfacePositions
+from .._ext.relaxation.projection import (
+    DOWN,
+    SURFACE_POSITION,
+    UP,
+    Displacements,
+    SurfacePositions,
+)
 from .._util.parallel import for_each_slice
 from .._util.validation import Floats, Rows
 from ..photons.axes import MIN_NORMAL_COSINE
@@ -35,6 +41,8 @@ class SurfaceProjector:
         Threads to use; the result does not depend on it.
     caster : RayCaster, optional
         Of the scene: building it takes time.
+    at : (n,) array of SURFACE_POSITION, optional
+        Positions on objects that `at` of another projector had, of photons that moved since.
 
     Raises
     ------
@@ -43,30 +51,50 @@ class SurfaceProjector:
     """
 
     def __init__(
-        self, scene: Scene, photons: PhotonMap, n_threads: int, caster: RayCaster | None = None
+        self,
+        scene: Scene,
+        photons: PhotonMap,
+        n_threads: int,
+        caster: RayCaster | None = None,
+        at: NDArray | None = None,
     ) -> None:
         if photons.object_id is None:
             raise ValueError("photons should have an object_id to be kept on the scene's objects")
         surface = _surfaces_of(photons.object_id, scene)
         if surface is not photons.object_id:
             photons = photons.replace(object_id=surface)
-        self._n_photons = len(photons)
+        self._n_photons, self._n_threads = len(photons), n_threads
         self._parts: list[tuple[_Part, NDArray[np.intp] | None]] = []
         on_sensor = np.isin(surface, scene.sensors)
         if not on_sensor.all():
-            self._add(caster or RayCaster(scene.surfaces), photons, ~on_sensor, n_threads)
+            self._add(caster or RayCaster(scene.surfaces), photons, ~on_sensor, at)
         for sensor, caster in zip(scene.sensors, sensor_casters(scene), strict=True):
-            self._add(caster, photons, surface == sensor, n_threads)
+            self._add(caster, photons, surface == sensor, at)
 
     def _add(
-        self, caster: RayCaster, photons: PhotonMap, mine: NDArray[np.bool_], n_threads: int
+        self,
+        caster: RayCaster,
+        photons: PhotonMap,
+        mine: NDArray[np.bool_],
+        at: NDArray | None,
     ) -> None:
         """Add the photons of a mask, which lie on the objects of a caster."""
-        if mine.all():
-            self._parts.append((_Part(caster, photons, n_threads), None))
-        elif mine.any():
+        if not mine.any():
+            return
+        row_of_part = None
+        if not mine.all():
             row_of_part = np.where(mine, np.cumsum(mine) - 1, -1)
-            self._parts.append((_Part(caster, photons.subset(mine), n_threads), row_of_part))
+            photons, at = photons.subset(mine), None if at is None else at[mine]
+        part = _Part(caster, photons, self._n_threads, at)
+        self._parts.append((part, row_of_part))
+
+    @property
+    def at(self) -> NDArray:
+        """Positions (n,) on objects, of SURFACE_POSITION, for another projector."""
+        at = np.zeros(self._n_photons, SURFACE_POSITION)
+        for part, row_of_part in self._parts:
+            at[slice(None) if row_of_part is None else row_of_part >= 0] = part.at
+        return at
 
     def project(
         self, position: Floats, normal: Floats, target: Floats, rows: Rows
@@ -119,18 +147,18 @@ def _surfaces_of(object_id: NDArray[np.int32], scene: Scene) -> NDArray[np.int32
 class _Part:
     """Photons on objects whose rays a caster casts, and their positions on these objects."""
 
-    def __init__(self, caster: RayCaster, photons: PhotonMap, n_threads: int) -> None:
+    def __init__(
+        self, caster: RayCaster, photons: PhotonMap, n_threads: int, at: NDArray | None
+    ) -> None:
         self._caster = caster
+        self.at = _unknown(caster, photons) if at is None else at
         self._positions = SurfacePositions(
-            caster.frame,
-            caster.triangles,
-            photons.object_id,
-            ray_offset=_RAY_OFFSET * caster.resolution.at(photons.position),
-            min_cosine=MIN_NORMAL_COSINE,
+            caster.frame, caster.triangles, self.at, min_cosine=MIN_NORMAL_COSINE
         )
         self._n_threads = n_threads
-        position, normal = photons.position, photons.normal
-        self._for_chunks((position, normal, position, np.arange(len(photons))))
+        if at is None:
+            position, normal = photons.position, photons.normal
+            self._for_chunks((position, normal, position, np.arange(len(photons))))
 
     def project(
         self, columns: tuple[np.ndarray, ...], projected: Floats, projected_normal: Floats
@@ -155,3 +183,11 @@ class _Part:
                 self._positions.write_rays(displacements, sign)
                 hits = self._caster.find(displacements.origins, displacements.directions)
                 self._positions.project_hits(displacements, hits, sign)
+
+
+def _unknown(caster: RayCaster, photons: PhotonMap) -> NDArray:
+    """Positions (n,) of photons on objects whose triangles have to be found."""
+    at = np.zeros(len(photons), SURFACE_POSITION)
+    at["ray_offset"] = _RAY_OFFSET * caster.resolution.at(photons.position)
+    at["object_id"], at["triangle"] = photons.object_id, -1
+    return at

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .._ext.relaxation import relax as _relax
 from .._util import validation
@@ -13,7 +15,7 @@ from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
 from .._util.validation import Floats, Rows
-from ..photons.axes import MAX_NORMAL_CHORD, hstack_rows
+from ..photons.axes import hstack_rows
 from ..photons.group_trees import group_tree
 from ..photons.neighbourhoods import Group, neighbour_groups
 from ..photons.photon_map import PhotonMap
@@ -140,7 +142,7 @@ def relax(
     threads = thread_count(n_threads)
     projector = None if scene is None else SurfaceProjector(scene, photons, threads, caster)
     report = Reporter(progress, "relax", len(photons) * sum(settings.n_iterations))
-    return _Relaxation(photons, structure, settings, rest, projector, threads, report).relaxed()
+    return Relaxation(photons, structure, settings, rest, projector, threads, report).relaxed()
 
 
 def _check_inputs(
@@ -160,8 +162,29 @@ def _check_inputs(
         )
 
 
+class Begun(NamedTuple):
+    """State of photons (n,) between two iterations of a stage.
+
+    Attributes
+    ----------
+    start : (n, 3) float array
+        Positions before the first iteration of the stage.
+    radius : (n,) float array
+        Distance to the farthest neighbour in the last search, or an estimate of it.
+    too_few : (n,) bool array
+        Fewer than k photons were in range.
+    n_merged : int
+        Number of photons that others at the same point stand for.
+    """
+
+    start: Floats
+    radius: Floats
+    too_few: NDArray[np.bool_]
+    n_merged: int = 0
+
+
 @dataclass(frozen=True)
-class _Relaxation:
+class Relaxation:
     """All photons, with the structure, settings and surfaces that their moves follow."""
 
     photons: PhotonMap
@@ -171,6 +194,21 @@ class _Relaxation:
     projector: SurfaceProjector | None
     n_threads: int
     report: Reporter
+
+    def moved(
+        self, group: Group, before: tuple[Floats, Floats], begun: Begun | None, *, constrained: bool
+    ) -> tuple[Floats, Floats, Begun]:
+        """Positions and normals after one iteration of a stage, and the state that it leaves.
+
+        `before` are positions and normals before it, and `begun` the state then, None before the
+        first iteration.
+        """
+        position, normal = np.empty_like(before[0]), before[1]
+        if self.projector is not None:
+            normal = np.empty_like(normal)
+        stage = _Stage(self, group, *before, constrained=constrained, begun=begun)
+        stage.finish(1, position, normal)
+        return position, normal, stage.state(before[0] if begun is None else begun.start)
 
     def relaxed(self) -> PhotonMap:
         """The photons after all iterations."""
@@ -213,12 +251,13 @@ class _Stage:
 
     def __init__(
         self,
-        relaxation: _Relaxation,
+        relaxation: Relaxation,
         group: Group,
         position: Floats,
         normal: Floats,
         *,
         constrained: bool,
+        begun: Begun | None = None,
     ) -> None:
         photons, structure = relaxation.photons, relaxation.structure
         self._relaxation = relaxation
@@ -229,29 +268,34 @@ class _Stage:
         )
         self._tree = self._group_tree.tree.kernel
         self._rows = self._group_tree.rows
+        self._distinct, self._n_merged = self._group_tree.distinct, self._group_tree.n_merged
         range_radius = self._group_tree.ranges
-        if range_radius is not None:
-            self._normal_scale = range_radius[group.rows].max() / MAX_NORMAL_CHORD
+        self._normal_scale = self._group_tree.normal_scale
         self._position = np.empty((len(self._rows), 3))
         self._normal = self._normals_in_tree_order(normal)
         # The radius that held n_found photons, scaled to hold k.
         radius = structure.radius[self._rows]
         radius *= np.sqrt(relaxation.settings.k / structure.n_found[self._rows])
-        guess = np.square(radius) if constrained else np.full_like(radius, -1.0)
-        few = constrained & (structure.n_found[self._rows] < relaxation.settings.k)
+        self._squared = np.square(radius) if constrained else np.full_like(radius, -1.0)
+        self._few = constrained & (structure.n_found[self._rows] < relaxation.settings.k)
+        start = None if constrained else position
+        if begun is not None:
+            self._squared = np.square(begun.radius[self._rows])
+            self._few = begun.too_few[self._rows]
+            start = None if constrained else begun.start
         self._inputs = _relax.RelaxInputs(
             rows=self._rows,
             normal=self._normal,
             largest_step=relaxation.settings.largest_step * radius,
-            squared_radius=guess,
-            too_few=few,
+            squared_radius=self._squared,
+            too_few=self._few,
             basis=structure.basis,
             constraint=structure.constraint,
             range_radius=range_radius,
             reach=structure.reach if constrained else None,
             rest=None
             if relaxation.rest is None
-            else self._rest_inputs(relaxation.rest, None if constrained else position, radius),
+            else self._rest_inputs(relaxation.rest, start, radius),
         )
 
     def _rest_inputs(self, rest: RestDensity, start: Floats | None, radius: Floats) -> _relax.Rest:
@@ -282,14 +326,14 @@ class _Stage:
 
     def finish(self, n_iterations: int, position: Floats, normal: Floats) -> None:
         """Iterate so often, then write positions and, on surfaces, normals to their rows."""
-        for _ in range(n_iterations):
+        for iteration in range(n_iterations):
+            if iteration:
+                self._refit()
             self._move()
             if self._relaxation.projector is not None:
                 self._project(self._relaxation.projector)
-            self._refit()
-        distinct = self._group_tree.distinct
-        if self._group_tree.n_merged:
-            self._relaxation.report.advance(n_iterations * self._group_tree.n_merged)
+        if self._n_merged:
+            self._relaxation.report.advance(n_iterations * self._n_merged)
         # Positions that have not been written yet take no memory; that of the tree will do.
         del self._tree, self._group_tree
         position[self._rows] = self._position
@@ -297,8 +341,16 @@ class _Stage:
         if self._relaxation.projector is not None:
             normal[self._rows] = self._normal
             written = position, normal
-        if distinct is not None:
-            distinct.repeat(*written)
+        if self._distinct is not None:
+            self._distinct.repeat(*written)
+
+    def state(self, start: Floats) -> Begun:
+        """State after the last iteration, of a stage that started at some positions."""
+        radius, too_few = np.empty(len(start)), np.empty(len(start), dtype=bool)
+        radius[self._rows], too_few[self._rows] = np.sqrt(self._squared), self._few
+        if self._distinct is not None:
+            self._distinct.repeat(radius, too_few)
+        return Begun(start, radius, too_few, self._n_merged)
 
     def _move(self) -> None:
         """Write the positions that photons move to; the tree keeps those before."""

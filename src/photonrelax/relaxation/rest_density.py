@@ -13,7 +13,7 @@ docs/methods/mapped.md.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from .._util import validation
 from .._util.frozen import set_field
 from .._util.parallel import thread_count
 from .._util.progress import Progress, Reporter
-from .._util.validation import Floats
+from .._util.validation import Floats, Rows
 from ..photons.axes import MAX_NORMAL_CHORD, hstack_rows, leaf_rows
 from ..photons.neighbourhoods import Group, neighbour_groups
 from ..photons.photon_map import PhotonMap
@@ -170,11 +170,11 @@ def rest_density(
         if of_extended:
             continue
         unmapped = ~np.isfinite(residual[group.rows])
-        limit[group.rows] = np.where(unmapped, _limit_without(unmapped.sum()), limit[group.rows])
+        limit[group.rows] = np.where(unmapped, limit_without(unmapped.sum()), limit[group.rows])
     return RestDensity(slope, residual, limit)
 
 
-def _limit_without(n: int) -> float:
+def limit_without(n: int) -> float:
     """Limit of n photons of a group that have no map.
 
     In steps: what moves in one corner of a scene should not move photons in another.
@@ -194,10 +194,38 @@ def _of_group(
 ) -> tuple[Floats, Floats, Floats]:
     """Slopes, residuals and limits of a group whose emitter coordinates compare."""
     sheet = _sheets(photons, group)
-    tree = _emitter_tree(coords[group.rows], photons.normal[group.rows], sheet, n_threads)
-    rows = leaf_rows(tree, group.rows)
-    # Side by side: the photons around one are read in no order.
     columns = [photons.position, coords, photons.normal]
+    slope, residual, noise = prescribed(
+        columns, sheet, settings, rows=group.rows, n_threads=n_threads, report=report
+    )
+    n_sheets = int(sheet.max(initial=-1)) + 1
+    sheets = SheetNoise(
+        medians_of_sheets(noise_keys(noise, sheet), n_sheets),
+        np.bincount(sheet, residual <= settings.max_residual, minlength=n_sheets)
+        / np.maximum(np.bincount(sheet, minlength=n_sheets), 1),
+    )
+    return slope, residual, sheets.limits(residual, sheet, settings)
+
+
+def prescribed(
+    columns: list[Floats],
+    sheet: NDArray[np.intp],
+    settings: RestDensitySettings,
+    *,
+    rows: Rows = slice(None),
+    reached: Floats | None = None,
+    n_threads: int,
+    report: Reporter,
+) -> tuple[Floats, Floats, Floats]:
+    """Slopes (m, 3), residuals and noise (m,) of the photons of some rows.
+
+    `columns` (n, …) are positions, emitter coordinates and normals, `sheet` (m,) the numbers of
+    sheets. Distances to the farthest of k neighbours are written to `reached` (m,).
+    """
+    _, coords, normal = columns
+    tree = _emitter_tree(coords[rows], normal[rows], sheet, n_threads)
+    rows = leaf_rows(tree, rows)
+    # Side by side: the photons around one are read in no order.
     records = hstack_rows(columns, [1.0] * len(columns), rows, n_threads)
     places = np.arange(len(tree))
     slope = np.empty((len(tree), 3))
@@ -214,31 +242,46 @@ def _of_group(
             slope=slope,
             residual=residual,
             noise=noise,
+            reached=reached,
             n_threads=n_threads,
         )
-    fits = residual <= settings.max_residual
-    of_noise = np.where(fits, _LIMIT_OF_NOISE, _LIMIT_WITHOUT_MAP) * _of_sheets(noise, sheet)
-    smoothness = np.minimum((_SMOOTH * _share_of_sheets(fits, sheet)) ** 2, 1.0)
-    return slope, residual, smoothness * np.minimum(of_noise, _LARGEST_LIMIT)
+    return slope, residual, noise
 
 
-def _share_of_sheets(fits: NDArray[np.bool_], sheet: NDArray[np.intp]) -> Floats:
-    """Share of the photons of each photon's sheet whose map fits."""
-    count = np.bincount(sheet)
-    return (np.bincount(sheet, fits) / np.maximum(count, 1))[sheet]
+class SheetNoise(NamedTuple):
+    """Median noise of each sheet (s,), and share (s,) of its photons whose map fits."""
+
+    median: Floats
+    share: Floats
+
+    def limits(
+        self, residual: Floats, sheet: NDArray[np.intp], settings: RestDensitySettings
+    ) -> Floats:
+        """Limits (m,) of photons with maps, by their residuals and sheets."""
+        fits = residual <= settings.max_residual
+        factor = np.where(fits, _LIMIT_OF_NOISE, _LIMIT_WITHOUT_MAP)
+        smoothness = np.minimum((_SMOOTH * self.share[sheet]) ** 2, 1.0)
+        return smoothness * np.minimum(factor * self.median[sheet], _LARGEST_LIMIT)
 
 
-def _of_sheets(noise: Floats, sheet: NDArray[np.intp]) -> Floats:
-    """Median noise of the sheet of each photon, of those where it is known."""
+def noise_keys(noise: Floats, sheet: NDArray[np.intp]) -> NDArray[np.int64]:
+    """Keys that sort by sheet, then by noise, of the photons where it is known.
+
+    Single numbers sort fastest: the sheet, and the bits of its noise, which sort as it does.
+    """
     known = np.isfinite(noise)
-    # Single numbers sort fastest: the sheet, and the bits of its noise, which sort as it does.
     bits = noise[known].astype(np.float32).view(np.uint32)
-    ordered = np.sort(sheet[known] << 32 | bits)
-    count = np.bincount(sheet[known], minlength=sheet.max(initial=-1) + 1)
+    return sheet[known].astype(np.int64) << 32 | bits
+
+
+def medians_of_sheets(keys: NDArray[np.int64], n_sheets: int) -> Floats:
+    """Median noise of each sheet, from its keys, which are sorted."""
+    keys.sort()
+    count = np.diff(np.searchsorted(keys, np.arange(n_sheets + 1, dtype=np.int64) << 32))
     middle = (np.cumsum(count) - count + count // 2)[count > 0]
-    medians = np.full(len(count), _NOISE_OF_INDEPENDENT)
-    medians[count > 0] = ordered[middle].astype(np.uint32).view(np.float32)
-    return medians[sheet]
+    medians = np.full(n_sheets, _NOISE_OF_INDEPENDENT)
+    medians[count > 0] = keys[middle].astype(np.uint32).view(np.float32)
+    return medians
 
 
 def _sheets(photons: PhotonMap, group: Group) -> NDArray[np.intp]:

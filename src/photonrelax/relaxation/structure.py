@@ -179,9 +179,10 @@ def detect_structure(
     settings = settings or StructureSettings()
     threads = thread_count(n_threads)
     report = Reporter(progress, "structure", len(photons))
-    detection = _Detection(photons, settings, threads, report)
+    reach = None if photons.emitter_coords is None else np.empty(len(photons))
+    detection = StructureDetection(photons, settings, threads, report, reach)
     for group in neighbour_groups(photons, threads):
-        detection.fill(group)
+        detection.fill(group, coincident=detection.fill_reach(group))
     return Structure(**detection.found, emitter_range=detection.ranges, reach=detection.reach)
 
 
@@ -202,8 +203,11 @@ def emitter_range(photons: PhotonMap, settings: StructureSettings) -> Floats | N
         raise ValueError(
             f"photons have {given} but no {missing}: give both, or neither to work in space alone"
         )
-    if density is None:
-        return None
+    return None if density is None else ranges_of(density, settings)
+
+
+def ranges_of(density: Floats, settings: StructureSettings) -> Floats:
+    """Range (n,) of photons by their emitter density (n,); see `emitter_range`."""
     if (density <= 0.0).any():
         raise ValueError(f"emitter_density should be positive, but its least is {density.min()}")
     # Of the least densities the range is infinite: all coordinates are in it.
@@ -252,24 +256,35 @@ def empty_columns(n: int) -> dict[str, Any]:
     }
 
 
-class _Detection:
-    """Structure of all photons, filled one group of neighbours after the other."""
+class StructureDetection:
+    """Structure of all photons, filled one group of neighbours after the other.
+
+    `reach` (n,) is None for a map without emitter coordinates.
+    """
 
     def __init__(
-        self, photons: PhotonMap, settings: StructureSettings, n_threads: int, report: Reporter
+        self,
+        photons: PhotonMap,
+        settings: StructureSettings,
+        n_threads: int,
+        report: Reporter,
+        reach: Floats | None,
     ) -> None:
         self._photons = photons
         self._settings = settings
         self._n_threads = n_threads
         self._report = report
         self.ranges = emitter_range(photons, settings)
-        self.reach = None if self.ranges is None else np.empty(len(photons))
+        self.reach = reach
         self.found = empty_columns(len(photons))
 
-    def fill(self, group: Group) -> None:
-        """Detect the structure of a group; photons at rest are alone in theirs."""
+    def fill(self, group: Group, *, coincident: bool) -> int:
+        """Detect the structure of a group; photons at rest are alone in theirs.
+
+        `coincident` says that some are at the same point; returns the number of those that others
+        stand for.
+        """
         photons, n_threads = self._photons, self._n_threads
-        coincident = self.reach is not None and self._fill_reach(self.reach, group)
         of_group = group_tree(
             photons.position,
             photons.normal,
@@ -292,21 +307,27 @@ class _Detection:
         of_group.repeat(*self.found.values())
         if of_group.n_merged:
             self._report.advance(of_group.n_merged)
+        return of_group.n_merged
 
-    def _fill_reach(self, reach: Floats, group: Group) -> bool:
+    def fill_reach(self, group: Group, *, of_fewer: bool = True) -> bool:
         """Set the rows of a group: `reach_scale` times the radius of k photons of any sheet.
 
-        True if some are at the same point.
+        Where there are fewer it is that of the farthest, or infinite without `of_fewer`. True if
+        some are at the same point; without a reach nothing is done.
         """
+        if self.reach is None:
+            return False
         photons, settings, n_threads = self._photons, self._settings, self._n_threads
         of_group = group_tree(photons.position, photons.normal, group=group, n_threads=n_threads)
         tree = of_group.tree
         facing = None if of_group.ranges is None else MAX_NORMAL_CHORD
-        radius = tree.farthest(settings.k, range_radius=facing, n_threads=n_threads)
+        radius = tree.farthest(
+            settings.k, range_radius=facing, of_fewer=of_fewer, n_threads=n_threads
+        )
         with np.errstate(invalid="ignore"):
             radius *= settings.reach_scale
         # An open reach stays open where photons coincide.
         radius[np.isnan(radius)] = np.inf
-        reach[of_group.rows] = radius[np.asarray(tree.kernel.ids)]
-        of_group.repeat(reach)
+        self.reach[of_group.rows] = radius[np.asarray(tree.kernel.ids)]
+        of_group.repeat(self.reach)
         return of_group.n_merged > 0

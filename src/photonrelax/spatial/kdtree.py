@@ -179,14 +179,21 @@ class KDTree:
         return Neighbours(ids, distance)
 
     def farthest(
-        self, k: int, *, range_radius: ArrayLike | None = None, n_threads: int | None = None
+        self,
+        k: int,
+        *,
+        range_radius: ArrayLike | None = None,
+        of_fewer: bool = True,
+        n_threads: int | None = None,
     ) -> Floats:
         """Distance to the k-th nearest point from each of the tree's own points.
 
         Parameters
         ----------
         k : int
-            Neighbours, each point among its own; of fewer than k the farthest counts.
+            Neighbours, each point among its own.
+        of_fewer : bool
+            Of fewer than k neighbours the farthest counts; else the distance is infinite.
         range_radius : scalar or (n,) array_like, optional
             As in `query`.
         n_threads : int, optional
@@ -202,6 +209,7 @@ class KDTree:
             self.kernel,
             k=validation.count(k, "k", high=validation.MAX_NEIGHBOURS),
             range_radii=_ranges(range_radius, "range_radius", (self.n_points,)),
+            of_fewer=of_fewer,
             n_threads=thread_count(n_threads),
         )
         return distance

@@ -104,9 +104,8 @@ SURFACE_POSITION = np.dtype(
 cdef class SurfacePositions:
     """The triangle each photon lies on, and the side of it.
 
-    `object_id` (n,) are the photons' own objects. Rays start `ray_offset` (n,) before the displaced
-    positions, m. `min_cosine` is that of the largest angle between a photon's normal and the face
-    it is projected onto.
+    `at` (n,) is an array of `SURFACE_POSITION`, which is updated. `min_cosine` is that of the
+    largest angle between a photon's normal and the face it is projected onto.
     """
 
     cdef EmbreeFrame frame
@@ -115,17 +114,11 @@ cdef class SurfacePositions:
     cdef SurfacePosition[::1] at
 
     def __init__(
-        self, EmbreeFrame frame, Triangles triangles, const int32_t[::1] object_id, *,
-        const double[::1] ray_offset, double min_cosine,
+        self, EmbreeFrame frame, Triangles triangles, SurfacePosition[::1] at, *,
+        double min_cosine,
     ):
-        if ray_offset.shape[0] != object_id.shape[0]:
-            raise ValueError(
-                f"ray_offset should have {object_id.shape[0]} rows, but has {ray_offset.shape[0]}"
-            )
         self.frame, self.triangles = frame, triangles
         self.min_cosine = min_cosine
-        at = np.zeros(object_id.shape[0], SURFACE_POSITION)
-        at["ray_offset"], at["object_id"], at["triangle"] = ray_offset, object_id, -1
         self.at = at
 
     def project(self, Displacements moves):

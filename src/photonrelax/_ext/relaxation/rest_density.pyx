@@ -89,10 +89,14 @@ cdef class RestDensity(BatchWork):
     cdef double[:, ::1] slope
     cdef double[::1] residual
     cdef double[::1] noise
+    # None if it is not asked for.
+    cdef double[::1] reached
 
     cdef void finish(self, Batch* batch, Py_ssize_t first, int thread) noexcept nogil:
         """Fit the maps around the photons of a block; write their rows only."""
         cdef Py_ssize_t lane, part
+        if self.reached is not None:
+            self.write_reached(batch, first)
         for lane in range(batch.n_queries):
             self.tree.simd.gather_neighbours(
                 &self.tree.coords[0, 0, 0], &batch.queries[lane].bounds,
@@ -115,6 +119,15 @@ cdef class RestDensity(BatchWork):
             )
         for part in range((batch.n_queries + LANES - 1) // LANES):
             self.prescribe_some(batch, LANES * part, first + LANES * part)
+
+    cdef void write_reached(self, Batch* batch, Py_ssize_t first) noexcept nogil:
+        cdef double squared
+        cdef Py_ssize_t lane
+        for lane in range(batch.n_queries):
+            squared = batch.queries[lane].candidates.squared_radius
+            if batch.queries[lane].candidates.count < self.k:
+                squared = INFINITY
+            self.reached[self.tree.ids[first + lane]] = sqrt(squared)
 
     cdef void prescribe_some(
         self, Batch* batch, Py_ssize_t first, Py_ssize_t place
@@ -368,7 +381,7 @@ cdef double mixed_metric(const double* fit, double area) noexcept nogil:
 def prescribe(
     Tree tree, Py_ssize_t first, Py_ssize_t end, *, records, places, Py_ssize_t k,
     Py_ssize_t n_fitted, double max_residual, double lattice_force, double[:, ::1] slope,
-    double[::1] residual, double[::1] noise, int n_threads
+    double[::1] residual, double[::1] noise, double[::1] reached=None, int n_threads
 ):
     """Fill the rows of the photons at tree positions first … end, whole blocks.
 
@@ -389,6 +402,9 @@ def prescribe(
         Force of the lattice in units of slope times squared radius.
     slope, residual, noise : (n, 3), (n,) and (n,) float64 arrays
         Written, by id; the noise is infinite where it is not known.
+    reached : (n,) float64 array, optional
+        Distances over the emitter coordinates to the farthest of k photons, by id; infinite where
+        there are fewer.
 
     Raises
     ------
@@ -403,6 +419,7 @@ def prescribe(
     work.n_fitted, work.max_residual = n_fitted, max_residual
     work.lattice_force = lattice_force
     work.slope, work.residual, work.noise = slope, residual, noise
+    work.reached = reached
     if not fits(work):
         raise ValueError("photons, slopes, residuals and noise do not fit the tree")
     search_points(work, first, end, n_threads)
@@ -414,6 +431,7 @@ cdef bint fits(RestDensity work):
     return (
         n == work.records.shape[0] == work.places.shape[0]
         and n == work.slope.shape[0] == work.residual.shape[0] == work.noise.shape[0]
+        and (work.reached is None or n == work.reached.shape[0])
         and work.slope.shape[1] == 3
         and work.records.shape[1] in (8, 9)
     )

@@ -54,9 +54,13 @@ def of_queries(
 
 @final
 cdef class FarthestOfPoints(BatchWork):
-    """Writes the distances to the farthest neighbours, by the ids of a tree's own points."""
+    """Writes the distances to the farthest neighbours, by the ids of a tree's own points.
+
+    Where fewer than k are found it is that to the farthest of these, or infinite.
+    """
 
     cdef double[::1] distance
+    cdef bint of_fewer
     # By id; None for no limit.
     cdef const double[::1] range_radii
 
@@ -66,20 +70,26 @@ cdef class FarthestOfPoints(BatchWork):
 
     cdef void finish(self, Batch* batch, Py_ssize_t first, int thread) noexcept nogil:
         cdef Py_ssize_t i
+        cdef double squared
         for i in range(batch.n_queries):
-            self.distance[self.tree.ids[first + i]] = sqrt(
-                batch.queries[i].candidates.squared_radius
-            )
+            squared = batch.queries[i].candidates.squared_radius
+            if batch.queries[i].candidates.count < self.k and not self.of_fewer:
+                squared = INFINITY
+            self.distance[self.tree.ids[first + i]] = sqrt(squared)
 
 
-def of_points(Tree tree, *, Py_ssize_t k, const double[::1] range_radii, int n_threads):
+def of_points(
+    Tree tree, *, Py_ssize_t k, const double[::1] range_radii, bint of_fewer=True, int n_threads
+):
     """Distances (n,) to the farthest of the k nearest around each of the tree's own points.
 
-    `range_radii` (n,) are radii of the balls over the range axes, None for no limit.
+    `range_radii` (n,) are radii of the balls over the range axes, None for no limit. Where fewer
+    than k are found a distance is that of the farthest of these, or infinite without `of_fewer`.
     """
     cdef FarthestOfPoints work = FarthestOfPoints(tree, k=k, radius=INFINITY, range_radius=-1.0)
     distance = np.empty(tree.n_points)
     work.distance = distance
     work.range_radii = range_radii
+    work.of_fewer = of_fewer
     search_points(work, 0, tree.n_points, n_threads)
     return distance

@@ -1,0 +1,294 @@
+"""Searches around the photons of a block, among its own and those of its halo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._util.validation import Floats
+from .blocks import BlockedPhotons
+from .columns import ColumnFolder
+from .tiles import TILE, Boxes, Tiles, balls, near_tiles
+
+Columns = dict[str, NDArray]
+
+Rows = NDArray[np.intp]
+
+# Factor of a radius that was too small by nobody knows how much, which is at least a share of the
+# extent of a group; margin for rounding of one that is known.
+_WIDER, _LEAST, _MARGIN = 4.0, 1e-3, 1e-9
+
+
+class GroupTiles:
+    """Tiles of the photons of a group, and the segments (block by block) that they are in.
+
+    Attributes
+    ----------
+    first, stop : (t,) intp arrays
+        Rows of each tile.
+    segments : (s,) intp array
+        First tile of each segment.
+    """
+
+    def __init__(self, photons: BlockedPhotons, group: int, size: int = TILE) -> None:
+        numbers = photons.segments.of_group(group)
+        firsts, stops = photons.segments.first[numbers], photons.segments.stop[numbers]
+        starts = [np.arange(a, b, size) for a, b in zip(firsts, stops, strict=True)]
+        self.first = np.concatenate(starts)
+        last = np.cumsum([len(each) for each in starts])
+        self.stop = np.append(self.first[1:], 0)
+        self.stop[last - 1] = stops
+        self.segments = last - [len(each) for each in starts]
+        self._boxes: dict[str, tuple[Floats, Floats]] = {}
+
+    @property
+    def n_segments(self) -> int:
+        return len(self.segments)
+
+    def of_segment(self, segment: int) -> Tiles:
+        """Tiles of a segment."""
+        end = self.segments[segment + 1] if segment + 1 < self.n_segments else len(self.first)
+        return np.arange(self.segments[segment], end)
+
+    def rows(self, segment: int) -> tuple[int, int]:
+        """First row of a segment, and the one behind its last."""
+        tiles = self.of_segment(segment)
+        return int(self.first[tiles[0]]), int(self.stop[tiles[-1]])
+
+    def bound(self, segment: int, name: str, values: NDArray) -> None:
+        """Set the boxes of a column whose rows in a segment have these values."""
+        tiles = self.of_segment(segment)
+        values = values.reshape(len(values), -1)
+        if name not in self._boxes:
+            shape = len(self.first), values.shape[1]
+            self._boxes[name] = np.empty(shape), np.empty(shape)
+        low, high = self._boxes[name]
+        starts = self.first[tiles] - self.first[tiles[0]]
+        low[tiles] = np.minimum.reduceat(values, starts, axis=0)
+        high[tiles] = np.maximum.reduceat(values, starts, axis=0)
+
+    def largest(self, name: str) -> Floats:
+        """Largest value (t,) of a column of numbers in each tile."""
+        return self._boxes[name][1][:, 0]
+
+    def extent(self, name: str) -> Floats:
+        """Extent of a column over the whole group."""
+        low, high = self._boxes[name]
+        return high.max(axis=0) - low.min(axis=0)
+
+    def boxes(self, axes: tuple[tuple[str, float], ...]) -> Boxes:
+        """Boxes over some columns, each times a factor; the first has the metric."""
+        low = np.hstack([scale * self._boxes[name][0] for name, scale in axes])
+        high = np.hstack([scale * self._boxes[name][1] for name, scale in axes])
+        return Boxes(low, high, self._boxes[axes[0][0]][0].shape[1])
+
+
+class Found(NamedTuple):
+    """What was computed around the own photons of a neighbourhood.
+
+    Attributes
+    ----------
+    columns : dict
+        Results, a row each.
+    reached : (n,) float array
+        Distance to which each photon's neighbours were searched, which the halo has to have;
+        infinite where there were too few.
+    merged : bool
+        Some photons are at the same point.
+    """
+
+    columns: Columns
+    reached: Floats
+    merged: bool = False
+
+
+@dataclass(frozen=True)
+class Neighbourhood:
+    """Own photons and those of the halo, in this order.
+
+    Attributes
+    ----------
+    rows : (n,) intp array
+    n_own : int
+    """
+
+    columns: ColumnFolder
+    rows: NDArray[np.intp]
+    n_own: int
+
+    def read(self, name: str) -> NDArray:
+        """A column of all photons."""
+        own = _of_rows(self.columns, name, self.rows[: self.n_own])
+        if self.n_own == len(self.rows):
+            return own
+        return np.concatenate([own, self.columns.take(name, self.rows[self.n_own :])])
+
+    def read_own(self, name: str, fill: float = 0.0) -> NDArray:
+        """A column of the own photons; those of the halo have a value that is not used."""
+        own = _of_rows(self.columns, name, self.rows[: self.n_own])
+        column = np.zeros((len(self.rows), *own.shape[1:]), own.dtype)
+        column[: self.n_own] = own
+        if fill:
+            column[self.n_own :] = fill
+        return column
+
+
+Compute = Callable[[Neighbourhood], Found]
+
+
+@dataclass(frozen=True)
+class BlockSearch:
+    """Search around the photons of a group, a segment at a time.
+
+    Attributes
+    ----------
+    columns : ColumnFolder
+    tiles : GroupTiles
+    axes : tuple of (str, float)
+        Columns that neighbours are searched by and their factors; the first has the metric.
+    expected : (str, float) or None
+        Column, and its factor, of the distances to which photons are expected to search; None if
+        nothing is known of them, so that blocks are searched without a halo first.
+    range_radius : (t,) float array
+        Largest radius, in each tile, of the balls over the other axes.
+    k : int
+        Photons that a search finds at most. As many are searched at least, as long as a group has
+        them: of trees with fewer, kernels take all for the neighbours asked for.
+    """
+
+    columns: ColumnFolder
+    tiles: GroupTiles
+    axes: tuple[tuple[str, float], ...]
+    expected: tuple[str, float] | None
+    range_radius: Floats
+    k: int
+
+    @cached_property
+    def _boxes(self) -> Boxes:
+        return self.tiles.boxes(self.axes)
+
+    @cached_property
+    def _segment_boxes(self) -> Boxes:
+        boxes, segments = self._boxes, self.tiles.segments
+        low = np.minimum.reduceat(boxes.low, segments, axis=0)
+        return Boxes(low, np.maximum.reduceat(boxes.high, segments, axis=0), boxes.n_metric)
+
+    @cached_property
+    def _extent(self) -> float:
+        """Distance that no search exceeds."""
+        boxes = self._boxes
+        axes = slice(0, boxes.n_metric)
+        low, high = boxes.low[:, axes].min(axis=0), boxes.high[:, axes].max(axis=0)
+        return float(np.linalg.norm(high - low)) * (1.0 + 1e-9)
+
+    def run(self, segment: int, compute: Compute) -> Columns:
+        """Results of the photons of a segment, with halos as wide as they turn out to need.
+
+        Photons whose searches went further than was expected are searched again, if there are
+        photons in that distance that were left out.
+        """
+        first, stop = self.tiles.rows(segment)
+        own = todo = np.arange(first, stop)
+        radius = np.zeros(len(own))
+        if self.expected is not None:
+            name, factor = self.expected
+            radius = np.minimum(factor * self.columns.read(name, first, stop), self._extent)
+        halo, _ = self._halo(own, radius)
+        results: Columns = {}
+        while len(todo):
+            halo = self._filled(todo, halo)
+            found = compute(Neighbourhood(self.columns, np.concatenate([todo, halo]), len(todo)))
+            _place(results, todo - first, found.columns, len(own))
+            wider = np.where(np.isinf(found.reached), self._widened(radius), found.reached)
+            wider = np.minimum((1.0 + _MARGIN) * wider, self._extent)
+            short = np.flatnonzero((found.reached > radius) & (radius < self._extent))
+            if found.merged and len(short):
+                # Photons at the same point are searched together.
+                short = np.arange(len(todo))
+            _, left_out = self._halo(todo[short], wider[short], known=todo)
+            # Of too few, who knows how far the others are.
+            left_out |= np.isinf(found.reached[short]) & (radius[short] < self._extent)
+            if found.merged and left_out.any():
+                left_out[:] = True
+            todo, radius = todo[short][left_out], wider[short][left_out]
+            halo, _ = self._halo(todo, radius)
+        return results
+
+    def _filled(self, todo: Rows, halo: Rows) -> Rows:
+        """A halo with some more photons of the group, if there are fewer than k in all."""
+        near, missing = np.concatenate([todo, halo]), self.k - len(todo) - len(halo)
+        for first, stop in zip(self.tiles.first, self.tiles.stop, strict=True):
+            if missing <= 0:
+                break
+            more = np.setdiff1d(np.arange(first, stop), near)[:missing]
+            halo, missing = np.concatenate([halo, more]), missing - len(more)
+        return halo
+
+    def _widened(self, radius: Floats) -> Floats:
+        """Radii beyond some that were too small by nobody knows how much."""
+        return _WIDER * np.maximum(radius, _LEAST * self._extent)
+
+    def _halo(
+        self, rows: Rows, radius: Floats, known: Rows | None = None
+    ) -> tuple[Rows, NDArray[np.bool_]]:
+        """Photons within the radii of some, and which of these have any.
+
+        Photons of `rows`, which are ascending, do not count, nor do those of `known`.
+        """
+        near, has_any = [np.empty(0, dtype=np.intp)], np.zeros(len(rows), dtype=bool)
+        if not len(rows):
+            return near[0], has_any
+        columns = [(scale, self.columns.mapped(name)) for name, scale in self.axes]
+        tile = np.searchsorted(self.tiles.first, rows, side="right") - 1
+        queries = balls(
+            _points(columns, rows), radius, self.range_radius[tile], self._boxes.n_metric
+        )
+        left_out = rows if known is None else known
+        for number, hits in near_tiles(
+            queries, self._boxes, self._segment_boxes, self.tiles.segments
+        ):
+            there = np.arange(self.tiles.first[number], self.tiles.stop[number])
+            there = there[~_contains(left_out, there)]
+            if not len(there):
+                continue
+            points, some = _points(columns, there), queries.take(hits)
+            own = Boxes(points, points, some.boxes.n_metric)
+            close = some.boxes.near(own, some.radius, some.range_radius)
+            near.append(there[close.any(axis=0)])
+            has_any |= np.isin(queries.query_of, hits[close.any(axis=1)])
+        return np.concatenate(near), has_any
+
+
+def _contains(ascending: Rows, rows: Rows) -> NDArray[np.bool_]:
+    """Which of some rows are among ascending ones."""
+    place = np.minimum(np.searchsorted(ascending, rows), len(ascending) - 1)
+    return ascending[place] == rows
+
+
+def _points(columns: list[tuple[float, NDArray]], rows: Rows) -> Floats:
+    """Coordinates (n, axes) of some photons."""
+    some = slice(rows[0], rows[-1] + 1) if rows[-1] - rows[0] == len(rows) - 1 else rows
+    return np.hstack([scale * column[some].reshape(len(rows), -1) for scale, column in columns])
+
+
+def _place(results: Columns, rows: Rows, columns: Columns, n: int) -> None:
+    """Write the results of some rows among those of n."""
+    if len(rows) == n:
+        results.update(columns)
+        return
+    for name, column in columns.items():
+        if not results[name].flags.writeable:
+            results[name] = results[name].copy()
+        results[name][rows] = column
+
+
+def _of_rows(columns: ColumnFolder, name: str, rows: Rows) -> NDArray:
+    """Some rows of a column; faster where they follow one another."""
+    if len(rows) and rows[-1] - rows[0] == len(rows) - 1:
+        return columns.read(name, int(rows[0]), int(rows[-1]) + 1)
+    return columns.take(name, rows)

@@ -1,0 +1,126 @@
+"""Tiles: short runs of photons that are close to one another, and which are near other photons."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._util.validation import Floats
+
+TILE = 1024
+"""Photons of a tile, at most."""
+
+Tiles = NDArray[np.intp]
+
+# Photons of a search, and searches that are compared with tiles at once.
+_RUN, _TOGETHER = 32, 2048
+# Photons are isolated if they search so much farther than those around them, whose mean is of radii
+# clipped to so many medians of all.
+_ISOLATED, _CLIPPED = 3.0, 4.0
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """Bounding boxes (t, axes) of tiles: the first three or two axes carry the metric.
+
+    The others are range axes, in units of the radius of the balls over them.
+    """
+
+    low: Floats
+    high: Floats
+    n_metric: int
+
+    def take(self, tiles: Tiles | slice) -> Boxes:
+        return Boxes(self.low[tiles], self.high[tiles], self.n_metric)
+
+    def near(self, other: Boxes, radius: Floats, range_radius: Floats) -> NDArray[np.bool_]:
+        """Matrix (t, u), true where boxes u of others may have points within t's radii of t's."""
+        metric, ranged = slice(0, self.n_metric), slice(self.n_metric, None)
+        near = _squared_gaps(self, other, metric) <= np.square(radius)[:, np.newaxis]
+        return near & (_squared_gaps(self, other, ranged) <= np.square(range_radius)[:, np.newaxis])
+
+
+def _squared_gaps(boxes: Boxes, other: Boxes, axes: slice) -> Floats:
+    """Squared distances (t, u) between boxes over some axes."""
+    squared = np.zeros((len(boxes.low), len(other.low)))
+    sides = (boxes.low, boxes.high, other.low, other.high)
+    for low, high, low_there, high_there in zip(*(side[:, axes].T for side in sides), strict=True):
+        gap = np.maximum(low_there - high[:, np.newaxis], low[:, np.newaxis] - high_there)
+        squared += np.square(np.maximum(gap, 0.0))
+    return squared
+
+
+class Balls(NamedTuple):
+    """Searches of photons, of short runs of them together: boxes that are searched around.
+
+    Attributes
+    ----------
+    boxes : Boxes
+        Of q searches.
+    radius, range_radius : (q,) float arrays
+        Over the metric, and over the range axes.
+    query_of : (n,) intp array
+        The search that each photon is of.
+    """
+
+    boxes: Boxes
+    radius: Floats
+    range_radius: Floats
+    query_of: NDArray[np.intp]
+
+    def take(self, some: NDArray[np.intp]) -> Balls:
+        """Some of the searches."""
+        return Balls(
+            self.boxes.take(some), self.radius[some], self.range_radius[some], self.query_of
+        )
+
+
+def balls(points: Floats, radius: Floats, range_radius: Floats, n_metric: int) -> Balls:
+    """Searches of photons (n, axes), in an order in which they are close to one another.
+
+    Isolated photons, which search much farther than those around them, are alone in theirs: the
+    region within so far of all the others would have far more photons than any search finds.
+    """
+    n = len(points)
+    run = np.arange(n) // _RUN
+    starts = np.arange(0, n, _RUN)
+    typical = np.add.reduceat(np.minimum(radius, _CLIPPED * np.median(radius)), starts)
+    typical /= np.diff(np.append(starts, n))
+    alone = radius > _ISOLATED * typical[run]
+    n_runs, n_alone = len(starts), int(np.count_nonzero(alone))
+    query_of = run.copy()
+    query_of[alone] = n_runs + np.arange(n_alone)
+    low, high = np.where(alone[:, np.newaxis], np.inf, points), points.copy()
+    high[alone] = -np.inf
+    together = np.where(alone, 0.0, radius)
+    boxes = Boxes(
+        np.concatenate([np.minimum.reduceat(low, starts, axis=0), points[alone]]),
+        np.concatenate([np.maximum.reduceat(high, starts, axis=0), points[alone]]),
+        n_metric,
+    )
+    largest = np.concatenate([np.maximum.reduceat(together, starts), radius[alone]])
+    ranges = np.concatenate([np.maximum.reduceat(range_radius, starts), range_radius[alone]])
+    return Balls(boxes, largest, ranges, query_of)
+
+
+def near_tiles(
+    queries: Balls, tiles: Boxes, segments: Boxes, first_tile: NDArray[np.intp]
+) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Yield tiles that searches may find photons in, and these searches.
+
+    `segments` are the boxes of runs of tiles, which start at `first_tile` (s,).
+    """
+    stops = np.append(first_tile[1:], len(tiles.low))
+    for segment in range(len(first_tile)):
+        one = segments.take(np.array([segment]))
+        mine = np.flatnonzero(queries.boxes.near(one, queries.radius, queries.range_radius)[:, 0])
+        for some in np.array_split(mine, -(-len(mine) // _TOGETHER)) if len(mine) else ():
+            those = np.arange(first_tile[segment], stops[segment])
+            hit = queries.take(some)
+            near = hit.boxes.near(tiles.take(those), hit.radius, hit.range_radius)
+            for tile in np.flatnonzero(near.any(axis=0)):
+                yield int(those[tile]), some[near[:, tile]]

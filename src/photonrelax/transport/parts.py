@@ -1,0 +1,118 @@
+"""Tracing into a folder of parts: maps larger than memory, and runs that go on where they ended."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._util.files import file_lock
+from .._util.progress import Progress, Reporter
+from .._util.validation import count
+from .._version import SEED_LAYOUT, __version__
+from ..photons.parts import MANIFEST, PhotonParts
+from ..scene.digest import scene_digest
+from ..scene.scene import Scene
+from .emission import checked_numbers
+from .raycast import RayCaster
+from .trace import trace_photons
+
+
+def trace_parts(
+    scene: Scene,
+    n_emitted: int | Sequence[int],
+    folder: str | os.PathLike[str],
+    *,
+    chunk: int,
+    seed: int = 0,
+    paths: str = "caustic",
+    sampler: str = "halton",
+    max_bounces: int | None = None,
+    sensors: bool = True,
+    n_threads: int | None = None,
+    progress: Progress | None = None,
+    executor: Executor | None = None,
+) -> PhotonParts:
+    """Trace photons into a folder, a part at a time.
+
+    A folder that has some of the parts already is completed, to the bytes that a run without an end
+    would have written. The parts together are the map of `trace_photons`, to the bit.
+
+    Parameters
+    ----------
+    scene, n_emitted, seed, paths, sampler, max_bounces, sensors, n_threads, executor
+        As of `trace_photons`.
+    folder : path
+        A new or empty folder, or one that a run with the same arguments has begun.
+    chunk : int
+        Photons emitted for a part, at most: memory follows it.
+    progress : callable, optional
+        Called as ``progress("trace", done, n_emitted)`` after each part.
+
+    Returns
+    -------
+    PhotonParts
+
+    Raises
+    ------
+    TypeError, ValueError, MemoryError
+        As `trace_photons`; if the folder is damaged, or of other arguments.
+    OSError
+        If the folder has other files, another run writes to it, or it cannot be written to.
+    """
+    numbers = checked_numbers(n_emitted, scene)
+    chunk = count(chunk, "chunk")
+    about = {
+        "photonrelax": __version__,
+        "seed_layout": SEED_LAYOUT,
+        "scene": scene_digest(scene),
+        "n_emitted": np.ravel(numbers).tolist(),
+        "chunk": chunk,
+        "seed": seed,
+        "paths": paths,
+        "sampler": sampler,
+        "max_bounces": max_bounces,
+        "sensors": bool(sensors),
+    }
+    caster = RayCaster(scene.surfaces)
+    report = Reporter(progress, "trace", int(np.sum(numbers)))
+    if not Path(folder).exists():
+        PhotonParts.create(folder, about)
+    with file_lock(Path(folder) / MANIFEST):
+        parts = _begun(Path(folder), about)
+        report.advance(parts.n_traced)
+        for start in range(parts.n_traced, int(np.sum(numbers)), chunk):
+            some = range(start, min(start + chunk, int(np.sum(numbers))))
+            options: dict[str, Any] = {"seed": seed, "paths": paths, "sampler": sampler}
+            photons = trace_photons(
+                scene,
+                n_emitted,
+                photons=some,
+                max_bounces=max_bounces,
+                sensors=sensors,
+                n_threads=n_threads,
+                caster=caster,
+                executor=executor,
+                **options,
+            )
+            parts = parts.append(photons)
+            report.advance(len(some))
+    return parts
+
+
+def _begun(folder: Path, about: dict[str, Any]) -> PhotonParts:
+    """The parts that a run with the same arguments has written; a folder without any is begun."""
+    if not (folder / MANIFEST).exists():
+        return PhotonParts.create(folder, about)
+    parts = PhotonParts.open(folder)
+    for name, value in about.items():
+        if parts.about.get(name) != value:
+            raise ValueError(
+                f"{folder} should be of the same {name}, {value!r}, to go on with it, but is of "
+                f"{parts.about.get(name)!r}: choose another folder, or remove it"
+            )
+    return parts
