@@ -72,8 +72,11 @@ def default_light_samples(scene: Scene, n_points: int) -> int:
 
 def samples_light(scene: Scene, n: int) -> bool:
     """Whether n samples matter: of an extended emitter, or of more lamps than are summed."""
-    if any(emitter.is_extended for emitter in scene.emitters):
-        return True
+    return any(emitter.is_extended for emitter in scene.emitters) or has_many_lamps(scene, n)
+
+
+def has_many_lamps(scene: Scene, n: int = 1) -> bool:
+    """Whether a scene has more lamps than are summed in place of n samples."""
     return any(_are_many(len(group), n) for group in _lamp_groups(scene))
 
 
