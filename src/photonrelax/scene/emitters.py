@@ -117,6 +117,14 @@ class Emitter(ABC):
         """Return the radiance (m, 3) that rays of directions (m, 3) escape to, W/(m² sr)."""
         return np.zeros_like(direction)
 
+    def background_means(self, direction: Floats, edges: Floats) -> Floats:
+        """Return means (m, 3) of the radiance around directions (m, 3), W/(m² sr).
+
+        They are over parallelograms whose edges are changes (m, 2, 3) of the unit vectors. By
+        default the radiance in the middle.
+        """
+        return self.background(direction)
+
     def sampled(
         self, position: Floats, normal: Floats, emitter_offset: float, sample: Floats
     ) -> DirectLight:
