@@ -156,7 +156,7 @@ def run(options: argparse.Namespace) -> None:
         for part in found[0]
     ]
     titles = ["processor seconds", *(f"{n:,}" for n in options.lamps), "last over first"]
-    print(markdown_table(titles, rows), end="\n\n")
+    print(markdown_table(titles, rows), end="\n\n", flush=True)
     rows = [
         [name, *(f"{100 * error:.1f} %" for error in noise(kind, options))]
         for name, kind in KINDS.items()
