@@ -24,9 +24,10 @@ BOUNDS_CHECK = os.environ.get("PHOTONRELAX_BOUNDSCHECK", "0") == "1"
 WANT_OPENMP = os.environ.get("PHOTONRELAX_OPENMP", "1") != "0"
 # One folder per kind of build, as objects of the other kinds would count as up to date.
 BUILD_DIR = "build/" + ("checked" if BOUNDS_CHECK else "plain") + ("" if WANT_OPENMP else "-serial")
-# Contraction into fused multiply-adds would make results depend on the processor. Debug symbols
+# Contraction into fused multiply-adds would make results depend on the processor. Square roots that
+# need not set errno can be vectorised: results are the same. Debug symbols
 # would make wheels five times as large.
-FLAGS = ["-O3", "-ffp-contract=off", "-g0"]
+FLAGS = ["-O3", "-fno-math-errno", "-ffp-contract=off", "-g0"]
 OPENMP = ["-fopenmp"]
 OPENMP_PROBE = "#include <omp.h>\nint main(void) { return omp_get_max_threads() < 1; }\n"
 

@@ -6,6 +6,7 @@ python -m bench contention        every stage on several threads and on one, bes
 python -m bench scaling           work on processes compared with the same in one process
 python -m bench table1            SJ13's Table I compared with the paper's own figures
 python -m bench memory            bytes a photon takes in each stage
+python -m bench lamps             times and noise of a room with one lamp, and with many
 python -m bench figure7           SJ13's Fig. 7: λ₂ of uniform photons, and the constraint
 python -m bench figure9           SJ13's Fig. 9: rings at three numbers of photons, and a reference
 python -m bench progressive       convergence of progressive photon mapping to analytic irradiance
@@ -37,7 +38,16 @@ from __future__ import annotations
 import argparse
 import sys
 
-from bench.speed import contention, memory, memory_stage, scaling, side_by_side, simd, versions
+from bench.speed import (
+    contention,
+    many_lamps,
+    memory,
+    memory_stage,
+    scaling,
+    side_by_side,
+    simd,
+    versions,
+)
 from bench.studies import (
     dispersion,
     envelope,
@@ -72,6 +82,7 @@ _COMMANDS = {
     "versions": versions,
     "contention": contention,
     "scaling": scaling,
+    "lamps": many_lamps,
     "table1": table1,
     "figure7": figure7,
     "figure9": figure9,

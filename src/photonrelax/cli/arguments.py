@@ -514,8 +514,8 @@ def _add_camera_paths(parser: argparse.ArgumentParser) -> None:
         "--light-samples",
         type=positive,
         metavar="N",
-        help="shadow rays from each of these samples to each extended emitter (enough for noise "
-        "below 2%% of a pixel)",
+        help="shadow rays from each of these samples to each extended emitter, and to all of many "
+        "lamps (enough for noise below 2%% of a pixel)",
     )
     parser.add_argument(
         "--max-depth",

@@ -13,7 +13,7 @@ import numpy as np
 from .._util.validation import Floats
 from ..estimation.indirect import IndirectField
 from ..photons.photon_map import PhotonMap
-from ..transport.direct_light import LightSamples, direct_irradiance
+from ..transport.direct_light import LightSamples
 from ..transport.gather_rays import GatherRays
 from .view import Band, View, pixel_sums
 
@@ -76,8 +76,6 @@ class FinalGather:
         return out
 
     def _direct(self, position: Floats, normal: Floats, rng: np.random.Generator) -> Floats:
-        """Direct irradiance; of extended emitters one sample is enough, as rays are many."""
+        """Direct irradiance; one sample of what is sampled is enough, as rays are many."""
         view, samples = self._view, LightSamples(1, int(rng.integers(2**63)))
-        return direct_irradiance(
-            *(view.scene, view.caster, position, normal), samples=samples, n_threads=view.n_threads
-        )
+        return view.lights.irradiance(position, normal, samples=samples, n_threads=view.n_threads)

@@ -12,6 +12,7 @@ from .._util.parallel import thread_count
 from .._util.validation import Floats, count
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
+from ..transport.direct_light import has_many_lamps
 from ..transport.emission import MAX_PHOTONS
 from ..transport.raycast import RayCaster
 from ..transport.trace import stored_per_path
@@ -107,7 +108,7 @@ def plan(
             reason = "of a few thousand paths none meets a diffuse surface after another"
             indirect = Part("indirect", False, reason)
     return Plan(
-        (_emission(scene, wanted), _direct(wanted), caustic, indirect),
+        (_emission(scene, wanted), _direct(scene, wanted), caustic, indirect),
         n_emitted if caustic.is_modelled and photons is None else 0,
         (n_global or 0) if indirect.is_modelled else 0,
     )
@@ -135,10 +136,11 @@ def _emission(scene: Scene, wanted: tuple[str, ...]) -> Part:
     return Part("emission", True, f"emitters that a camera may see: {seen}")
 
 
-def _direct(wanted: tuple[str, ...]) -> Part:
+def _direct(scene: Scene, wanted: tuple[str, ...]) -> Part:
     if "direct" not in wanted:
         return Part("direct", False, "not asked for")
-    return Part("direct", True, "shadow rays from the points seen to each emitter")
+    to = "some of many lamps" if has_many_lamps(scene) else "each emitter"
+    return Part("direct", True, f"shadow rays from the points seen to {to}")
 
 
 def _caustic(

@@ -60,8 +60,8 @@ class RenderSettings(StageSettings, total=False):
     max_depth : int
         Maximum number of specular surfaces on a camera path, by default 8.
     light_samples : int
-        Shadow rays from a sample to an extended emitter, by default enough for noise below 2 % of a
-        pixel.
+        Shadow rays from a sample to an extended emitter, or to all of many lamps, by default enough
+        for noise below 2 % of a pixel.
     indirect : GatherSettings
         Of indirect light, see `photonrelax.estimation.indirect`.
     final_gather : int

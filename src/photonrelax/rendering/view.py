@@ -22,7 +22,7 @@ from ..estimation.field import Densities, Field
 from ..estimation.indirect import IndirectField
 from ..estimation.surface import Surface
 from ..scene.scene import Scene
-from ..transport.direct_light import LightSamples, default_light_samples, direct_irradiance
+from ..transport.direct_light import Lights, LightSamples, default_light_samples, samples_light
 from ..transport.hit_points import MAX_DEPTH, FirstSurfaces, HitPoints, trace_hit_points
 from ..transport.raycast import RayCaster
 
@@ -142,8 +142,8 @@ class View:
     supersampling, max_depth : int
         s·s samples a pixel; maximum number of specular surfaces on a camera path.
     light_samples, seed : int, optional
-        Shadow rays from each hit point to each extended emitter, by default enough for noise below
-        2 % of a pixel; their seed.
+        Shadow rays from each hit point to each extended emitter, and to all of many lamps, by
+        default enough for noise below 2 % of a pixel; their seed.
     n_threads : int, optional
         Threads; all available by default. Results do not depend on it.
 
@@ -203,7 +203,9 @@ class View:
             seed=self.seed if seed is None else seed,
             n_threads=self.n_threads,
         )
-        other.__dict__["caster"] = self.caster
+        for name in ("caster", "lights"):
+            if name in vars(self):
+                vars(other)[name] = vars(self)[name]
         return other
 
     def _check_image_fits(self) -> None:
@@ -262,9 +264,9 @@ class View:
 
     @property
     def settings(self) -> dict[str, int]:
-        """Supersampling, maximum depth and, with extended emitters, their samples by name."""
+        """Supersampling, maximum depth and, where light is sampled, the samples by name."""
         settings = {"supersampling": self.supersampling, "max_depth": self.max_depth}
-        if any(emitter.is_extended for emitter in self.scene.emitters):
+        if samples_light(self.scene, self.light_samples):
             settings["light_samples"] = self.light_samples
         return settings
 
@@ -272,6 +274,11 @@ class View:
     def caster(self) -> RayCaster:
         """Ray caster of the scene's objects, built on first use."""
         return RayCaster(self.scene.surfaces)
+
+    @cached_property
+    def lights(self) -> Lights:
+        """Emitters of the scene, prepared for direct light on first use."""
+        return Lights(self.scene, self.caster)
 
     @cached_property
     def surface(self) -> Surface:
@@ -320,9 +327,7 @@ class View:
         return Band(rows, self.camera.width, hits, first, light, self.supersampling)
 
     def _direct(self, hits: HitPoints, number: int) -> Floats:
-        return direct_irradiance(
-            self.scene,
-            self.caster,
+        return self.lights.irradiance(
             hits.position,
             hits.normal,
             samples=LightSamples(self.light_samples, _seed_of(self.seed, number), hits.pixel),

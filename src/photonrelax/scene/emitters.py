@@ -24,6 +24,7 @@ from .emission_region import (
     start_distance,
     sun_region,
 )
+from .lamps import COSINE, PARALLEL, SPOT, UNIFORM, Lamp
 
 if TYPE_CHECKING:
     from .scene import SceneObject
@@ -95,6 +96,11 @@ class Emitter(ABC):
         """True if a point gets light from many directions, which are then sampled."""
         return False
 
+    @property
+    def lamp(self) -> Lamp | None:
+        """What kernels evaluate in place of `direct`, where lamps are many; None: nothing."""
+        return None
+
     @abstractmethod
     def direct(self, position: Floats, emitter_offset: float) -> DirectLight:
         """Return the light at points (m, 3); none nearer to the emitter than the offset, m.
@@ -110,6 +116,14 @@ class Emitter(ABC):
     def background(self, direction: Floats) -> Floats:
         """Return the radiance (m, 3) that rays of directions (m, 3) escape to, W/(m² sr)."""
         return np.zeros_like(direction)
+
+    def background_means(self, direction: Floats, edges: Floats) -> Floats:
+        """Return means (m, 3) of the radiance around directions (m, 3), W/(m² sr).
+
+        They are over parallelograms whose edges are changes (m, 2, 3) of the unit vectors. By
+        default the radiance in the middle.
+        """
+        return self.background(direction)
 
     def sampled(
         self, position: Floats, normal: Floats, emitter_offset: float, sample: Floats
@@ -165,6 +179,12 @@ class CollimatedEmitter(Emitter):
     def is_extended(self) -> bool:
         return self.angular_radius > 0.0
 
+    @property
+    def lamp(self) -> Lamp | None:
+        if self.is_extended:
+            return None
+        return Lamp(PARALLEL, np.asarray(self.irradiance), axis=np.asarray(self.direction))
+
     def direct(self, position: Floats, emitter_offset: float) -> DirectLight:
         """Return the same light at all points."""
         return self._from(np.tile(-np.asarray(self.direction), (len(position), 1)), 1.0)
@@ -219,8 +239,15 @@ class PointEmitter(Emitter):
     def direct(self, position: Floats, emitter_offset: float) -> DirectLight:
         """Return the intensity over the squared distance."""
         direction, distance, inverse = _towards(self.position, position, emitter_offset)
-        intensity = np.asarray(self.power) / (4.0 * np.pi)
-        return DirectLight(direction, distance, intensity * inverse**2)
+        return DirectLight(direction, distance, self._intensity * inverse**2)
+
+    @property
+    def lamp(self) -> Lamp:
+        return Lamp(UNIFORM, self._intensity, self.point)
+
+    @property
+    def _intensity(self) -> Floats:
+        return np.asarray(self.power) / (4.0 * np.pi)
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,6 +291,11 @@ class LambertianEmitter(Emitter):
         cosine = np.maximum(-direction @ np.asarray(self.direction), 0.0)[:, None]
         intensity = np.asarray(self.power) / np.pi * cosine
         return DirectLight(direction, distance, intensity * inverse**2)
+
+    @property
+    def lamp(self) -> Lamp:
+        on_axis, axis = np.asarray(self.power) / np.pi, np.asarray(self.direction)
+        return Lamp(COSINE, on_axis, self.point, axis, outer=1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,9 +357,16 @@ class SpotEmitter(Emitter):
         direction, distance, inverse = _towards(self.position, position, emitter_offset)
         # 1 - cos from the chord keeps its digits in narrow cones.
         drop = 0.5 * np.square(direction + np.asarray(self.direction)).sum(axis=1)
-        on_axis = np.asarray(self.power) / (2.0 * np.pi * self._lobe.content(np.pi))
-        intensity = on_axis * self._lobe.falloff(drop)[:, np.newaxis]
+        intensity = self._on_axis * self._lobe.falloff(drop)[:, np.newaxis]
         return DirectLight(direction, distance, intensity * inverse**2)
+
+    @property
+    def lamp(self) -> Lamp:
+        return Lamp(SPOT, self._on_axis, self.point, np.asarray(self.direction), *self._lobe)
+
+    @property
+    def _on_axis(self) -> Floats:
+        return np.asarray(self.power) / (2.0 * np.pi * self._lobe.content(np.pi))
 
 
 def _towards(

@@ -76,6 +76,12 @@ class EnvironmentEmitter(Emitter):
             return self._sky.seen(direction)
         return np.tile(np.asarray(self.radiance), (len(direction), 1))
 
+    def background_means(self, direction: Floats, edges: Floats) -> Floats:
+        """Return means of the radiance around directions; see `Emitter.background_means`."""
+        if self._sky is None:
+            return self.background(direction)
+        return self._sky.means(direction, edges)
+
     def emission_region(
         self, target: Sphere, scene: Sphere, emitter_offset: float
     ) -> EmissionRegion:

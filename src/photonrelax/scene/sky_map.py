@@ -14,6 +14,10 @@ import numpy as np
 from .._ext.scene.sky_map import SkyMap as SkyMapKernel
 from .._util.validation import Floats
 
+# Texels along the longer edge of a footprint at most, before coarser ones are taken; samples along
+# it for each of these, and at least.
+_MAX_EXTENT, _SAMPLES, _LEAST = 8.0, 2.0, 8
+
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in the luminance (Rec. 709)."""
 
@@ -84,6 +88,41 @@ class SkyMap:
         """Radiance (m, 3) in the directions of unit vectors (m, 3)."""
         return self.radiance.reshape(-1, 3)[self.kernel().texels(direction)]
 
+    def means(self, direction: Floats, edges: Floats) -> Floats:
+        """Means (m, 3) of the radiance over parallelograms around unit vectors (m, 3).
+
+        `edges` (m, 2, 3) are changes of the vectors. Means are of a grid of directions; where
+        texels are much smaller than the parallelogram, of those of a coarser map.
+        """
+        size = np.pi * min(1.0 / self.radiance.shape[0], 2.0 / self.radiance.shape[1])
+        extent = np.linalg.norm(edges, axis=2).max(axis=1, initial=0.0) / size
+        level = np.ceil(np.log2(np.maximum(extent / _MAX_EXTENT, 1.0))).astype(int)
+        level = np.minimum(level, self._max_level)
+        wanted = np.clip(_SAMPLES * extent / 2.0**level, _LEAST, _SAMPLES * _MAX_EXTENT)
+        n_points = np.ceil(wanted).astype(np.int64)
+        out = np.empty_like(direction)
+        for coarse in np.unique(level).tolist():
+            some, sky = np.flatnonzero(level == coarse), self._halved(coarse)
+            texels = np.ascontiguousarray(sky.radiance.reshape(-1, 3))
+            points = direction[some], edges[some], n_points[some]
+            out[some] = sky.kernel().means(texels, *points)
+        return out
+
+    @property
+    def _max_level(self) -> int:
+        """Number of times that the map can be halved."""
+        return int(np.ceil(np.log2(max(self.radiance.shape[:2]))))
+
+    def _halved(self, times: int) -> SkyMap:
+        """The map of the same light with half as many rows and columns, a number of times."""
+        return self if times == 0 else self._half._halved(times - 1)
+
+    @cached_property
+    def _half(self) -> SkyMap:
+        weight = np.broadcast_to(self._solid_angle[:, np.newaxis, np.newaxis], self.radiance.shape)
+        light, area = (_halved(_halved(each, 0), 1) for each in (self.radiance * weight, weight))
+        return SkyMap(np.ascontiguousarray(light / area))
+
     def sampled(self, sample: Floats) -> tuple[Floats, Floats]:
         """Unit vectors (m, 3) by luminance, for samples (m, 2), and irradiances (m, 3), W/m².
 
@@ -91,3 +130,15 @@ class SkyMap:
         """
         direction, texel = self.kernel().directions(np.ascontiguousarray(sample))
         return direction, self.flux_per_area * self.colours[texel]
+
+
+def _halved(values: Floats, axis: int) -> Floats:
+    """Sums of values along an axis in half as many intervals, rounded up, of equal widths."""
+    values = np.moveaxis(values, axis, 0)
+    n = len(values)
+    summed = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
+    edge = np.linspace(0.0, n, -(-n // 2) + 1)
+    below = np.minimum(edge.astype(int), n - 1)
+    part = (edge - below)[:, np.newaxis, np.newaxis]
+    sums: Floats = np.diff(summed[below] + part * values[below], axis=0)
+    return np.moveaxis(sums, 0, axis)

@@ -227,8 +227,9 @@ class _CameraTracer:
         surface, weight = seen["object_id"], seen["weight"]
         light = np.zeros_like(weight)
         escaped = surface < 0
+        towards = seen["normal"][escaped], seen["footprint"][escaped]
         for emitter in self._backgrounds:
-            light[escaped] += weight[escaped] * emitter.background(seen["normal"][escaped])
+            light[escaped] += weight[escaped] * emitter.background_means(*towards)
         for number, shining in self._shining.items():
             met = surface == number
             light[met] = weight[met] * shining.surface_radiance(seen["from_behind"][met])

@@ -5,6 +5,7 @@ Column j of w is at the azimuth π (1 - 2 (j + 1/2) / w) from +x to +y.
 
 cimport cython
 from libc.math cimport M_PI, acos, atan2, cos, sin, sqrt
+from libc.stdint cimport int64_t
 
 import numpy as np
 
@@ -76,16 +77,78 @@ cdef class SkyMap:
 
     def texels(self, const double[:, ::1] direction):
         """Texels (m,), row · w + column, that unit vectors (m, 3) point to."""
-        cdef Py_ssize_t i, row, column, m = direction.shape[0]
-        cdef Py_ssize_t h = self.rows.shape[0], w = self.columns.shape[1]
+        cdef Py_ssize_t i, m = direction.shape[0]
         cdef Py_ssize_t[::1] out = np.empty(m, np.intp)
-        cdef double azimuth
         if direction.shape[1] != 3:
             raise ValueError(f"directions should have 3 columns, but have {direction.shape[1]}")
         with nogil:
             for i in range(m):
-                row = <Py_ssize_t> (h * acos(max(-1.0, min(1.0, direction[i, 2]))) / M_PI)
-                azimuth = atan2(direction[i, 1], direction[i, 0])
-                column = <Py_ssize_t> (0.5 * w * (1.0 - azimuth / M_PI))
-                out[i] = max(min(row, h - 1), 0) * w + max(min(column, w - 1), 0)
+                out[i] = self.texel(&direction[i, 0])
         return out.base
+
+    cdef Py_ssize_t texel(self, const double* direction) noexcept nogil:
+        """Texel that a unit vector points to."""
+        cdef Py_ssize_t h = self.rows.shape[0], w = self.columns.shape[1], row, column
+        cdef double azimuth = atan2(direction[1], direction[0])
+        row = <Py_ssize_t> (h * acos(max(-1.0, min(1.0, direction[2]))) / M_PI)
+        column = <Py_ssize_t> (0.5 * w * (1.0 - azimuth / M_PI))
+        return max(min(row, h - 1), 0) * w + max(min(column, w - 1), 0)
+
+    cdef Py_ssize_t texel_beside(
+        self, const double* direction, const double* edges, double a, double b
+    ) noexcept nogil:
+        """Texel in the direction of a point of a parallelogram, by shares of its edges."""
+        cdef double[3] at
+        cdef double length
+        cdef int c
+        for c in range(3):
+            at[c] = direction[c] + a * edges[c] + b * edges[3 + c]
+        length = sqrt(at[0] * at[0] + at[1] * at[1] + at[2] * at[2])
+        if not length > 0.0:
+            return self.texel(direction)
+        at[2] /= length
+        return self.texel(at)
+
+    def means(
+        self, const double[:, ::1] texels, const double[:, ::1] direction,
+        const double[:, :, ::1] edges, const int64_t[::1] n
+    ):
+        """Means (m, 3) of texels (h w, 3) over n x n points of parallelograms, n (m,) of each.
+
+        The parallelograms are around unit vectors (m, 3) and have edges (m, 2, 3). Those of fewer
+        than 16 x 16 points may lie in one texel: corners tell.
+        """
+        cdef Py_ssize_t i, row, column, texel, m = direction.shape[0]
+        cdef double[:, ::1] out = np.zeros((m, 3))
+        cdef double a, b
+        cdef int c
+        cdef const double* edge
+        with nogil:
+            for i in range(m):
+                edge = &edges[i, 0, 0]
+                texel = self.texel(&direction[i, 0])
+                if n[i] < 16 and self.holds(texel, &direction[i, 0], edge):
+                    for c in range(3):
+                        out[i, c] = texels[texel, c]
+                    continue
+                for row in range(n[i]):
+                    for column in range(n[i]):
+                        a, b = (row + 0.5) / n[i] - 0.5, (column + 0.5) / n[i] - 0.5
+                        texel = self.texel_beside(&direction[i, 0], edge, a, b)
+                        for c in range(3):
+                            out[i, c] += texels[texel, c]
+                for c in range(3):
+                    out[i, c] /= n[i] * n[i]
+        return out.base
+
+    cdef bint holds(
+        self, Py_ssize_t texel, const double* direction, const double* edges
+    ) noexcept nogil:
+        """Whether all corners of a parallelogram are in a texel."""
+        cdef int corner
+        for corner in range(4):
+            if texel != self.texel_beside(
+                direction, edges, 0.5 - (corner & 1), 0.5 - (corner >> 1)
+            ):
+                return False
+        return True

@@ -21,6 +21,10 @@ from .materials cimport (
 from .optics cimport reflection_change, refraction_change
 from .raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
 
+# Limit of the change of a unit vector over a sample, beyond which it is anywhere.
+cdef double LONGEST_CHANGE = 2.0
+
+
 cdef struct SeenPoint:
     double[3] position
     double[3] normal
@@ -356,12 +360,15 @@ cdef class CameraPaths(LiveRays):
         return self.split(&at, target)
 
     cdef void record_escape(self, const CameraRay* ray) noexcept nogil:
-        """Record a ray that hits nothing: pixel, weight, and its direction for a normal."""
+        """Record a ray that hits nothing: its direction for a normal, its changes for edges."""
         cdef SeenPoint* point = &self.seen[self.n_seen]
+        cdef int side
         self.n_seen += 1
         point[0] = SeenPoint(pixel=ray.pixel, object_id=-1, face_id=-1)
         copy(point.weight, ray.weight)
         copy(point.normal, ray.direction)
+        for side in range(2):
+            write_limited(point.footprint[side], ray.direction_change[side], LONGEST_CHANGE)
 
     cdef void record(self, const Meeting* at) noexcept nogil:
         cdef SeenPoint* point = &self.seen[self.n_seen]
@@ -377,17 +384,7 @@ cdef class CameraPaths(LiveRays):
         seen_normal(point.normal, at.ray.direction, &at.hit)
         copy(point.weight, at.ray.weight)
         for side in range(2):
-            self.write_edge(point.footprint[side], at.ray.origin_change[side])
-
-    cdef void write_edge(self, double* edge, const double* change) noexcept nogil:
-        """Write an edge of a footprint: no longer than the limit, and zero if not finite."""
-        cdef double length = sqrt(dot(change, change))
-        cdef double scale = 0.0
-        cdef int c
-        if isfinite(length):
-            scale = 1.0 if length <= self.longest_edge else self.longest_edge / length
-        for c in range(3):
-            edge[c] = scale * change[c] if scale > 0.0 else 0.0
+            write_limited(point.footprint[side], at.ray.origin_change[side], self.longest_edge)
 
     cdef Py_ssize_t split(self, Meeting* at, Py_ssize_t target) noexcept nogil:
         """Write the reflection and the refraction of a ray, unless faint; return the end."""
@@ -480,6 +477,17 @@ cdef class CameraPaths(LiveRays):
         for axis in range(3):
             position[axis] = at.hit.position[axis] - self.frame.origin[axis]
         normal_derivative(out, position, a, b, c, a + 3, b + 3, c + 3)
+
+
+cdef inline void write_limited(double* out, const double* change, double longest) noexcept nogil:
+    """Write a change: no longer than the limit, and zero if not finite."""
+    cdef double length = sqrt(dot(change, change))
+    cdef double scale = 0.0
+    cdef int c
+    if isfinite(length):
+        scale = 1.0 if length <= longest else longest / length
+    for c in range(3):
+        out[c] = scale * change[c] if scale > 0.0 else 0.0
 
 
 cdef void start_ray(
