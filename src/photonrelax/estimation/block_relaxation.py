@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Iterator
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Unpack
+from typing import NamedTuple, Unpack
 from uuid import uuid4
 
 from .._util.parallel import thread_count
@@ -43,8 +45,7 @@ def relax_parts(
     parts : PhotonParts or path
         All parts of an emission, from `trace_parts`.
     folder : path
-        Of the relaxed photons; there should be none yet. It is there when all is done. On the way
-        it takes some twice the room of the parts.
+        A new one, of the relaxed photons, there when all is done; meanwhile twice the parts' room.
     method : str
         One that relaxes by structure: ``mapped`` or ``parameterised``.
     scene : Scene, optional
@@ -60,10 +61,6 @@ def relax_parts(
     **settings
         Of stages; see `StageSettings`.
 
-    Returns
-    -------
-    BlockedPhotons
-
     Raises
     ------
     TypeError, ValueError
@@ -73,35 +70,19 @@ def relax_parts(
         If there is such a folder already.
     """
     chosen, folder = _relaxing_by_structure(method), Path(folder)
-    given = settings_of("relax_parts", dict(settings))
-    given = Settings(**{**chosen.defaults, **given.given})
+    given = settings_of("relax_parts", dict(settings)).given
     parts = parts if isinstance(parts, PhotonParts) else PhotonParts.open(parts)
     _check_parts(parts)
     if folder.exists():
         raise FileExistsError(f"{folder} should be a new folder, but there is one already")
     threads = thread_count(1 if executor is not None and n_threads is None else n_threads)
-    partial = folder.with_name(f".{folder.name}.{uuid4().hex}.part")
-    try:
+    with _unfinished(folder) as unfinished:
+        n = count(photons_per_block, "photons_per_block")
         blocked = sort_into_blocks(
-            parts.maps,
-            len(parts),
-            partial,
-            photons_per_block=count(photons_per_block, "photons_per_block"),
-            n_threads=threads,
+            parts.maps, len(parts), unfinished, photons_per_block=n, n_threads=threads
         )
-        work = BlockWork(
-            blocked,
-            given.of("structure"),
-            given.of("relax"),
-            scene,
-            None if scene is None else RayCaster(scene.surfaces),
-            threads,
-            has_rest="rest_density" in chosen.stages,
-        )
-        _relax(work, given, Workers(checked_executor(executor), threads), progress)
-        partial.replace(folder)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+        relaxing = _Relaxing(blocked, chosen, Settings(**{**chosen.defaults, **given}), scene)
+        relaxing.run(Workers(checked_executor(executor), threads), threads, progress)
     return BlockedPhotons.open(folder)
 
 
@@ -125,18 +106,39 @@ def _check_parts(parts: PhotonParts) -> None:
         raise ValueError(f"{parts.folder} should have photons, but none were stored")
 
 
-def _relax(work: BlockWork, given: Settings, workers: Workers, progress: Progress | None) -> None:
-    """Do all passes over sorted photons."""
-    photons = work.photons
-    n = n_passes(
-        work.relax,
-        has_coords="emitter_coords" in photons.columns,
-        has_scene=work.scene is not None,
-    )
-    report = Reporter(progress, "relax", len(photons) * (n + work.has_rest))
-    relaxation = BlockRelaxation(work, workers, report)
-    relaxation.detect_structure()
-    if work.has_rest:
-        rest_density_by_blocks(photons, given.of("rest_density"), workers, report)
-    relaxation.relax()
-    photons.with_shared(well_spaced=True).write_manifest()
+@contextmanager
+def _unfinished(folder: Path) -> Iterator[Path]:
+    """Path that takes the place of a folder if all goes well, and is removed otherwise."""
+    path = folder.with_name(f".{folder.name}.{uuid4().hex}.part")
+    try:
+        yield path
+        path.replace(folder)
+    finally:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+class _Relaxing(NamedTuple):
+    """Sorted photons, and the method that relaxes them."""
+
+    photons: BlockedPhotons
+    method: Method
+    settings: Settings
+    scene: Scene | None
+
+    def run(self, workers: Workers, n_threads: int, progress: Progress | None) -> None:
+        """Do all passes over the photons."""
+        photons, scene, relax = self.photons, self.scene, self.settings.of("relax")
+        has_rest = "rest_density" in self.method.stages
+        caster = None if scene is None else RayCaster(scene.surfaces)
+        structure = self.settings.of("structure")
+        work = BlockWork(photons, structure, relax, scene, caster, n_threads, has_rest=has_rest)
+        has_coords = "emitter_coords" in photons.columns
+        n = n_passes(relax, has_coords=has_coords, has_scene=scene is not None)
+        report = Reporter(progress, "relax", len(photons) * (n + has_rest))
+        relaxation = BlockRelaxation(work, workers, report)
+        relaxation.detect_structure()
+        if has_rest:
+            settings = self.settings.of("rest_density")
+            rest_density_by_blocks(photons, settings, workers, report)
+        relaxation.relax()
+        photons.with_shared(well_spaced=True).write_manifest()

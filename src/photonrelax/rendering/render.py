@@ -140,10 +140,7 @@ def render(
     """
     goal = Goal(settings.pop("error", None), settings.pop("seconds", None))
     name = settings.pop("preset", None)
-    choice = choose(scene, method, name, goal.preset_error)
-    if goal.is_given:
-        # Errors of samples alone are in no estimate.
-        choice = replace(choice, supersampling=max(choice.supersampling, _LEAST_SAMPLES))
+    choice = _chosen(scene, method, name, goal)
     view = _view(scene, choice, settings, seed=seed, n_threads=n_threads)
     light = _Light(photons, n_global, components)
     workers = Workers(checked_executor(executor), n_threads or 1)
@@ -152,6 +149,14 @@ def render(
     if not goal.is_given:
         return job.image(n_emitted, seed)
     return job.to_goal(goal, n_emitted, seed, is_free=method is None and name is None)
+
+
+def _chosen(scene: Scene, method: str | None, name: str | None, goal: Goal) -> Choice:
+    choice = choose(scene, method, name, goal.preset_error)
+    if goal.is_given:
+        # Errors of samples alone are in no estimate.
+        choice = replace(choice, supersampling=max(choice.supersampling, _LEAST_SAMPLES))
+    return choice
 
 
 def _view(scene: Scene, choice: Choice, settings: RenderSettings, **others: Any) -> View:

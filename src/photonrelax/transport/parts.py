@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,10 +54,6 @@ def trace_parts(
     progress : callable, optional
         Called as ``progress("trace", done, n_emitted)`` after each part.
 
-    Returns
-    -------
-    PhotonParts
-
     Raises
     ------
     TypeError, ValueError, MemoryError
@@ -64,44 +61,39 @@ def trace_parts(
     OSError
         If the folder has other files, another run writes to it, or it cannot be written to.
     """
-    numbers = checked_numbers(n_emitted, scene)
-    chunk = count(chunk, "chunk")
-    about = {
-        "photonrelax": __version__,
-        "seed_layout": SEED_LAYOUT,
-        "scene": scene_digest(scene),
-        "n_emitted": np.ravel(numbers).tolist(),
-        "chunk": chunk,
+    numbers, chunk = checked_numbers(n_emitted, scene), count(chunk, "chunk")
+    sequence: dict[str, Any] = {
         "seed": seed,
         "paths": paths,
         "sampler": sampler,
         "max_bounces": max_bounces,
         "sensors": bool(sensors),
     }
-    caster = RayCaster(scene.surfaces)
-    report = Reporter(progress, "trace", int(np.sum(numbers)))
+    about = _about(scene, np.ravel(numbers).tolist(), chunk) | sequence
+    caster, total = RayCaster(scene.surfaces), int(np.sum(numbers))
+    trace = partial(trace_photons, scene, n_emitted, **sequence, caster=caster)
+    report = Reporter(progress, "trace", total)
     if not Path(folder).exists():
         PhotonParts.create(folder, about)
     with file_lock(Path(folder) / MANIFEST):
         parts = _begun(Path(folder), about)
         report.advance(parts.n_traced)
-        for start in range(parts.n_traced, int(np.sum(numbers)), chunk):
-            some = range(start, min(start + chunk, int(np.sum(numbers))))
-            options: dict[str, Any] = {"seed": seed, "paths": paths, "sampler": sampler}
-            photons = trace_photons(
-                scene,
-                n_emitted,
-                photons=some,
-                max_bounces=max_bounces,
-                sensors=sensors,
-                n_threads=n_threads,
-                caster=caster,
-                executor=executor,
-                **options,
-            )
-            parts = parts.append(photons)
+        for start in range(parts.n_traced, total, chunk):
+            some = range(start, min(start + chunk, total))
+            parts = parts.append(trace(photons=some, n_threads=n_threads, executor=executor))
             report.advance(len(some))
     return parts
+
+
+def _about(scene: Scene, n_emitted: list[int], chunk: int) -> dict[str, Any]:
+    """What the parts of a folder have in common, for its manifest, but for their sequence."""
+    return {
+        "photonrelax": __version__,
+        "seed_layout": SEED_LAYOUT,
+        "scene": scene_digest(scene),
+        "n_emitted": n_emitted,
+        "chunk": chunk,
+    }
 
 
 def _begun(folder: Path, about: dict[str, Any]) -> PhotonParts:
