@@ -89,7 +89,7 @@ def test_a_script_has_its_one_camera(script):
         pr.load_scene(script, camera="Left")
 
 
-def test_built_in_scenes_take_no_options_of_files(capsys):
+def test_built_in_scenes_have_one_camera(capsys):
     with pytest.raises(SystemExit):
-        cli.main(["plan", "ring", "--arg", "elevation=3"])
-    assert "--arg is of scenes from files" in capsys.readouterr().err
+        cli.main(["plan", "ring", "--camera", "Left"])
+    assert "--camera is of scenes from files" in capsys.readouterr().err
