@@ -10,6 +10,7 @@ import numpy as np
 
 COMPONENTS = ("direct", "caustic", "indirect")
 _STEP = 1e-9
+_GOLDEN_RATIO = (1.0 + np.sqrt(5.0)) / 2.0
 
 
 class Shell(NamedTuple):
@@ -79,8 +80,11 @@ def _batch(room, n, rng):
 
 
 def _emitted(position, flux, n, rng):
-    way = rng.normal(size=(n, 3))
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    """Particles in all directions, evenly: on a spiral around a sphere, shifted at random."""
+    z = 2.0 * (np.arange(n) + rng.random(n)) / n - 1.0
+    azimuth = 2.0 * np.pi * ((np.arange(n) / _GOLDEN_RATIO + rng.random()) % 1.0)
+    aside = np.sqrt(1.0 - z * z)
+    way = np.column_stack([aside * np.cos(azimuth), aside * np.sin(azimuth), z])
     none = np.zeros(n, dtype=int)
     return Particles(np.tile(position, (n, 1)), way, np.tile(flux, (n, 1)), none, none, none)
 

@@ -61,7 +61,7 @@ def scene(room):
 @pytest.fixture(scope="module")
 def counted(room):
     """Irradiance (6, 3) of the walls by component, and its standard error over it."""
-    batches = irradiance(room[0], 1_400_000, 20, seed=1)
+    batches = irradiance(room[0], 500_000, 20, seed=1)
     mean, deviation = batches.mean(axis=0), batches.std(axis=0, ddof=1)
     doubt = deviation / np.sqrt(len(batches)) / mean
     return dict(zip(COMPONENTS, zip(mean, doubt, strict=True), strict=True))
