@@ -101,6 +101,27 @@ def test_ctrl_c_ends_workers_and_leaves_no_file(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
+LAST = """
+import os, signal, time
+from photonrelax._util import workers
+class Last:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.01)
+workers.hear_endings()
+with workers._until_ended():
+    Last()
+    time.sleep(60.0)
+"""
+
+
+def test_an_ending_that_a_destructor_hears_is_not_lost():
+    """Python drops what is raised in it."""
+    done = subprocess.run([sys.executable, "-c", LAST], capture_output=True, text=True, timeout=30)
+    assert "Exception ignored in: <function Last.__del__" in done.stderr
+    assert done.stderr.splitlines()[-1] == "KeyboardInterrupt"
+
+
 def test_optional_packages_are_not_imported_without_use():
     code = (
         "import sys, photonrelax as pr\n"

@@ -250,6 +250,8 @@ def _named_death() -> Iterator[None]:
 
 ENDING = (signal.SIGINT, signal.SIGTERM)
 """Signals that are blocked where a worker starts that is to hear of endings."""
+# Seconds.
+_UNTIL_RAISED_AGAIN = 0.2
 _is_running, _has_ended = False, False
 
 
@@ -260,7 +262,8 @@ def hear_endings() -> None:
     Ctrl-C, which goes to all processes of a terminal, is left to the one that has the executor.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _end)
+    for number in (signal.SIGTERM, signal.SIGALRM):
+        signal.signal(number, _end)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
 
 
@@ -268,6 +271,8 @@ def _end(number: int, frame: FrameType | None) -> None:
     global _has_ended
     _has_ended = True
     if _is_running:
+        # Python drops what is raised while it calls a destructor or a callback.
+        signal.setitimer(signal.ITIMER_REAL, _UNTIL_RAISED_AGAIN)
         raise KeyboardInterrupt
 
 
