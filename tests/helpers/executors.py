@@ -33,6 +33,7 @@ def dask_cluster():
         n_workers=N_WORKERS,
         threads_per_worker=1,
         processes=True,
-        dashboard_address=None,
+        # Any free port: without a dashboard the scheduler still listens on one.
+        dashboard_address=":0",
         silence_logs=50,
     )
