@@ -71,8 +71,8 @@ def test_every_size_is_an_argument_with_a_default(scene):
 
 @pytest.mark.parametrize("name", ["ring", "sphere", "ripples"])
 def test_measured_scenes_have_surroundings_if_asked_for(name):
-    assert len(gallery.scene(name, pixels=4).emitters) == 1
-    _, around = gallery.scene(name, pixels=4, surroundings=(0.1, 0.2, 0.3)).emitters
+    assert len(gallery.scene(name, **COARSE[name]).emitters) == 1
+    _, around = gallery.scene(name, **COARSE[name], surroundings=(0.1, 0.2, 0.3)).emitters
     np.testing.assert_array_equal(around.radiance, [0.1, 0.2, 0.3])
 
 

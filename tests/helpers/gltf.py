@@ -62,7 +62,9 @@ class GltfParts:
 
     def lights(self, *lights):
         """Add lights, each with a node that turns it down."""
-        self.json.setdefault("extensions", {})["KHR_lights_punctual"] = {"lights": list(lights)}
+        self.json.setdefault("extensions", {})["KHR_lights_punctual"] = {
+            "lights": [dict(light) for light in lights]
+        }
         for i in range(len(lights)):
             extensions = {"KHR_lights_punctual": {"light": i}}
             self.node(extensions=extensions, rotation=[-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
