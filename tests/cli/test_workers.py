@@ -82,7 +82,11 @@ def test_ctrl_c_ends_workers_and_leaves_no_file(tmp_path):
     """It goes to the whole group of processes, as in a terminal."""
     arguments = ["trace", "ring", "-o", str(tmp_path / "a.npz"), "--photons", "50000000"]
     arguments += ["--workers", "1"]
-    code = f"from photonrelax.cli import main; raise SystemExit(main({arguments}))"
+    # A shell's background job, which tests may be run in, ignores Ctrl-C.
+    code = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        f"from photonrelax.cli import main; raise SystemExit(main({arguments}))"
+    )
     process = subprocess.Popen(
         [sys.executable, "-c", code], stderr=subprocess.PIPE, text=True, start_new_session=True
     )
