@@ -89,7 +89,7 @@ class GroupTiles:
 
 
 class Found(NamedTuple):
-    """What was computed around the own photons of a neighbourhood.
+    """Results of a computation around the own photons of a neighbourhood.
 
     Attributes
     ----------

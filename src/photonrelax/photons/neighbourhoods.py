@@ -43,7 +43,7 @@ class Group(NamedTuple):
 
 
 class WholeGroup(NamedTuple):
-    """What the trees of a group's parts have to share.
+    """Properties of a whole group, which the trees of its parts share.
 
     Attributes
     ----------

@@ -60,7 +60,7 @@ _TEMPORARY = (*_STRUCTURE, "reach", "merged", "at", "searched", "too_few", "slop
 
 @dataclass(frozen=True)
 class BlockWork:
-    """What relaxing by blocks is asked for; see `relax_blocks`."""
+    """Photons to relax by blocks, settings, surfaces and threads; see `relax_parts`."""
 
     photons: BlockedPhotons
     structure: StructureSettings

@@ -54,7 +54,7 @@ _OF_PHOTONS = 0.5
 
 
 class DivisionLimits(NamedTuple):
-    """What may end the division of an envelope.
+    """Limits at which the division of an envelope ends.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class DivisionLimits(NamedTuple):
 
 
 def envelope_summary(field: EnvelopeField) -> dict[str, float]:
-    """What an envelope misplaces, and its rays; share of its photons, and their noise."""
+    """Misplaced share and rays of an envelope; share of light of its photons, and their noise."""
     n_photons = len(field.flux) - len(field.envelope)
     of_photons, total = field.flux[len(field.envelope) :].sum(), field.flux.sum()
     share = float(of_photons / total) if total > 0.0 else 0.0

@@ -133,7 +133,7 @@ class Work(NamedTuple):
 
 
 def work_of(scene: Scene) -> Work:
-    """What photons and envelopes take in scenes of the class."""
+    """Seconds that photons and envelopes take in scenes of the class."""
     name = scene_class(scene)
     row = next(iter(preset_data()["presets"][name][_MEASURED[-1]].values()))
     # Where no envelope was measured none is worth a try.

@@ -234,11 +234,8 @@ class _Job:
             return self._of_goal(n_emitted, seed, only, "envelope", envelope=changed)
 
         # A final gather needs the light of caustics too.
-        scene, components, is_whole = (
-            self._view.scene,
-            self._light.components,
-            self._final_gather > 0,
-        )
+        is_whole = self._final_gather > 0
+        scene, components = self._view.scene, self._light.components
         parts = Parts.of(scene, divide, self._of_goal, components, is_whole=is_whole)
         if not method_named(self._choice.method).needs_photons:
             return divide_to_goal(parts, goal, seed)

@@ -98,7 +98,7 @@ class Emitter(ABC):
 
     @property
     def lamp(self) -> Lamp | None:
-        """What kernels evaluate in place of `direct`, where lamps are many; None: nothing."""
+        """Parameters for the kernels that replace `direct` where lamps are many; None: not one."""
         return None
 
     @abstractmethod

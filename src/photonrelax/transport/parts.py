@@ -86,7 +86,7 @@ def trace_parts(
 
 
 def _about(scene: Scene, n_emitted: list[int], chunk: int) -> dict[str, Any]:
-    """What the parts of a folder have in common, for its manifest, but for their sequence."""
+    """Entries of a manifest that all parts of a folder share, without those of the sequence."""
     return {
         "photonrelax": __version__,
         "seed_layout": SEED_LAYOUT,
