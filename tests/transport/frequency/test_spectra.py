@@ -98,11 +98,11 @@ def test_spectra_depend_on_no_thread_and_no_batch_and_change_no_photon(name, pat
     scene = SCENES[name]
     given = {"paths": paths, "max_bounces": 8}
     plain, one, other = (
-        pr.trace_photons(scene, 2_500, **given, **more)
+        pr.trace_photons(scene, 1_500, **given, **more)
         for more in (
             {},
             {"frequency_share": 0.1, "n_threads": 1},
-            {"frequency_share": 0.1, "n_threads": 3, "batch_size": 1024},
+            {"frequency_share": 0.1, "n_threads": 3, "batch_size": 256},
         )
     )
     assert plain.spectrum is None
