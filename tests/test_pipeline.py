@@ -23,7 +23,7 @@ def test_relaxed_sphere_profile():
     angle = rng.uniform(0, 2 * np.pi, radius.shape)
     around = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
     scene = gallery.scene("sphere", gap=0.2, irradiance=0.8, subdivisions=5)
-    photons = pr.trace_photons(scene, 300_000)
+    photons = pr.trace_photons(scene, 150_000)
     estimates = pr.irradiance_field(photons)(*plane(around.reshape(-1, 2)))[:, 0]
     np.testing.assert_allclose(estimates.reshape(6, -1).mean(axis=1), expected, rtol=0.03)
 
@@ -102,7 +102,7 @@ SCENES = {
 
 
 def irradiance(scene, points, normals, seed=0):
-    photons = pr.trace_photons(scene, 50_000, seed=seed)
+    photons = pr.trace_photons(scene, 30_000, seed=seed)
     return pr.irradiance_field(photons, scene=scene)(points, normals)[:, 0]
 
 

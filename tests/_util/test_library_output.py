@@ -35,7 +35,7 @@ def test_streams_come_back_after_an_error(capfd):
 
 def test_threads_take_turns_and_lose_no_line(capfd):
     def work(name):
-        for i in range(500):
+        for i in range(200):
             with held_back(f"{name}: ") as held:
                 os.write(2, f"{name}: {i}\n".encode())
             assert held.lines == [f"{name}: {i}"]

@@ -61,7 +61,7 @@ def test_neither_flux_nor_input_changes():
 )
 def test_uniform_light_becomes_even(kind, before, after, interior):
     """Noise at k = 15 falls from 32 % to 12 %, or from 8 % to 3 %; the mean stays true."""
-    photons = uniform_map(250_000, kind)
+    photons = uniform_map(100_000, kind)
     points, normals = interior
     estimates = [
         pr.estimate_irradiance(m, points, normals)[:, 0] for m in (photons, relaxed(photons))

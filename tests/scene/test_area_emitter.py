@@ -194,7 +194,8 @@ def test_noise_of_a_lamps_shadow_is_below_two_per_cent_of_a_pixel():
         pr.render(
             pr.Scene(objects, [lamp], camera),
             method="standard",
-            n_emitted=20_000,
+            n_emitted=2_000,
+            n_global=0,
             light_samples=n,
         ).layers["direct"]
         for n in (None, 1000)

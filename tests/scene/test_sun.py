@@ -86,7 +86,7 @@ def _ring(angle):
 
 @pytest.mark.many_photons
 def test_the_ring_under_a_sun_of_a_degree():
-    """Relative L1 over cells of the floor within the ring, against 100 times as many photons."""
+    """Relative L1 over cells of the floor within the ring, against ten times as many photons."""
     cells, half = 48, 1.05
 
     def histogram(photons):
@@ -98,8 +98,7 @@ def test_the_ring_under_a_sun_of_a_degree():
         )
         return flux / (2 * half / cells) ** 2
 
-    many = [pr.trace_photons(_ring(1.0), 2_000_000, seed=seed) for seed in (1, 2)]
-    expected = np.mean([histogram(each) for each in many], axis=0)
+    expected = histogram(pr.trace_photons(_ring(1.0), 2_000_000, seed=1))
     field = pr.irradiance_field(pr.trace_photons(_ring(1.0), 200_000))
     origin, u, v = (-half, -half, 0), (2 * half, 0, 0), (0, 2 * half, 0)
     E = pr.irradiance_map(field, origin, u, v, (cells, cells))[..., 0]

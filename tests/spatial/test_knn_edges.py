@@ -131,11 +131,11 @@ def test_points_all_about_as_far_away(path, search):
 def test_batches_of_which_some_look_far_and_some_near(path, seed, fineness, k, kind):
     """Floats that are fine enough for some of their queries are too coarse for others."""
     rng = np.random.default_rng(seed)
-    dense = 0.4 + fineness * kind(rng, 1500, 3)
-    points = np.concatenate([kind(rng, 500, 3), dense])[rng.permutation(2000)]
+    dense = 0.4 + fineness * kind(rng, 700, 3)
+    points = np.concatenate([kind(rng, 300, 3), dense])[rng.permutation(1000)]
     queries = np.concatenate([rng.random((24, 3)), dense[:24] + 0.1 * fineness])
     with simd_paths.forced(path):
-        assert_nearest(points, k, rows=rng.permutation(2000)[:30], queries=queries)
+        assert_nearest(points, k, rows=rng.permutation(1000)[:30], queries=queries)
 
 
 @on_each_path

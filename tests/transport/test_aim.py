@@ -200,10 +200,10 @@ OVERLAPPING = [ball(0, z=1), ball(0.6, z=4), ball(3.0, z=2), ball(100)]
 @pytest.mark.parametrize("emitter", [DOWN, lamp(1.0, 0.0, 9.0)], ids=["parallel", "point"])
 def test_threads_and_batches_do_not_change_the_map(emitter):
     lit = scene(*OVERLAPPING, emitters=[emitter])
-    expected = pr.trace_photons(lit, 8000, seed=5, frequency_share=0.01)
-    for n_threads, batch_size in ((1, 1024), (7, 3000)):
+    expected = pr.trace_photons(lit, 4000, seed=5, frequency_share=0.01)
+    for n_threads, batch_size in ((1, 512), (7, 1500)):
         photons = pr.trace_photons(
-            lit, 8000, seed=5, frequency_share=0.01, n_threads=n_threads, batch_size=batch_size
+            lit, 4000, seed=5, frequency_share=0.01, n_threads=n_threads, batch_size=batch_size
         )
         for name in ("position", "flux", "emitter_coords", "emitter_density", "spectrum"):
             np.testing.assert_array_equal(getattr(photons, name), getattr(expected, name))
