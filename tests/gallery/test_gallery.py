@@ -113,7 +113,11 @@ def caustic_seen(scene, photons, turned=0.0):
     target = scene.camera.target + turned * np.cross(away, scene.camera.up)
     camera = replace(scene.camera, target=target, width=24, height=24)
     image = pr.render(
-        replace(scene, camera=camera), photons=photons, method="standard", supersampling=1, n_global=0
+        replace(scene, camera=camera),
+        photons=photons,
+        method="standard",
+        supersampling=1,
+        n_global=0,
     )
     return image.layers["caustic"].mean(axis=2)
 

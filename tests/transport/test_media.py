@@ -361,7 +361,7 @@ EMITTERS = [POINT, pr.LambertianEmitter([0, 0, 0], [0.3, 0.2, 1.0], 5.0)]
 def test_lamps_know_the_media_that_they_are_in(name, emitter):
     shells, layers = LAMPS[name]
     scene = pr.Scene([room(), *shells], [emitter])
-    photons = pr.trace_photons(scene, 30_000)
+    photons = pr.trace_photons(scene, 15_000)
     straight = photons.subset(photons.n_bounces == len(layers) - 1)
     expected = layers_transmittance(*layers)
     np.testing.assert_allclose(straight.flux.sum(axis=0), 5.0 * expected, rtol=0.02)

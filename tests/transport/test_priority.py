@@ -188,7 +188,7 @@ def test_photons_go_by_the_medium_at_every_point(name, eye):
 def test_flux_through_overlaps_is_that_of_all_paths(name):
     """Means over photons against sums over paths of the shares that arrive."""
     scene = scene_of(BODIES[name], pr.PointEmitter(EYES["inside"], POWER))
-    photons = pr.trace_photons(scene, 100_000, paths="all", max_bounces=6)
+    photons = pr.trace_photons(scene, 40_000, paths="all", max_bounces=6)
     bodies = [body_of(item) for item in scene.objects]
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(400, 3))
