@@ -132,12 +132,14 @@ class Around(NamedTuple):
     def weights(self, radius, with_rim=True):
         """Weights of a radius, whose photons on the rim count or do not."""
         deviation = DEVIATION * radius
-        weight = np.exp(-0.5 * (self.beside[:, 2] / deviation) ** 2)
-        for i in range(2):
-            weight = weight * profile(self.offset[:, i], self.sides[i], deviation)
         limit = radius * (1 + 1e-12 if with_rim else 1 - 1e-12)
-        weight = np.where(self.squared <= limit**2, weight, 0.0)
-        return weight / integral_by_quadrature(self.sides, radius)
+        within = self.squared <= limit**2
+        weight = np.exp(-0.5 * (self.beside[within, 2] / deviation) ** 2)
+        for i in range(2):
+            weight *= profile(self.offset[within, i], self.sides[i], deviation)
+        weights = np.zeros(len(within))
+        weights[within] = weight / integral_by_quadrature(self.sides, radius)
+        return weights
 
 
 def around(photons, point, normal, edges):
