@@ -61,6 +61,8 @@ def gauss(n):
 
 def profile(x, side, deviation):
     """Mean of the normal density over a side around x."""
+    if side == 0.0:
+        return np.exp(-0.5 * (x / deviation) ** 2) / (np.sqrt(2.0 * np.pi) * deviation)
     if side < 0.1 * deviation:
         nodes, weights = gauss(8)
         z = (np.abs(x)[..., np.newaxis] + 0.5 * side * nodes) / deviation

@@ -33,6 +33,25 @@ def uniform_map(n, kind, seed=0):
     return flat_map(unit_square(n, kind, seed), n, well_spaced=kind == "halton")
 
 
+def endless_map(n, kind, seed=0, margin=0.6):
+    """1 W/m² of n photons over the unit square and copies of these around it, up to a margin.
+
+    Means over the square have no noise from photons that come and go at its border. Each seed
+    has a part of the sequence to itself.
+    """
+    xy = unit_square((seed + 1) * n, kind, seed)[-n:]
+    copies = np.concatenate([xy + [i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    copies = copies[(np.abs(copies - 0.5) <= 0.5 + margin).all(axis=1)]
+    return flat_map(copies, n, well_spaced=kind == "halton")
+
+
+def even_points(n, seed, side=1.0):
+    """A Fibonacci lattice, shifted at random, over a square in the middle of the unit square."""
+    i, shift = np.arange(n), np.random.default_rng(seed).random(2)
+    xy = np.column_stack([i / n, i * 0.5 * (np.sqrt(5.0) - 1.0)]) + shift
+    return plane(0.5 + side * (xy % 1.0 - 0.5))
+
+
 # Positions along x of photons that are even over u, for densities with a slope.
 _MAPS = {
     "exponential": lambda u: np.log1p(u * np.expm1(3.0)) / 3.0,
