@@ -78,17 +78,23 @@ class MetalRing:
         that met the wall twice: that stays beyond R √(1 - (height / 2R tan e)²) of the middle.
         """
         azimuth = np.linspace(-np.pi / 2, np.pi / 2, n_azimuths)[1:-1]
-        wall = self.radius * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
-        heading = -np.column_stack([np.cos(2 * azimuth), np.sin(2 * azimuth)])
-        return np.array([self._arriving(point - wall, heading, azimuth) for point in points])
+        heading = -np.array([np.cos(2 * azimuth), np.sin(2 * azimuth)])
+        # So many points at a time that what they need fits in a cache.
+        parts = np.array_split(points, len(points) * n_azimuths // 2**18 + 1)
+        return np.concatenate([self._arriving(some, heading, azimuth) for some in parts])
 
-    def _arriving(self, offset: Floats, heading: Floats, azimuth: Floats) -> float:
-        """Return the irradiance at one point, given its (n, 2) offsets from all of the wall."""
-        side = offset[:, 0] * heading[:, 1] - offset[:, 1] * heading[:, 0]
-        before = np.flatnonzero((side[:-1] > 0) != (side[1:] > 0))
-        share = side[before] / (side[before] - side[before + 1])
-        run = (offset * heading).sum(axis=1)
-        run = run[before] + share * (run[before + 1] - run[before])
+    def _arriving(self, points: Floats, heading: Floats, azimuth: Floats) -> Floats:
+        """Return the irradiance at points (m, 2), given the headings (2, n) of all azimuths."""
+        # The wall is at (cos a, sin a): across and along its headings, sin a and -cos a.
+        x, y = points.T[:, :, np.newaxis]
+        passed = x * heading[1] - y * heading[0] + self.radius * np.sin(azimuth)
+        point, before = np.nonzero((passed[:, :-1] > 0) != (passed[:, 1:] > 0))
+        first, last = passed[point, before], passed[point, before + 1]
+        share = first / (first - last)
+        ends = np.array([before, before + 1])
+        run = (points[point].T[:, np.newaxis] * heading[:, ends]).sum(axis=0)
+        run += self.radius * np.cos(azimuth[ends])
+        run = run[0] + share * (run[1] - run[0])
         cosine = np.cos(azimuth[before] + share * (azimuth[1] - azimuth[0]))
         left = run * np.tan(self.elevation)
         top = self.gap + self.height
@@ -97,7 +103,7 @@ class MetalRing:
         spread = np.abs(1 - 2 * run[lit] / (self.radius * cosine[lit]))
         falling = self.irradiance * np.sin(self.elevation)
         with np.errstate(divide="ignore"):
-            return float((self.reflectance * falling / spread).sum())
+            return np.bincount(point[lit], self.reflectance * falling / spread, len(points))
 
     def lit_flux(self) -> float:
         """Return the flux that the inner wall intercepts directly, W, by quadrature.

@@ -94,9 +94,11 @@ def _advanced(room, live, tally, rng):
     to_spheres = np.array([_distance_to_sphere(room, i, live) for i in range(len(room.shells))])
     sphere, to_ball = to_spheres.argmin(axis=0), to_spheres.min(axis=0)
     with np.errstate(divide="ignore"):
-        to_walls = (np.sign(live.way) - live.at) / live.way
-    axis = to_walls.argmin(axis=1)
-    to_wall = to_walls.min(axis=1)
+        to_walls = ((np.sign(live.way) - live.at) / live.way).T
+    axis = np.where(to_walls[1] < to_walls[0], 1, 0)
+    to_wall = np.minimum(to_walls[0], to_walls[1])
+    axis[to_walls[2] < to_wall] = 2
+    to_wall = np.minimum(to_wall, to_walls[2])
     hits_ball = to_ball < to_wall
     distance = np.minimum(to_ball, to_wall)[:, None]
     absorption = np.array([(0.0, 0.0, 0.0), *(shell.absorption for shell in room.shells)])
@@ -111,8 +113,8 @@ def _advanced(room, live, tally, rng):
 
 def _distance_to_sphere(room, sphere, live):
     away = live.at - room.centre
-    b = (away * live.way).sum(axis=1)
-    under = b**2 - (away**2).sum(axis=1) + room.shells[sphere].radius ** 2
+    b = _dots(away, live.way)
+    under = b**2 - _dots(away, away) + room.shells[sphere].radius ** 2
     root = np.sqrt(np.maximum(under, 0.0))
     near, far = -b - root, -b + root
     distance = np.where(live.depth > sphere, far, near)
@@ -129,7 +131,7 @@ def _refracted(room, live, sphere, rng):
     # Beyond a sphere lies what is around it, or what it holds.
     beyond = np.where(within, sphere, sphere + 1)
     eta = (iors[live.depth] / iors[beyond])[:, None]
-    cos_i = -(live.way * normal).sum(axis=1, keepdims=True)
+    cos_i = -_dots(live.way, normal)[:, None]
     squared = 1.0 - eta**2 * (1.0 - cos_i**2)
     cos_t = np.sqrt(np.maximum(squared, 0.0))
     s = (eta * cos_i - cos_t) / (eta * cos_i + cos_t)
@@ -139,7 +141,7 @@ def _refracted(room, live, sphere, rng):
     reflection = live.way + 2.0 * cos_i * normal
     refraction = eta * live.way + (eta * cos_i - cos_t) * normal
     way = np.where(reflects[:, None], reflection, refraction)
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    way /= np.sqrt(_dots(way, way))[:, None]
     depth = np.where(reflects, live.depth, beyond)
     return live._replace(way=way, depth=depth, n_specular=live.n_specular + 1)
 
@@ -148,16 +150,22 @@ def _scattered(room, live, side, tally, rng):
     """Count particles on walls; those that are not absorbed go on at random."""
     axis = side // 2
     kind = np.where(live.n_diffuse > 0, 2, np.where(live.n_specular > 0, 1, 0))
-    np.add.at(tally, (kind, side), live.flux)
+    for channel in range(3):
+        counted = np.bincount(6 * kind + side, live.flux[:, channel], minlength=18)
+        tally[:, :, channel] += counted.reshape(3, 6)
     flux = live.flux * room.albedos[side]
     # By roulette, what is left of the brightest channel.
-    chance = flux.max(axis=1) / live.flux.max(axis=1)
+    chance = np.maximum.reduce(flux.T) / np.maximum.reduce(live.flux.T)
     on = rng.random(len(chance)) < chance
     live, side, axis = live.some(on), side[on], axis[on]
     flux = flux[on] / chance[on][:, None]
     way = rng.normal(size=live.way.shape)
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    way /= np.sqrt(_dots(way, way))[:, None]
     # A point on the sphere that touches the wall has the cosine's density.
     way[np.arange(len(way)), axis] += np.where(side % 2, -1.0, 1.0)
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    way /= np.sqrt(_dots(way, way))[:, None]
     return live._replace(flux=flux, way=way, n_diffuse=live.n_diffuse + 1)
+
+
+def _dots(a, b):
+    return np.einsum("ij,ij->i", a, b)

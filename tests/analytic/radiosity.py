@@ -33,15 +33,16 @@ def squares(side, n):
 
 def form_factors(points, normal, corners):
     """Irradiance (m, k) at points (m, 3) of a normal from polygons (k, 4, 3) of 1 W/m²."""
-    towards = corners[None] - points[:, None, None]
-    towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+    towards = corners.transpose(2, 1, 0)[:, :, None] - points.T[:, None, :, None]
+    towards /= np.sqrt(np.square(towards).sum(axis=0))
     total = 0.0
     for i in range(4):
-        a, b = towards[:, :, i], towards[:, :, (i + 1) % 4]
-        across = np.cross(a, b)
-        sine = np.linalg.norm(across, axis=-1)
-        angle = np.arctan2(sine, (a * b).sum(axis=-1))
-        total = total + angle * (across @ normal) / sine
+        a, b = towards[:, i], towards[:, (i + 1) % 4]
+        # The product a × b, coordinate by coordinate.
+        across = np.array([a[j - 2] * b[j - 1] - a[j - 1] * b[j - 2] for j in range(3)])
+        sine = np.sqrt(np.square(across).sum(axis=0))
+        angle = np.arctan2(sine, (a * b).sum(axis=0))
+        total = total + angle * np.tensordot(normal, across, 1) / sine
     return np.abs(total) / (2.0 * np.pi)
 
 

@@ -192,7 +192,7 @@ def test_estimates_of_known_light_keep_the_bias_stated(light, start, low, high):
 @pytest.fixture(scope="module")
 def reflector():
     """Squared errors (1, points) of 1,000,000 photons on the scene's floor, by method."""
-    on = bench.floor(2_000_000)
+    on = bench.floor(1_000_000)
     return on, bench.errors(on, 1_000_000, "halton", range(1), passes=32, share=0.02)[0]
 
 

@@ -8,6 +8,7 @@ import gc
 import weakref
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -115,6 +116,7 @@ def test_constant_and_linear_fields_are_kept(method, profile, kind, lit_squares)
     np.testing.assert_allclose(ratio, lit / centres, rtol=tolerance)
 
 
+@cache
 def gain(method, kind, n, **how):
     """Energy estimated on a plane around a disc of light of radius 0.4, over its photons', - 1."""
     xy = unit_square(n, kind, seed=6)

@@ -5,7 +5,14 @@ import pytest
 
 import photonrelax as pr
 from tests.helpers.footprint_rule import around, radius_of, square
-from tests.helpers.photon_maps import flat_map, plane, uniform_map, unit_square
+from tests.helpers.photon_maps import (
+    endless_map,
+    even_points,
+    flat_map,
+    plane,
+    uniform_map,
+    unit_square,
+)
 
 REFINEMENTS = ("differential-checking", "bias-compensation")
 K_MIN, K = 15, 200
@@ -72,30 +79,49 @@ def step():
     return flat_map(xy, 20_000).replace(flux=flux), *plane(points)
 
 
+RADIUS = 0.034
+REACH = RADIUS * np.sqrt(K / K_MIN)
+
+
+def nearest(photons, point):
+    """Rows of the K nearest photons within reach, nearest first, and squared distances."""
+    squared = ((photons.position - point) ** 2).sum(axis=1)
+    near = np.flatnonzero(squared <= REACH**2)
+    order = near[np.argsort(squared[near])][:K]
+    return order, squared[order]
+
+
+@pytest.fixture(scope="module")
+def lists(step):
+    """Of each point the K nearest within reach, and the number chosen, None of too few."""
+    photons, points, _ = step
+    found = [nearest(photons, point) for point in points]
+
+    def number(refinement, order, squared):
+        if squared[K_MIN - 1] > RADIUS**2:
+            return None
+        return chosen(refinement, squared, photons.flux[order].mean(axis=1))
+
+    return {name: [(*one, number(name, *one)) for one in found] for name in REFINEMENTS}
+
+
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("refinement", REFINEMENTS)
-def test_estimates_equal_their_definition(refinement, kernel, step):
+def test_estimates_equal_their_definition(refinement, kernel, step, lists):
     """Also of lists cut short by the gather radius, and where that is the bandwidth itself."""
     photons, points, normals = step
-    radius = 0.034
-    reach = radius * np.sqrt(K / K_MIN)
-    settings = refined(refinement, kernel=kernel, gather_radius=radius)
+    settings = refined(refinement, kernel=kernel, gather_radius=RADIUS)
     estimates = pr.estimate_irradiance(photons, points, normals, settings)
     cases = {"all": 0, "fewer": 0, "too few": 0}
-    for point, estimate in zip(points, estimates, strict=True):
-        squared = ((photons.position - point) ** 2).sum(axis=1)
-        order = np.argsort(squared)[:K]
-        order = order[squared[order] <= reach**2]
-        near = squared[order]
-        if near[K_MIN - 1] > radius**2:
-            bandwidth, order = radius**2, order[near <= radius**2]
+    for (order, near, number), estimate in zip(lists[refinement], estimates, strict=True):
+        if number is None:
+            bandwidth, used = RADIUS**2, (near <= RADIUS**2).sum()
             cases["too few"] += 1
         else:
-            number = chosen(refinement, near, photons.flux[order].mean(axis=1))
-            bandwidth, order = near[number - 1], order[: number - 1]
+            bandwidth, used = near[number - 1], number - 1
             cases["all" if len(near) == K else "fewer"] += 1
-        weight = KERNELS[kernel](squared[order] / bandwidth) / (np.pi * bandwidth)
-        np.testing.assert_allclose(estimate, weight @ photons.flux[order], rtol=1e-9)
+        weight = KERNELS[kernel](near[:used] / bandwidth) / (np.pi * bandwidth)
+        np.testing.assert_allclose(estimate, weight @ photons.flux[order[:used]], rtol=1e-9)
     assert min(cases.values()) >= 20, cases
 
 
@@ -108,14 +134,12 @@ def numbers(refinement, photons, points):
 
 @pytest.mark.many_photons
 @pytest.mark.parametrize("refinement", REFINEMENTS)
-def test_uniform_light_uses_nearly_all_photons(refinement, interior):
+def test_uniform_light_uses_nearly_all_photons(refinement):
     """And keeps its mean: what is chosen is chosen by chance, 0.9 % low at most (measured)."""
-    points, normals = interior
     used, means, noise = [], [], {K_MIN: [], K: [], refinement: []}
     for seed in range(4):
-        photons = uniform_map(100_000, "random", seed)
-        inside = (np.abs(photons.position[:, :2] - 0.5) < 0.35).all(axis=1).mean() / 0.7**2
-        used.append(numbers(refinement, photons, points[:500]).mean())
+        photons, (points, normals) = endless_map(10_000, "random", seed), even_points(2584, 1000 + seed)
+        used.append(numbers(refinement, photons, points[:2500:10]).mean())
         for name, settings in (
             (K_MIN, pr.GatherSettings(k=K_MIN)),
             (K, pr.GatherSettings(k=K)),
@@ -123,56 +147,50 @@ def test_uniform_light_uses_nearly_all_photons(refinement, interior):
         ):
             estimates = pr.estimate_irradiance(photons, points, normals, settings)[:, 0]
             noise[name].append(estimates.std())
-        means.append(estimates.mean() / inside)
+        means.append(estimates.mean())
     assert np.mean(used) > 0.85 * K
     assert np.mean(means) == pytest.approx(1.0, abs=0.012)
     assert np.mean(noise[refinement]) < 1.4 * np.mean(noise[K])
     assert np.mean(noise[refinement]) < 0.4 * np.mean(noise[K_MIN])
 
 
-@pytest.mark.parametrize("well_spaced", [False, True])
 @pytest.mark.parametrize("side", [0.0, 0.003, 0.02, 0.2])
 @pytest.mark.parametrize("refinement", REFINEMENTS)
 def test_means_over_footprints_are_of_the_numbers_chosen_at_their_points(
-    refinement, side, well_spaced, step
+    refinement, side, step, lists
 ):
     """Of the least number, within the gather radius, where that holds fewer photons."""
-    photons = step[0].replace(well_spaced=well_spaced)
-    points, normals = (array[:100] for array in step[1:])
-    radius = 0.034
-    reach = radius * np.sqrt(K / K_MIN)
-    field = pr.IrradianceField(photons, refined(refinement, gather_radius=radius))
-    found = field(points, normals, footprint=np.full(len(points), side))
-    for point, normal, mean in zip(points, normals, found, strict=True):
-        squared = ((photons.position - point) ** 2).sum(axis=1)
-        order = np.argsort(squared)[:K]
-        order = order[squared[order] <= reach**2]
-        k, largest = K_MIN, radius
-        if len(order) >= K_MIN and squared[order[K_MIN - 1]] <= radius**2:
-            k = chosen(refinement, squared[order], photons.flux[order].mean(axis=1))
-            largest = reach
-        seen = around(photons, point, normal, square(side))
+    photons, points, normals = step[0], step[1][:100], step[2][:100]
+    settings, footprint = refined(refinement, gather_radius=RADIUS), np.full(100, side)
+    random, spaced = (
+        pr.IrradianceField(photons.replace(well_spaced=well_spaced), settings)(
+            points, normals, footprint=footprint
+        )
+        for well_spaced in (False, True)
+    )
+    for i, (_, _, number) in enumerate(lists[refinement][:100]):
+        k, largest = (K_MIN, RADIUS) if number is None else (number, REACH)
+        seen = around(photons, points[i], normals[i], square(side))
         bandwidth, at_photon = radius_of(seen.squared, seen.sides, k, largest)
         expected = seen.weights(bandwidth, with_rim=not at_photon) @ photons.flux[seen.rows]
-        if well_spaced and bandwidth < largest:
+        np.testing.assert_allclose(random[i], expected, rtol=1e-9)
+        if bandwidth < largest:
             expected /= 1.0 - 0.32 * k**-1.35 * np.exp(-3.6 * side / bandwidth)
-        np.testing.assert_allclose(mean, expected, rtol=1e-9)
+        np.testing.assert_allclose(spaced[i], expected, rtol=1e-9)
 
 
 @pytest.mark.many_photons
 @pytest.mark.parametrize("kind", ["random", "halton"])
 @pytest.mark.parametrize("refinement", REFINEMENTS)
-def test_uniform_light_has_its_own_value_over_footprints(refinement, kind, interior):
+def test_uniform_light_has_its_own_value_over_footprints(refinement, kind):
     """But for what is chosen by chance, as at points."""
-    points, normals = (array[:2000] for array in interior)
     means = np.empty((4, 4))
     for seed, row in enumerate(means):
-        photons = uniform_map(100_000, kind, seed)
-        inside = (np.abs(photons.position[:, :2] - 0.5) < 0.35).all(axis=1).mean() / 0.7**2
-        field = pr.IrradianceField(photons, refined(refinement))
+        field = pr.IrradianceField(endless_map(10_000, kind, seed), refined(refinement))
+        points, normals = even_points(610, 1000 + seed)
         for i, size in enumerate((0.1, 1.0, 10.0, 100.0)):
-            footprint = np.full(2000, np.sqrt(size / 100_000))
-            row[i] = field(points, normals, footprint=footprint)[:, 0].mean() / inside
+            footprint = np.full(len(points), np.sqrt(size / 10_000))
+            row[i] = field(points, normals, footprint=footprint)[:, 0].mean()
     np.testing.assert_allclose(means.mean(axis=0), 1.0, atol=0.012)
 
 

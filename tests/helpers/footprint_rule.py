@@ -61,6 +61,8 @@ def gauss(n):
 
 def profile(x, side, deviation):
     """Mean of the normal density over a side around x."""
+    if side == 0.0:
+        return np.exp(-0.5 * (x / deviation) ** 2) / (np.sqrt(2.0 * np.pi) * deviation)
     if side < 0.1 * deviation:
         nodes, weights = gauss(8)
         z = (np.abs(x)[..., np.newaxis] + 0.5 * side * nodes) / deviation
@@ -132,12 +134,14 @@ class Around(NamedTuple):
     def weights(self, radius, with_rim=True):
         """Weights of a radius, whose photons on the rim count or do not."""
         deviation = DEVIATION * radius
-        weight = np.exp(-0.5 * (self.beside[:, 2] / deviation) ** 2)
-        for i in range(2):
-            weight = weight * profile(self.offset[:, i], self.sides[i], deviation)
         limit = radius * (1 + 1e-12 if with_rim else 1 - 1e-12)
-        weight = np.where(self.squared <= limit**2, weight, 0.0)
-        return weight / integral_by_quadrature(self.sides, radius)
+        within = self.squared <= limit**2
+        weight = np.exp(-0.5 * (self.beside[within, 2] / deviation) ** 2)
+        for i in range(2):
+            weight *= profile(self.offset[within, i], self.sides[i], deviation)
+        weights = np.zeros(len(within))
+        weights[within] = weight / integral_by_quadrature(self.sides, radius)
+        return weights
 
 
 def around(photons, point, normal, edges):

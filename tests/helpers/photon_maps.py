@@ -6,12 +6,13 @@ from scipy.stats import qmc
 import photonrelax as pr
 
 
-def unit_square(n, kind, seed=0):
-    """Points of the unit square: independent, or along a randomly shifted Halton sequence."""
+def unit_square(n, kind, seed=0, start=0):
+    """Points of the unit square: independent, or of a randomly shifted Halton sequence."""
     rng = np.random.default_rng(seed)
     if kind == "random":
         return rng.random((n, 2))
-    return (qmc.Halton(2, scramble=False).random(n) + rng.random(2)) % 1.0
+    sequence = qmc.Halton(2, scramble=False).fast_forward(start)
+    return (sequence.random(n) + rng.random(2)) % 1.0
 
 
 def flat_map(xy, n_emitted, coords=None, **fields):
@@ -31,6 +32,31 @@ def flat_map(xy, n_emitted, coords=None, **fields):
 def uniform_map(n, kind, seed=0):
     """1 W/m² over the unit square."""
     return flat_map(unit_square(n, kind, seed), n, well_spaced=kind == "halton")
+
+
+def endless_map(n, kind, seed=0, margin=0.6):
+    """1 W/m² of n photons over the unit square and copies of these around it, up to a margin.
+
+    Means over the square have no noise from photons that come and go at its border. Each seed
+    has a part of the sequence to itself.
+    """
+    xy = unit_square(n, kind, seed, start=seed * n)
+    copies = np.concatenate([xy + [i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    copies = copies[(np.abs(copies - 0.5) <= 0.5 + margin).all(axis=1)]
+    return flat_map(copies, n, well_spaced=kind == "halton")
+
+
+def even_points(n, seed, side=1.0):
+    """A Fibonacci lattice, shifted at random, over a square in the middle of the unit square."""
+    i, shift = np.arange(n), np.random.default_rng(seed).random(2)
+    xy = np.column_stack([i / n, i * 0.5 * (np.sqrt(5.0) - 1.0)]) + shift
+    return plane(0.5 + side * (xy % 1.0 - 0.5))
+
+
+def mean_irradiance(photons, side=1.0):
+    """That of the first channel of the photons on a square in the middle of the unit square."""
+    inside = (np.abs(photons.position[:, :2] - 0.5) < 0.5 * side).all(axis=1)
+    return photons.flux[inside, 0].sum() / side**2
 
 
 # Positions along x of photons that are even over u, for densities with a slope.

@@ -21,7 +21,7 @@ GLASS = Room(
 # A ball of glass whose hollow is full of a tinted liquid.
 LIQUID = GLASS._replace(shells=[Shell(0.4, 1.5), Shell(0.3, 1.33, (0.1, 0.5, 1.5))])
 # Points of a wall along a side.
-N_POINTS = 80
+N_POINTS = 40
 
 
 def glass_ball(room):
@@ -95,7 +95,7 @@ def test_direct_light(scene, counted):
 def test_caustics_on_the_floor(scene, counted, sides):
     """Too little light of the ball is on other walls to be counted well."""
     exact, doubt = counted["caustic"]
-    photons = pr.trace_photons(scene, 200_000)
+    photons = pr.trace_photons(scene, 60_000)
     found = pr.irradiance_field(photons, scene=scene)(*points_of_wall(FLOOR), footprint=sides)
     assert doubt[FLOOR].max() <= 0.007
     np.testing.assert_allclose(found.mean(axis=0), exact[FLOOR], rtol=0.02)

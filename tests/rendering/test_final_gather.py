@@ -39,8 +39,8 @@ def exact():
 
 def rendered(objects=(), camera=CAMERA, **options):
     scene = pr.Scene([*coloured_walls(ALBEDOS), *objects], [pr.PointEmitter(LAMP, POWER)], camera)
-    options = {"n_emitted": 20_000, "n_global": 20_000, "supersampling": 1, **options}
-    return pr.render(scene, **options).layers["indirect"]
+    options = {"n_global": 20_000, "supersampling": 1, **options}
+    return pr.render(scene, components=("indirect",), **options).layers["indirect"]
 
 
 @pytest.mark.many_photons
@@ -59,9 +59,7 @@ def test_corners_and_glass_are_as_without_it():
         pr.SceneObject(ball(0.3, [-0.5, -0.5, -0.6]), pr.Mirror(), smooth=True),
     ]
     found, gathered = (
-        rendered(objects, SMALL, final_gather=n, n_emitted=50_000, n_global=50_000).mean(
-            axis=(0, 1)
-        )
+        rendered(objects, SMALL, final_gather=n, n_global=50_000).mean(axis=(0, 1))
         for n in (0, 16)
     )
     np.testing.assert_allclose(gathered, found, rtol=0.03)

@@ -33,6 +33,6 @@ def test_all_is_as_bright_as_the_background(objects):
     size = dict.fromkeys(("width", "height"), N_PIXELS)
     camera = pr.Camera((middle, -6, 1), (middle, 0, 0), vertical_fov=35.0, **size)
     scene = pr.Scene(objects, [pr.EnvironmentEmitter(RADIANCE)], camera)
-    image = pr.render(scene, n_emitted=400_000, n_global=400_000, max_depth=32)
+    image = pr.render(scene, n_emitted=150_000, n_global=150_000, max_depth=32)
     blocks = image.layers["radiance"].reshape(4, 16, 4, 16, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(blocks, np.broadcast_to(RADIANCE, blocks.shape), rtol=0.01)

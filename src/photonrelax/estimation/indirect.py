@@ -133,8 +133,10 @@ def _means(
     field.surface = surface
     some = photons.subset(np.arange(0, len(photons), max(settings.k // _ESTIMATES, 1)))
     at = some.position, some.normal
-    values = np.column_stack([field(*at), np.ones(len(some))])
-    area = 1.0 / field.densities(np.ones((len(photons), 1)))(*at)
+    carried = np.column_stack([photons.flux, np.ones(len(photons))])
+    values = field.densities(carried)(*at)
+    area = 1.0 / values[:, 3:]
+    values[:, 3] = 1.0
     radius = field.settings.gather_radius
     nearest = GatherSettings(k=_NEAREST, gather_radius=radius)
     means = IrradianceField(some.replace(well_spaced=False), nearest, n_threads=n_threads)
