@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from time import process_time
 
 import numpy as np
@@ -14,15 +14,15 @@ import photonrelax as pr
 from bench.arguments import numbers
 from bench.markdown import markdown_table
 from photonrelax.gallery.solids import ball, cuboid
-from photonrelax.transport.direct_light import LightSamples, direct_irradiance
+from photonrelax.transport.direct_light import Lights, LightSamples
 from photonrelax.transport.raycast import RayCaster
 
 Floats = NDArray[np.float64]
 
 # Size of the room and height of its lamps, m; power of all lamps, W, or irradiance of beams, W/m².
 _ROOM, _HEIGHT, _POWER, _IRRADIANCE = (4.0, 4.0, 2.5), 2.4, 60.0, 4.0
-# Lamps that are summed at once for the noise of others, and estimates at each point.
-_GROUP, _ESTIMATES = 32, 32
+# Estimates at each point.
+_ESTIMATES = 32
 
 
 def point(at: Floats, power: Floats, aim: Floats) -> pr.PointEmitter:
@@ -122,21 +122,27 @@ def noise(kind: Callable[..., pr.Emitter], options: argparse.Namespace) -> list[
     xy = np.random.default_rng(0).uniform(-1.9, 1.9, (options.points, 2))
     at = np.column_stack([xy, np.zeros(len(xy))]), np.tile([0.0, 0.0, 1.0], (len(xy), 1))
     exact, unoccluded = summed(scene, scene.objects, at), summed(scene, scene.objects[:1], at)
-    caster = RayCaster(scene.surfaces)
+    lights = Lights(scene, RayCaster(scene.surfaces))
     errors = [
-        direct_irradiance(scene, caster, *at, samples=LightSamples(64, seed)).mean(axis=1) - exact
+        lights.irradiance(*at, samples=LightSamples(options.rays, seed)).mean(axis=1) - exact
         for seed in range(_ESTIMATES)
     ]
     relative = np.sqrt(np.square(errors).mean(axis=0)) / unoccluded
     return [float(each) for each in (relative.mean(), np.quantile(relative, 0.95), relative.max())]
 
 
-def summed(scene: pr.Scene, objects: list[pr.SceneObject], at: tuple[Floats, Floats]) -> Floats:
+def summed(scene: pr.Scene, objects: Sequence[pr.SceneObject], at: tuple[Floats, Floats]) -> Floats:
     """Mean over channels (points,) of the irradiance from all lamps, each with a ray."""
-    total = np.zeros(len(at[0]))
-    for first in range(0, len(scene.emitters), _GROUP):
-        some = pr.Scene(objects, scene.emitters[first : first + _GROUP])
-        total += direct_irradiance(some, RayCaster(some.surfaces), *at).mean(axis=1)
+    (position, normal), caster = at, RayCaster(objects)
+    step = caster.resolution.at(position)[:, np.newaxis] * normal
+    total = np.zeros(len(position))
+    for emitter, offset in zip(scene.emitters, scene.emitter_offsets, strict=True):
+        light = emitter.direct(position, float(offset))
+        cosine = np.einsum("ni,ni->n", light.direction, normal)
+        rows = np.flatnonzero((cosine > 0.0) & light.irradiance.any(axis=1))
+        rays = position[rows], light.direction[rows], light.distance[rows] - offset
+        rows = rows[~caster.occluded(*rays, origin_offset=step[rows])]
+        total[rows] += cosine[rows] * light.irradiance[rows].mean(axis=1)
     return total
 
 
@@ -146,6 +152,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pixels", type=int, default=600)
     parser.add_argument("--photons", type=lambda text: int(float(text)), default=1_000_000)
     parser.add_argument("--points", type=int, default=200)
+    parser.add_argument("--rays", type=int, default=64, help="of a pixel, default 64")
 
 
 def run(options: argparse.Namespace) -> None:
