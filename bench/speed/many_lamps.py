@@ -14,7 +14,7 @@ import photonrelax as pr
 from bench.arguments import numbers
 from bench.markdown import markdown_table
 from photonrelax.gallery.solids import ball, cuboid
-from photonrelax.transport.direct_light import Lights, LightSamples
+from photonrelax.transport.direct_light import Lights, LightSamples, default_light_samples
 from photonrelax.transport.raycast import RayCaster
 
 Floats = NDArray[np.float64]
@@ -23,6 +23,7 @@ Floats = NDArray[np.float64]
 _ROOM, _HEIGHT, _POWER, _IRRADIANCE = (4.0, 4.0, 2.5), 2.4, 60.0, 4.0
 # Estimates at each point.
 _ESTIMATES = 32
+_TABLES = ("times", "noise")
 
 
 def point(at: Floats, power: Floats, aim: Floats) -> pr.PointEmitter:
@@ -122,9 +123,9 @@ def noise(kind: Callable[..., pr.Emitter], options: argparse.Namespace) -> list[
     xy = np.random.default_rng(0).uniform(-1.9, 1.9, (options.points, 2))
     at = np.column_stack([xy, np.zeros(len(xy))]), np.tile([0.0, 0.0, 1.0], (len(xy), 1))
     exact, unoccluded = summed(scene, scene.objects, at), summed(scene, scene.objects[:1], at)
-    lights = Lights(scene, RayCaster(scene.surfaces))
+    lights, n = Lights(scene, RayCaster(scene.surfaces)), default_light_samples(scene, 1)
     errors = [
-        lights.irradiance(*at, samples=LightSamples(options.rays, seed)).mean(axis=1) - exact
+        lights.irradiance(*at, samples=LightSamples(n, seed)).mean(axis=1) - exact
         for seed in range(_ESTIMATES)
     ]
     relative = np.sqrt(np.square(errors).mean(axis=0)) / unoccluded
@@ -152,11 +153,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pixels", type=int, default=600)
     parser.add_argument("--photons", type=lambda text: int(float(text)), default=1_000_000)
     parser.add_argument("--points", type=int, default=200)
-    parser.add_argument("--rays", type=int, default=64, help="of a pixel, default 64")
+    parser.add_argument("--tables", nargs="+", choices=_TABLES, default=_TABLES)
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print both tables."""
+    """Print the tables."""
+    if "times" in options.tables:
+        print_times(options)
+    if "noise" in options.tables:
+        print_noise(options)
+
+
+def print_times(options: argparse.Namespace) -> None:
+    """Print the table of times."""
     found = [times(n, options) for n in options.lamps]
     rows = [
         [part, *(f"{each[part]:.1f}" for each in found), f"{found[-1][part] / found[0][part]:.2f}"]
@@ -164,6 +173,10 @@ def run(options: argparse.Namespace) -> None:
     ]
     titles = ["processor seconds", *(f"{n:,}" for n in options.lamps), "last over first"]
     print(markdown_table(titles, rows), end="\n\n", flush=True)
+
+
+def print_noise(options: argparse.Namespace) -> None:
+    """Print the table of noise, of the most lamps."""
     rows = [
         [name, *(f"{100 * error:.1f} %" for error in noise(kind, options))]
         for name, kind in KINDS.items()
