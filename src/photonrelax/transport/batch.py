@@ -102,8 +102,9 @@ class TraceContext:
         self.materials = Materials(scene.material_table())
         self.sensors = sensor_casters(scene) if settings.sensors else []
         if not (self.materials.diffuse[: len(scene.objects)].any() or self.sensors):
+            what = "a Diffuse object" + (" or a Sensor" if settings.sensors else "")
             raise ValueError(
-                "scene should have a Diffuse object to store photons on, or a Sensor, "
+                f"scene should have {what} to store photons on, "
                 f"but none of its {len(scene.objects)} objects is"
             )
         self.scene, self.plan, self.settings, self.size = scene, plan, settings, size
