@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from time import process_time
 
 import numpy as np
@@ -14,15 +14,16 @@ import photonrelax as pr
 from bench.arguments import numbers
 from bench.markdown import markdown_table
 from photonrelax.gallery.solids import ball, cuboid
-from photonrelax.transport.direct_light import LightSamples, direct_irradiance
+from photonrelax.transport.direct_light import Lights, LightSamples, default_light_samples
 from photonrelax.transport.raycast import RayCaster
 
 Floats = NDArray[np.float64]
 
 # Size of the room and height of its lamps, m; power of all lamps, W, or irradiance of beams, W/m².
 _ROOM, _HEIGHT, _POWER, _IRRADIANCE = (4.0, 4.0, 2.5), 2.4, 60.0, 4.0
-# Lamps that are summed at once for the noise of others, and estimates at each point.
-_GROUP, _ESTIMATES = 32, 32
+# Estimates at each point.
+_ESTIMATES = 32
+_TABLES = ("times", "noise")
 
 
 def point(at: Floats, power: Floats, aim: Floats) -> pr.PointEmitter:
@@ -122,21 +123,27 @@ def noise(kind: Callable[..., pr.Emitter], options: argparse.Namespace) -> list[
     xy = np.random.default_rng(0).uniform(-1.9, 1.9, (options.points, 2))
     at = np.column_stack([xy, np.zeros(len(xy))]), np.tile([0.0, 0.0, 1.0], (len(xy), 1))
     exact, unoccluded = summed(scene, scene.objects, at), summed(scene, scene.objects[:1], at)
-    caster = RayCaster(scene.surfaces)
+    lights, n = Lights(scene, RayCaster(scene.surfaces)), default_light_samples(scene, 1)
     errors = [
-        direct_irradiance(scene, caster, *at, samples=LightSamples(64, seed)).mean(axis=1) - exact
+        lights.irradiance(*at, samples=LightSamples(n, seed)).mean(axis=1) - exact
         for seed in range(_ESTIMATES)
     ]
     relative = np.sqrt(np.square(errors).mean(axis=0)) / unoccluded
     return [float(each) for each in (relative.mean(), np.quantile(relative, 0.95), relative.max())]
 
 
-def summed(scene: pr.Scene, objects: list[pr.SceneObject], at: tuple[Floats, Floats]) -> Floats:
+def summed(scene: pr.Scene, objects: Sequence[pr.SceneObject], at: tuple[Floats, Floats]) -> Floats:
     """Mean over channels (points,) of the irradiance from all lamps, each with a ray."""
-    total = np.zeros(len(at[0]))
-    for first in range(0, len(scene.emitters), _GROUP):
-        some = pr.Scene(objects, scene.emitters[first : first + _GROUP])
-        total += direct_irradiance(some, RayCaster(some.surfaces), *at).mean(axis=1)
+    (position, normal), caster = at, RayCaster(objects)
+    step = caster.resolution.at(position)[:, np.newaxis] * normal
+    total = np.zeros(len(position))
+    for emitter, offset in zip(scene.emitters, scene.emitter_offsets, strict=True):
+        light = emitter.direct(position, float(offset))
+        cosine = np.einsum("ni,ni->n", light.direction, normal)
+        rows = np.flatnonzero((cosine > 0.0) & light.irradiance.any(axis=1))
+        rays = position[rows], light.direction[rows], light.distance[rows] - offset
+        rows = rows[~caster.occluded(*rays, origin_offset=step[rows])]
+        total[rows] += cosine[rows] * light.irradiance[rows].mean(axis=1)
     return total
 
 
@@ -146,10 +153,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pixels", type=int, default=600)
     parser.add_argument("--photons", type=lambda text: int(float(text)), default=1_000_000)
     parser.add_argument("--points", type=int, default=200)
+    parser.add_argument("--tables", nargs="+", choices=_TABLES, default=_TABLES)
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print both tables."""
+    """Print the tables."""
+    if "times" in options.tables:
+        print_times(options)
+    if "noise" in options.tables:
+        print_noise(options)
+
+
+def print_times(options: argparse.Namespace) -> None:
+    """Print the table of times."""
     found = [times(n, options) for n in options.lamps]
     rows = [
         [part, *(f"{each[part]:.1f}" for each in found), f"{found[-1][part] / found[0][part]:.2f}"]
@@ -157,6 +173,10 @@ def run(options: argparse.Namespace) -> None:
     ]
     titles = ["processor seconds", *(f"{n:,}" for n in options.lamps), "last over first"]
     print(markdown_table(titles, rows), end="\n\n", flush=True)
+
+
+def print_noise(options: argparse.Namespace) -> None:
+    """Print the table of noise, of the most lamps."""
     rows = [
         [name, *(f"{100 * error:.1f} %" for error in noise(kind, options))]
         for name, kind in KINDS.items()

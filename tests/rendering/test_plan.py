@@ -33,6 +33,16 @@ def test_glass_above_a_floor_has_caustics():
     assert planned.n_emitted == 5000
 
 
+def test_glass_and_mirrors_alone_have_no_caustics():
+    """As in a white furnace: what is seen is the background, through glass too."""
+    camera = pr.Camera((0.0, -3.0, 1.0), (0.0, 0.0, 1.0), width=8, height=8)
+    objects = [glass_ball(), pr.SceneObject(sheet(1.0), pr.Sensor())]
+    scene = pr.Scene(objects, [pr.EnvironmentEmitter(0.5)], camera)
+    assert "Diffuse" in reasons(scene)["caustic"]
+    radiance = pr.render(scene).layers["radiance"]
+    np.testing.assert_allclose(radiance.mean(), 0.5, rtol=0.01)
+
+
 def test_black_surfaces_scatter_no_light():
     assert "reflects" in reasons(pr.Scene([enclosure(0.0)], [LAMP]))["indirect"]
 

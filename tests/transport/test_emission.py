@@ -269,3 +269,33 @@ def test_photons_are_shared_in_proportion_to_luminance():
 def test_errors_name_the_argument(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+class Counted(pr.PointEmitter):
+    """A point that counts the regions that are asked of it."""
+
+    n_asked = 0
+
+    def emission_region(self, *towards):
+        type(self).n_asked += 1
+        return super().emission_region(*towards)
+
+
+def test_stages_of_a_render_share_the_regions_of_emitters():
+    lit = pr.Scene([ball(), floor(10.0)], [Counted(near(0, 0, 2.0 + i)) for i in range(5)])
+    for paths in ("caustic", "global"):
+        pr.trace_photons(lit, 2000, paths=paths)
+    n_asked = Counted.n_asked
+    plans = [plan_emission(lit, n, "global", seed=seed) for seed, n in enumerate((100, 2000))]
+    pr.trace_photons(lit, 3000, paths="caustic", seed=1)
+    assert Counted.n_asked == n_asked
+    assert plans[0].regions[3] is plans[1].regions[3]
+
+
+def test_offsets_of_emitters_are_those_of_each():
+    surface = pr.AreaEmitter(pr.Disk((3.0, 0.0, 5.0), (0, 0, -1), 0.5), radiance=1.0)
+    points = [pr.PointEmitter(near(0, 0, 10.0**i)) for i in range(4)]
+    lit = scene(points[0], pr.CollimatedEmitter((0, 0, -1)), surface, *points[1:])
+    offsets = [lit.emitter_offset(emitter) for emitter in lit.emitters]
+    np.testing.assert_array_equal(lit.emitter_offsets, offsets)
+    assert len(set(offsets)) == 6

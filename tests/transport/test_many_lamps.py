@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 import photonrelax as pr
+from photonrelax.scene.lamps import LampTable
 from photonrelax.transport.direct_light import (
     LightSamples,
     default_light_samples,
     direct_irradiance,
 )
+from photonrelax.transport.light_tree import light_tree
 from photonrelax.transport.raycast import RayCaster
 from tests.helpers.tracing_scenes import box, floor
 
@@ -125,6 +127,16 @@ def test_noise_is_less_than_that_of_independent_samples_by_power(kind, rng):
     assert many < 0.25 * by_power / np.sqrt(96)
 
 
+def test_neighbours_in_a_tree_are_near_one_another(rng):
+    """Leaves of a square grid of lamps are squares, each beside or aslant of the one before."""
+    side, leaf = 32, 4
+    cell = np.stack(np.divmod(rng.permutation(side**2), side), axis=1)
+    lamps = LampTable.of(pr.PointEmitter((*xy, 2.0)) for xy in cell)
+    way = light_tree(lamps, np.zeros(len(lamps)))[1].position[:, :2]
+    middles = way.reshape(-1, leaf**2, 2).mean(axis=1)
+    assert np.abs(np.diff(middles, axis=0)).max() == leaf
+
+
 @pytest.mark.parametrize("kind", [points, cosine_lobes, spots, beams])
 def test_lamps_that_are_alike_have_no_noise(kind, rng):
     """So what kernels evaluate is the light of the emitter, in its cone and out of it."""
@@ -188,7 +200,8 @@ def test_few_lamps_are_summed_and_emitters_without_a_record_always(rng):
         scene = lit(emitters)
         np.testing.assert_allclose(light(scene, at, 1), summed(scene, at), rtol=1e-12, atol=1e-15)
         assert default_light_samples(scene, 4) == 1
-    assert default_light_samples(lit(points(33, rng)), 4) == 16
+    assert default_light_samples(lit(points(33, rng)), 4) == 12
+    assert default_light_samples(lit(beams(33, rng)), 4) == 16
 
 
 def test_pixels_of_a_room_have_noise_below_two_per_cent(rng):
@@ -217,6 +230,6 @@ def test_settings_name_the_samples(rng):
         [floor()], points(200, rng), pr.Camera((0, -3, 2), (0, 0, 0), width=8, height=8)
     )
     image = pr.render(scene, components=("direct",))
-    assert '"light_samples": 16' in image.metadata["photonrelax.settings"]
+    assert '"light_samples": 12' in image.metadata["photonrelax.settings"]
     image = pr.render(scene, components=("direct",), light_samples=3)
     assert '"light_samples": 3' in image.metadata["photonrelax.settings"]

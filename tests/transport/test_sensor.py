@@ -286,7 +286,7 @@ def test_no_photons_are_stored_on_sensors_unless_asked_for():
     assert_same_photons(photons, pr.trace_photons(scene, 5000))
     assert photons.sensor_ids is None
     only = pr.Scene([scene.objects[1], plane(0.0)], [DOWN])
-    with pytest.raises(ValueError, match="should have a Diffuse object"):
+    with pytest.raises(ValueError, match="should have a Diffuse object to store photons on, but"):
         pr.trace_photons(only, 5000, sensors=False)
 
 

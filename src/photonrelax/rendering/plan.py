@@ -157,6 +157,8 @@ def _caustic(
     n = len(scene.specular_objects)
     if n == 0:
         return Part("caustic", False, "no object is a Mirror or Dielectric")
+    if not any(item.material.row().kind == "diffuse" for item in scene.objects):
+        return Part("caustic", False, "no object is Diffuse, on which light would be seen")
     if _is_own_light(scene) and not stored_per_path(scene, "caustic", caster, n_threads):
         reason = "of a few thousand paths none returns to the Mirror or Dielectric that emits it"
         return Part("caustic", False, reason)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ DISK, CAP, SPHERE, ELLIPSE, SPOT, SUN, AREA = range(7)
 
 # Rays start this fraction of the scene's radius before its bounding sphere.
 _CLEARANCE = 1e-3
+_AXES = np.eye(3)
 # Cosine between the normals of faces of one plane, at least.
 _FLAT = 1.0 - 1e-9
 
@@ -418,14 +420,19 @@ def _half_azimuth(cap: float, tilt: float, last: float) -> float:
 
 def start_distance(position: Floats, scene: Sphere, emitter_offset: float) -> float:
     """Return a length of rays from a point on which they meet nothing: the offset at least."""
-    distance = float(np.linalg.norm(scene.centre - position))
+    distance = _length(scene.centre - position)
     return max(distance - (1.0 + _CLEARANCE) * scene.radius, 0.0, emitter_offset)
 
 
 def _towards(centre: Floats, position: Floats) -> tuple[Floats, float]:
     offset = centre - position
-    distance = float(np.linalg.norm(offset))
+    distance = _length(offset)
     return (offset / distance if distance > 0.0 else offset), distance
+
+
+def _length(vector: Floats) -> float:
+    """Length as of np.linalg.norm, which takes far longer; lights may be many."""
+    return math.sqrt(vector.dot(vector))
 
 
 def _half_angle(radius: float, distance: float) -> tuple[float, float]:
@@ -438,9 +445,10 @@ def _frame(w: Floats, aside: Floats | None = None) -> Floats:
     """Return right-handed unit rows u, v, w, with u along `aside` where that has a length."""
     if aside is None or not aside.any():
         # The axis least along w.
-        aside = np.eye(3)[np.abs(w).argmin()]
+        aside = _AXES[np.abs(w).argmin()]
     u = aside - (aside @ w) * w
-    u /= np.linalg.norm(u)
+    u /= _length(u)
     # A product as of np.cross, which takes far longer; lights may be many.
-    v = [w[i - 2] * u[i - 1] - w[i - 1] * u[i - 2] for i in range(3)]
+    a, b = w.tolist(), u.tolist()
+    v = [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
     return np.array([u, v, w])

@@ -22,6 +22,7 @@ from .camera import Camera
 from .casters import MAX_GROUPS, Targets, bounding_sphere, group_spheres
 from .emission_region import Sphere
 from .emitters import Emitter
+from .lamps import LampTable
 from .materials import Material, MaterialTable
 from .meshes import check_mesh, nondegenerate_triangles, nondegenerate_vertices
 from .resolution import Resolution
@@ -201,6 +202,29 @@ class Scene:
             return _EMITTER_OFFSET * float(self.resolution.at(vertices).max())
         point = emitter.point
         return 0.0 if point is None else _EMITTER_OFFSET * float(self.resolution.at(point))
+
+    @cached_property
+    def emitter_offsets(self) -> Floats:
+        """The `emitter_offset` of each emitter, (n_emitters,)."""
+        # Of many points together: each alone takes far longer.
+        points = {
+            i: emitter.point
+            for i, emitter in enumerate(self.emitters)
+            if emitter.surface is None and emitter.point is not None
+        }
+        offsets = np.zeros(len(self.emitters))
+        if points:
+            at = np.array(list(points.values()))
+            offsets[list(points)] = _EMITTER_OFFSET * self.resolution.at(at)
+        for i, emitter in enumerate(self.emitters):
+            if emitter.surface is not None:
+                offsets[i] = self.emitter_offset(emitter)
+        return offsets
+
+    @cached_property
+    def lamps(self) -> LampTable:
+        """The lamps among the emitters that are not black."""
+        return LampTable.of(self.emitters)
 
     def bounding_sphere(self, object_ids: Iterable[int] | None = None) -> Sphere:
         """Return centre (3,) and radius of a sphere around surfaces, by default the visible ones.

@@ -67,6 +67,8 @@ def overlapped(regions: list[EmissionRegion]) -> list[Floats]:
     Centres are emitter coordinates, of disks with a third one of zero. That of a region which is
     clipped is the last, with a negative square: its photons lie within it.
     """
+    if len(regions) == 1 and regions[0].clip is None:
+        return [np.empty((0, 4))]
     table, radius, distance = _outlines(regions)
     overlaps = _overlaps(regions, radius, distance)
     within = table * [1.0, 1.0, 1.0, -1.0]

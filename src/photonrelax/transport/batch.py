@@ -20,7 +20,7 @@ from ..scene.dispersion import N_WAVELENGTHS, colour_table
 from ..scene.scene import Scene
 from ..scene.sky_map import LUMINANCE
 from .emission import PATHS, EmissionPlan
-from .media import MediaFinder, NestingFaults
+from .media import NestingFaults, media_at_emitters
 from .raycast import RayCaster
 from .sensors import sensor_casters, store_crossings
 
@@ -102,14 +102,14 @@ class TraceContext:
         self.materials = Materials(scene.material_table())
         self.sensors = sensor_casters(scene) if settings.sensors else []
         if not (self.materials.diffuse[: len(scene.objects)].any() or self.sensors):
+            what = "a Diffuse object" + (" or a Sensor" if settings.sensors else "")
             raise ValueError(
-                "scene should have a Diffuse object to store photons on, or a Sensor, "
+                f"scene should have {what} to store photons on, "
                 f"but none of its {len(scene.objects)} objects is"
             )
         self.scene, self.plan, self.settings, self.size = scene, plan, settings, size
         self.caster = caster or RayCaster(scene.surfaces)
-        finder = MediaFinder(scene, self.caster, self.materials)
-        self.media, self.faults = finder.at_emitters(), finder.faults
+        self.media, self.faults = media_at_emitters(scene, self.caster, self.materials)
         self.flux = plan.flux_per_photon
         self._along_curve = sum(len(item.mesh.faces) for item in scene.surfaces) > _MANY_FACES
         self.emissions = [plan.emission(region) for region in range(len(plan.aimed))]

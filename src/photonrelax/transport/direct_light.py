@@ -24,11 +24,11 @@ from .._ext.transport.materials import Materials
 from .._util.parallel import for_each_slice, thread_count
 from .._util.validation import Floats, float_array, unit_vectors
 from ..scene.emitters import DirectLight, Emitter
-from ..scene.lamps import PARALLEL, LampTable
+from ..scene.lamps import PARALLEL, SPOT, LampTable
 from ..scene.scene import Scene
 from .hidden import first_hits
 from .light_tree import light_tree
-from .media import Media, MediaFinder
+from .media import Media, media_at_emitters
 from .optics import beer_lambert
 from .raycast import RayCaster
 
@@ -39,8 +39,8 @@ _CHUNK = 32768
 # Samples of extended emitters are of other random numbers than their photons.
 _STREAM = 1 << 48
 # Shadow rays of a pixel by which its noise in a penumbra is below 2 %: to an extended emitter, and
-# to many lamps together.
-_RAYS_OF_PIXEL, _LAMPS_OF_PIXEL = 80, 64
+# to many lamps together. Spots and parallel light may have little in common with their neighbours.
+_RAYS_OF_PIXEL, _POINTS_OF_PIXEL, _BEAMS_OF_PIXEL = 80, 48, 64
 # Lamps up to which all are summed, and lamps for each sample: about as long takes their choice.
 _MOST_SUMMED, _SUMMED_PER_SAMPLE = 32, 2
 
@@ -65,8 +65,12 @@ class LightSamples(NamedTuple):
 
 def default_light_samples(scene: Scene, n_points: int) -> int:
     """Samples of light at each of n points in a pixel; 1 in scenes where none is sampled."""
-    is_extended = any(emitter.is_extended for emitter in scene.emitters)
-    n = -(-(_RAYS_OF_PIXEL if is_extended else _LAMPS_OF_PIXEL) // n_points)
+    of_pixel = _POINTS_OF_PIXEL
+    if any(emitter.is_extended for emitter in scene.emitters):
+        of_pixel = _RAYS_OF_PIXEL
+    elif np.isin(scene.lamps.kind, (SPOT, PARALLEL)).any():
+        of_pixel = _BEAMS_OF_PIXEL
+    n = -(-of_pixel // n_points)
     return n if samples_light(scene, n) else 1
 
 
@@ -86,7 +90,7 @@ def _are_many(n_lamps: int, n_samples: int) -> bool:
 
 def _lamp_groups(scene: Scene) -> list[LampTable]:
     """The lamps of a scene that are points, and those that are parallel light."""
-    lamps = LampTable.of(scene.emitters)
+    lamps = scene.lamps
     is_parallel = lamps.kind == PARALLEL
     return [lamps[~is_parallel], lamps[is_parallel]]
 
@@ -125,9 +129,10 @@ class Lights:
     def __init__(self, scene: Scene, caster: RayCaster) -> None:
         self._scene, self._caster = scene, caster
         self._materials = Materials(scene.material_table())
-        self._offset = np.array([scene.emitter_offset(emitter) for emitter in scene.emitters])
+        self._offset = scene.emitter_offsets
         self._media = self._media_at_emitters()
         self._absorption = np.array([self._materials.absorption_in(m) for m in self._media])
+        self._is_absorbed = bool(self._absorption.any())
         self._groups = [
             _LampGroup.of(lamps, self._offset)
             for lamps in _lamp_groups(scene)
@@ -140,7 +145,7 @@ class Lights:
         """Media at the emitters (n_emitters,), none where nothing follows from them."""
         if not (self._materials.table.absorption.any() or self._materials.has_hidden):
             return np.zeros(len(self._scene.emitters), dtype=np.uint64)
-        return MediaFinder(self._scene, self._caster, self._materials).at_emitters()
+        return media_at_emitters(self._scene, self._caster, self._materials)[0]
 
     def irradiance(
         self,
@@ -241,27 +246,26 @@ class Lights:
         n_samples: int = 1,
     ) -> None:
         """Add the mean irradiance of rays that are not occluded, to an emitter or to one each."""
-        occluded = self._occluded(rays, self._offset[emitter_id], self._media[emitter_id])
-        irradiance, absorption = rays.irradiance, self._absorption[emitter_id]
+        occluded = self._occluded(rays, emitter_id)
+        irradiance = rays.irradiance
         # No surface lies between: all of the way is in the medium at the emitter.
-        if absorption.any():
+        if self._is_absorbed:
+            absorption = self._absorption[emitter_id]
             irradiance *= beer_lambert(absorption, np.minimum(rays.distance, _FARTHEST))
         if n_samples > 1:
             irradiance /= n_samples
         add_unoccluded(total, rays.row, irradiance, occluded.view(np.uint8))
 
-    def _occluded(
-        self, rays: ShadowRays, offset: float | Floats, media: np.uint64 | Media
-    ) -> NDArray[np.bool_]:
-        """Mask (n,) of the shadow rays that meet a surface that is there."""
-        limit = rays.distance - offset
+    def _occluded(self, rays: ShadowRays, emitter_id: int | NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Mask (n,) of the shadow rays, to an emitter or one each, that meet a surface there."""
+        limit = rays.distance - self._offset[emitter_id]
         occluded = self._caster.occluded(
             rays.origin, rays.direction, limit, origin_offset=rays.origin_offset
         )
         if not self._materials.has_hidden:
             return occluded
         # The same medium rules all along an unoccluded ray, whatever else is entered and left.
-        starts = np.broadcast_to(media, len(limit))
+        starts = np.broadcast_to(self._media[emitter_id], len(limit))
         rows = np.flatnonzero(occluded & (starts != 0))
         if len(rows) == 0:
             return occluded

@@ -11,14 +11,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._ext.transport import emission as _kernel
 from .._util.parallel import thread_count
+from .._util.parcels import state_without_caches
 from .._util.validation import Floats, check_choice, check_seed, count
 from ..scene.emission_region import EmissionRegion, Sphere
 from ..scene.scene import Scene
@@ -40,6 +42,10 @@ _PER_REGION = 16
 _STARTS_EVERY = 1024
 # Emitters are fewer than two to this power.
 _EMITTER_BITS = 32
+
+_regions: WeakKeyDictionary[Scene, dict[tuple[str, bool], tuple[AimedRegion, ...]]] = (
+    WeakKeyDictionary()
+)
 
 
 class AimedRegion(NamedTuple):
@@ -95,12 +101,14 @@ class EmissionPlan:
     seed: int
     sampler: str
 
+    __getstate__ = state_without_caches
+
     @property
     def regions(self) -> tuple[EmissionRegion, ...]:
         """The regions alone."""
         return tuple(each.region for each in self.aimed)
 
-    @property
+    @cached_property
     def emitter_ids(self) -> NDArray[np.int64]:
         """The emitter of each region, (n_regions,)."""
         return np.array([each.emitter_id for each in self.aimed], dtype=np.int64)
@@ -116,13 +124,13 @@ class EmissionPlan:
         extended = [region.is_extended for region in self.regions]
         return np.unique(self.emitter_ids[extended]) if any(extended) else None
 
-    @property
+    @cached_property
     def flux_per_photon(self) -> Floats:
         """W carried by a photon of each region, (n_regions, 3); by the mean one of a map."""
         flux = np.array([each.region.flux for each in self.aimed])
         return flux / np.maximum(self.candidates, 1)[:, np.newaxis]
 
-    @property
+    @cached_property
     def flux(self) -> Floats:
         """W that each emitter sends out, (n_emitters, 3)."""
         ids = self.emitter_ids
@@ -358,13 +366,28 @@ def _empty_rays(aimed: AimedRegion, n: int) -> PrimalRays:
 
 
 def _aimed(scene: Scene, paths: str, n_emitted: int) -> tuple[AimedRegion, ...]:
-    """The regions of all emitters; one of each where photons are too few for more."""
+    """The regions of all emitters; one of each where photons are too few for more.
+
+    They are found once for a scene: emitters may be many, and so may the passes of a render.
+    """
     targets, around, whole = _targets(scene, paths)
-    if n_emitted < _PER_REGION * len(targets) * len(scene.emitters):
+    are_few = n_emitted < _PER_REGION * len(targets) * len(scene.emitters)
+    if are_few:
         targets = (around,)
+    known = _regions.setdefault(scene, {})
+    key = paths, are_few
+    if key not in known:
+        known[key] = _found(scene, targets, around, whole)
+    return known[key]
+
+
+def _found(
+    scene: Scene, targets: tuple[Sphere, ...], around: Sphere, whole: Sphere
+) -> tuple[AimedRegion, ...]:
     aimed = []
     for emitter_id, emitter in enumerate(scene.emitters):
-        regions = aimed_regions(emitter, targets, around, whole, scene.emitter_offset(emitter))
+        offset = float(scene.emitter_offsets[emitter_id])
+        regions = aimed_regions(emitter, targets, around, whole, offset)
         pairs = zip(regions, overlapped(regions), strict=True)
         aimed += [AimedRegion(emitter_id, number, *pair) for number, pair in enumerate(pairs)]
     return tuple(aimed)

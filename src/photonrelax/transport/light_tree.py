@@ -60,7 +60,10 @@ def _ends(starts: NDArray[np.intp], n: int) -> NDArray[np.intp]:
 
 
 def _order(lamps: LampTable, n_levels: int) -> NDArray[np.intp]:
-    """Order of lamps by halves, and halves of these, where positions and axes differ most."""
+    """Order of lamps by halves, and halves of these, where positions and axes differ most.
+
+    The halves of a part are so that the first is near the part before, as along a Hilbert curve.
+    """
     n, order = len(lamps), np.arange(len(lamps))
     extent = float(np.ptp(lamps.position, axis=0).max()) or 1.0
     points = np.hstack([lamps.position, _AXIS * extent * lamps.axis])
@@ -71,7 +74,32 @@ def _order(lamps: LampTable, n_levels: int) -> NDArray[np.intp]:
         widths = np.maximum.reduceat(at, starts) - np.minimum.reduceat(at, starts)
         widest = widths.argmax(axis=1)[part]
         order = order[np.lexsort((at[np.arange(n), widest], part))]
+        halves = _starts(n, 2 ** (level + 1))
+        middle = np.add.reduceat(points[order], halves) / np.diff(halves, append=n)[:, np.newaxis]
+        turned = _turned(middle[0::2], middle[1::2])[part]
+        mirrored = (starts + _ends(starts, n) - 1)[part] - np.arange(n)
+        order = order[np.where(turned, mirrored, np.arange(n))]
     return order
+
+
+def _turned(low: Floats, high: Floats) -> NDArray[np.bool_]:
+    """Mask (p,) of parts in sequence whose higher half comes first, by the middles of halves.
+
+    They are such that the way from half to half is short: by the half before and the next part.
+    """
+    after_high, after_low = (_detours(end[:-1], low[1:], high[1:]) for end in (high, low))
+    onwards = _detours(0.5 * (low + high)[1:], high[:-1], low[:-1])
+    turned = [False]
+    for detours in zip([0.0, *after_high], [0.0, *after_low], [*onwards, 0.0], strict=True):
+        turned.append(detours[turned[-1]] + detours[2] > 0.0)
+    return np.array(turned[1:])
+
+
+def _detours(points: Floats, one: Floats, other: Floats) -> list[float]:
+    """By how much points (p, d) are farther from ones than from others."""
+    to_one, to_other = (np.linalg.norm(points - each, axis=1) for each in (one, other))
+    detours: list[float] = (to_one - to_other).tolist()
+    return detours
 
 
 def _bounds(lamps: LampTable, starts: NDArray[np.intp]) -> Floats:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
-from weakref import WeakSet
+from weakref import WeakKeyDictionary, WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ _OVERFLOWED = (
     "absorption are wrong where that one alone is left. Nest objects less deeply."
 )
 _warned_of: WeakSet[Scene] = WeakSet()
+_at_emitters: WeakKeyDictionary[Scene, tuple[Media, list[NestingFaults]]] = WeakKeyDictionary()
 # Directions of the rays from emitters, along no edges of usual models.
 _PROBES = np.array([[0.413, 0.271, 0.869], [-0.782, 0.561, 0.271], [0.319, -0.847, -0.425]])
 
@@ -76,8 +77,8 @@ class MediaFinder:
     def _emitter_points(self) -> Floats:
         scene, whole = self._scene, self._scene.bounding_sphere()
         regions = [
-            emitter.emission_region(whole, whole, scene.emitter_offset(emitter))
-            for emitter in scene.emitters
+            emitter.emission_region(whole, whole, float(offset))
+            for emitter, offset in zip(scene.emitters, scene.emitter_offsets, strict=True)
         ]
         return np.array([r.origin + r.start_distance * r.frame[2] for r in regions])
 
@@ -147,6 +148,16 @@ class MediaFinder:
         lost, times = np.unique(self._ids[number[~kept]], return_counts=True)
         if len(lost):
             self.faults.append(np.column_stack([lost, np.zeros_like(times), times]))
+
+
+def media_at_emitters(
+    scene: Scene, caster: RayCaster, materials: Materials
+) -> tuple[Media, list[NestingFaults]]:
+    """Media at the emitters of a scene, and the faults of the rays that tell; found once for it."""
+    if scene not in _at_emitters:
+        finder = MediaFinder(scene, caster, materials)
+        _at_emitters[scene] = finder.at_emitters(), finder.faults
+    return _at_emitters[scene]
 
 
 def warn_of_faults(

@@ -17,7 +17,7 @@ from .._util.parallel import thread_executor
 from .._util.validation import Floats
 from .._util.workers import worker_map
 from ..scene.scene import Scene
-from .media import MediaFinder
+from .media import media_at_emitters
 from .raycast import RayCaster
 
 Signatures = NDArray[np.uint64]
@@ -190,8 +190,8 @@ class SplittingTracer:
                 "number as ior"
             )
         self._context = _Context(scene, least_throughput, caster=caster)
-        finder = MediaFinder(scene, self._context.caster, self._context.materials)
-        self._media = finder.at_emitters()
+        context = self._context
+        self._media = media_at_emitters(scene, context.caster, context.materials)[0]
         self._n_threads, self._executor = n_threads, executor
         self.n_rays = self.n_segments = 0
 

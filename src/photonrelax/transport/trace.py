@@ -440,7 +440,9 @@ def _ledger(plan: EmissionPlan, emitted: Floats, ledgers: list[BatchLedger]) -> 
     for region_id, batches in groupby(ledgers, lambda batch: batch.region_id):
         mine, emitter_id = list(batches), emitter_ids[region_id]
         blocks = np.concatenate([batch.energy for batch in mine]).reshape(-1, n_outcomes * 3)
-        energy = np.reshape([fsum(column) for column in blocks.T], (n_outcomes, 3))
+        # Most regions of many emitters have one block.
+        sums = blocks[0] if len(blocks) == 1 else [fsum(column) for column in blocks.T]
+        energy = np.reshape(sums, (n_outcomes, 3))
         totals[:, emitter_id] += energy * flux[region_id]
         ends[:, emitter_id] += np.sum([batch.ends for batch in mine], axis=0)
     return EnergyLedger(

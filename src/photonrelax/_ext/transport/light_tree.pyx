@@ -55,10 +55,9 @@ cdef double HIGHEST = 0.5
 cdef double TINY = 1e-300
 
 
-cdef struct Light:
-    # Unit vector to a lamp; its distance; irradiance on the surface over the lamp's intensity.
-    double[3] direction
-    double distance, relative
+cdef struct Leaf:
+    # Of each lamp: unit vector to it; its distance; irradiance on the surface over its intensity.
+    double[MAX_LEAF] x, y, z, distance, relative
 
 
 cdef struct Part:
@@ -85,9 +84,10 @@ cdef class LightTree:
         First lamp, and that after the last.
     """
     cdef readonly Py_ssize_t n_lamps
-    cdef bint is_parallel
+    cdef bint is_parallel, has_axes
     cdef const uint8_t[::1] kind
-    cdef const double[:, ::1] place, axis
+    cdef const double[:, ::1] place, axis, intensity
+    cdef const double[::1] brightness
     cdef const double[::1] inner, outer
     cdef const double[:, :, ::1] nodes
     cdef const int32_t[::1] child
@@ -98,39 +98,45 @@ cdef class LightTree:
         self.is_parallel = lamps.kind[0] == PARALLEL
         self.kind, self.axis = lamps.kind, lamps.axis
         self.inner, self.outer = lamps.inner, lamps.outer
-        # What is read of all lamps of a leaf, beside one another.
-        self.place = np.column_stack([lamps.position, offset, lamps.brightness, lamps.intensity])
+        self.has_axes = bool((lamps.kind != UNIFORM).any())
+        # By column, for vector instructions.
+        self.place = np.ascontiguousarray(np.column_stack([lamps.position, offset]).T)
+        self.intensity, self.brightness = lamps.intensity, lamps.brightness
         self.nodes, self.child, self.span = nodes, child, span
 
-    cdef void light(
-        self, Py_ssize_t lamp, const double* position, const double* normal, Light* out
+    cdef Py_ssize_t light(
+        self, int32_t node, const double* position, const double* normal, Leaf* out
     ) noexcept nogil:
-        """Unoccluded light of a lamp at a point on a surface."""
-        cdef int c
-        out.relative = 0.0
+        """Unoccluded light of the lamps of a leaf at a point on a surface; return their number."""
+        cdef Py_ssize_t first = self.span[node, 0], n = self.span[node, 1] - first, j
         if self.is_parallel:
-            for c in range(3):
-                out.direction[c] = -self.axis[lamp, c]
-            out.distance = INFINITY
-            out.relative = max(dot(out.direction, normal), 0.0)
-            return
-        for c in range(3):
-            out.direction[c] = self.place[lamp, c] - position[c]
-        out.distance = sqrt(dot(out.direction, out.direction))
-        if not out.distance > self.place[lamp, 3]:
-            return
-        cdef double inverse = 1.0 / out.distance
-        for c in range(3):
-            out.direction[c] *= inverse
-        out.relative = max(dot(out.direction, normal), 0.0) * inverse * inverse
-        if out.relative > 0.0 and self.kind[lamp] != UNIFORM:
-            out.relative *= self.lobe(lamp, out.direction)
+            for j in range(n):
+                out.x[j] = -self.axis[first + j, 0]
+                out.y[j] = -self.axis[first + j, 1]
+                out.z[j] = -self.axis[first + j, 2]
+                out.distance[j] = INFINITY
+                out.relative[j] = max(
+                    out.x[j] * normal[0] + out.y[j] * normal[1] + out.z[j] * normal[2], 0.0
+                )
+            return n
+        point_lights(
+            n, &self.place[0, first], &self.place[1, first], &self.place[2, first],
+            &self.place[3, first], position, normal, out,
+        )
+        for j in range(n if self.has_axes else 0):
+            if out.relative[j] > 0.0:
+                out.relative[j] *= self.lobe(first + j, out, j)
+        return n
 
-    cdef double lobe(self, Py_ssize_t lamp, const double* to_lamp) noexcept nogil:
-        """Intensity of a lamp in a direction, over that on its axis."""
+    cdef double lobe(self, Py_ssize_t lamp, const Leaf* to_lamps, Py_ssize_t j) noexcept nogil:
+        """Intensity of a lamp, the j-th of a leaf, to a point over that on its axis."""
         cdef const double* axis = &self.axis[lamp, 0]
+        cdef double[3] to_lamp
         cdef double drop = 0.0, rest
         cdef int c
+        if self.kind[lamp] == UNIFORM:
+            return 1.0
+        to_lamp[0], to_lamp[1], to_lamp[2] = to_lamps.x[j], to_lamps.y[j], to_lamps.z[j]
         if self.kind[lamp] == COSINE:
             return max(-dot(to_lamp, axis), 0.0)
         # 1 - cos from the chord keeps its digits in narrow cones.
@@ -145,7 +151,7 @@ cdef class LightTree:
     ) noexcept nogil:
         """Light that each child of a node may bring; zero only where it brings none."""
         cdef const double* row = &self.nodes[node, 0, 0]
-        cdef double x, y, z, height, squared, least, along
+        cdef double x, y, z, height, squared, least
         cdef int j
         if self.is_parallel:
             for j in range(FAN):
@@ -166,16 +172,48 @@ cdef class LightTree:
             height = HIGHEST * max(height + row[RADIUS * FAN + j], 0.0) + (1.0 - HIGHEST) * max(
                 height, 0.0
             )
-            x = p[0] - row[APEX * FAN + j]
-            y = p[1] - row[(APEX + 1) * FAN + j]
-            z = p[2] - row[(APEX + 2) * FAN + j]
-            along = (
-                x * row[AXIS * FAN + j] + y * row[(AXIS + 1) * FAN + j]
-                + z * row[(AXIS + 2) * FAN + j]
-            ) / sqrt(x * x + y * y + z * z + TINY)
-            along = max((along - row[BORDER * FAN + j]) * row[STEEPNESS * FAN + j], 0.0)
-            along = along if along < 1.0 else 1.0
-            out[j] = row[BRIGHTNESS * FAN + j] * along * height / (squared * sqrt(squared) + TINY)
+            out[j] = row[BRIGHTNESS * FAN + j] * height / (squared * sqrt(squared) + TINY)
+        if self.has_axes:
+            inside_cones(row, p, out)
+
+
+cdef void point_lights(
+    Py_ssize_t n, const double* x, const double* y, const double* z, const double* offset,
+    const double* position, const double* normal, Leaf* out
+) noexcept nogil:
+    """Light of points that shine alike in all directions."""
+    cdef double to_x, to_y, to_z, cosine
+    cdef double[MAX_LEAF] distance, inverse
+    cdef Py_ssize_t j
+    # Of roots and quotients alone, in arrays that are surely apart, for vector instructions.
+    for j in range(n):
+        to_x, to_y, to_z = x[j] - position[0], y[j] - position[1], z[j] - position[2]
+        distance[j] = sqrt(to_x * to_x + to_y * to_y + to_z * to_z)
+        inverse[j] = 1.0 / (distance[j] if distance[j] > TINY else TINY)
+    for j in range(n):
+        to_x = (x[j] - position[0]) * inverse[j]
+        to_y = (y[j] - position[1]) * inverse[j]
+        to_z = (z[j] - position[2]) * inverse[j]
+        cosine = to_x * normal[0] + to_y * normal[1] + to_z * normal[2]
+        cosine = cosine if cosine > 0.0 else 0.0
+        out.x[j], out.y[j], out.z[j], out.distance[j] = to_x, to_y, to_z, distance[j]
+        out.relative[j] = cosine * inverse[j] * inverse[j] if distance[j] > offset[j] else 0.0
+
+
+cdef void inside_cones(const double* row, const double* p, double* out) noexcept nogil:
+    """Multiply the light of a node's children by how far a point is inside of their cones."""
+    cdef double x, y, z, along
+    cdef int j
+    for j in range(FAN):
+        x = p[0] - row[APEX * FAN + j]
+        y = p[1] - row[(APEX + 1) * FAN + j]
+        z = p[2] - row[(APEX + 2) * FAN + j]
+        along = (
+            x * row[AXIS * FAN + j] + y * row[(AXIS + 1) * FAN + j]
+            + z * row[(AXIS + 2) * FAN + j]
+        ) / sqrt(x * x + y * y + z * z + TINY)
+        along = max((along - row[BORDER * FAN + j]) * row[STEEPNESS * FAN + j], 0.0)
+        out[j] *= along if along < 1.0 else 1.0
 
 
 cdef struct Rays:
@@ -295,14 +333,14 @@ cdef inline void choose_lamps(
     const double* normal, Rays* rays
 ) noexcept nogil:
     """Append rays to the lamps of a leaf that have marks."""
-    cdef Light[MAX_LEAF] light
+    cdef Leaf leaf
     cdef double[MAX_LEAF] bright
     cdef double total = 0.0, end = part.begin, scale, weight
-    cdef Py_ssize_t first = tree.span[part.node, 0], n = tree.span[part.node, 1] - first, j
+    cdef Py_ssize_t first = tree.span[part.node, 0], n, j
     cdef int c
+    n = tree.light(part.node, position, normal, &leaf)
     for j in range(n):
-        tree.light(first + j, position, normal, &light[j])
-        bright[j] = light[j].relative * tree.place[first + j, 4]
+        bright[j] = leaf.relative[j] * tree.brightness[first + j]
         total += bright[j]
     if not total > 0.0:
         return
@@ -311,12 +349,14 @@ cdef inline void choose_lamps(
         end += scale * bright[j]
         if mark < end and bright[j] > 0.0:
             # Of parts shorter than one, so many have marks; longer ones always have.
-            weight = light[j].relative / min(scale * bright[j], 1.0)
+            weight = leaf.relative[j] / min(scale * bright[j], 1.0)
             rays.lamp[rays.count] = first + j
-            rays.distance[rays.count] = light[j].distance
-            copy(&rays.direction[3 * rays.count], light[j].direction)
+            rays.distance[rays.count] = leaf.distance[j]
+            rays.direction[3 * rays.count] = leaf.x[j]
+            rays.direction[3 * rays.count + 1] = leaf.y[j]
+            rays.direction[3 * rays.count + 2] = leaf.z[j]
             for c in range(3):
-                rays.irradiance[3 * rays.count + c] = weight * tree.place[first + j, 5 + c]
+                rays.irradiance[3 * rays.count + c] = weight * tree.intensity[first + j, c]
             rays.count += 1
             mark = mark_from(mark, end, shift)
 
