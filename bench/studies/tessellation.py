@@ -54,8 +54,8 @@ def row(before: Floats, after: Floats) -> list[str]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the study."""
-    parser.add_argument("--photons", type=lambda text: int(float(text)), default=3_000_000)
-    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--photons", type=lambda text: int(float(text)), default=1_000_000)
+    parser.add_argument("--seeds", type=int, default=16)
     parser.add_argument("--sections", type=int, default=512)
     parser.add_argument("--rings", type=int, default=256)
     parser.add_argument("--scales", type=_scales, default=(0.5, 1.0, 2.0), help="of both")

@@ -228,6 +228,17 @@ def test_a_map_is_read_from_exr(tmp_path):
         pr.EnvironmentEmitter.from_exr(tmp_path / "depth.exr")
 
 
+def test_a_radiance_file_is_to_be_converted(tmp_path, monkeypatch):
+    header = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 1\n"
+    (tmp_path / "sky.hdr").write_bytes(header + b"\x80\x80\x80\x81")
+    with pytest.raises(ValueError, match=r"sky.hdr .* is a Radiance .*oiiotool sky.hdr -o sky.exr"):
+        pr.EnvironmentEmitter.from_exr(tmp_path / "sky.hdr")
+    monkeypatch.chdir(tmp_path)
+    sky = {"type": "envmap", "filename": "sky.hdr"}
+    with pytest.raises(ValueError, match="is a Radiance"):
+        pr.load_scene({"type": "scene", "ball": {"type": "sphere"}, "sky": sky})
+
+
 def test_digests_tell_maps_apart_and_scenes_travel_between_processes():
     ones, others = np.ones((2, 4, 3)), np.ones((2, 4, 3))
     others[1, 2] = 2.0

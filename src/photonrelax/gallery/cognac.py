@@ -14,7 +14,7 @@ from ..scene.environment import EnvironmentEmitter
 from ..scene.materials import Dielectric, Diffuse
 from ..scene.scene import Scene, SceneObject
 from .meshes import make_mesh
-from .solids import curve, placed, revolved, sheet
+from .solids import Curve, placed, revolved, sheet
 
 if TYPE_CHECKING:
     import trimesh
@@ -45,7 +45,8 @@ _COGNAC = (0.25, 1.9, 7.0)
 _TABLE = (0.80, 0.70, 0.58)
 _SURROUNDINGS = (0.10, 0.095, 0.09)
 _GAP = 1e-3
-_CREASE = 40.0
+# Radius of the bends, dm, on which half of a facet's length is for bending.
+_RADIUS = 0.2
 # How far the liquid reaches into its glass, dm; the glass rules there.
 _OVERLAP = 0.008
 
@@ -77,20 +78,20 @@ def cognac(
         Of the point light, W.
     sections, rings : int
         Facets around the glass and the liquid, and along the outside of the profile; the other
-        parts of it have so many in proportion. Normals are means over the faces around a vertex.
+        parts of it have so many in proportion, and all are finer where it bends. Normals are those
+        of the exact surface.
     pixels : int
         Width and height of images.
     """
-    glass = placed(revolved(_glass_profile(rings), sections), (0.0, 0.0, _GAP))
+    profile, normals = _glass_profile(rings)
+    glass = placed(revolved(profile, sections, normals), (0.0, 0.0, _GAP))
     liquid = placed(_liquid(fill, agitation, sections, rings), (0.0, 0.0, _GAP))
     eye, target = np.array([[0.50, -2.9, 2.1], [0.10, -0.33, 0.28]])
     return Scene(
         [
             SceneObject(sheet((-6, -6, 0), (12, 0, 0), (0, 12, 0)), Diffuse(_TABLE), "table"),
-            SceneObject(glass, Dielectric(glass_ior, priority=1), "glass", smooth=_CREASE),
-            SceneObject(
-                liquid, Dielectric(liquid_ior, absorption=_COGNAC), "cognac", smooth=_CREASE
-            ),
+            SceneObject(glass, Dielectric(glass_ior, priority=1), "glass", smooth=True),
+            SceneObject(liquid, Dielectric(liquid_ior, absorption=_COGNAC), "cognac", smooth=True),
         ],
         [PointEmitter((-1.5, 3.0, 2.0), power), EnvironmentEmitter(_SURROUNDINGS)],
         Camera(eye, target, vertical_fov=28.0, width=pixels, height=pixels),
@@ -98,44 +99,56 @@ def cognac(
     )
 
 
-def _glass_profile(rings: int) -> Floats:
-    """The outside of foot, stem and bowl, the rim, and the inside of the bowl."""
-    parts = [
-        np.array([(0.0, 0.008), (0.34, 0.008)]),
-        curve(_FOOT, max(rings // 16, 4)),
-        curve(_OUTSIDE, rings),
-        curve(_RIM, max(rings // 16, 4)),
-        curve(_INSIDE, rings // 2),
-    ]
-    return np.concatenate([parts[0], *(part[1:] for part in parts[1:])])
+def _glass_profile(rings: int) -> tuple[Floats, Floats]:
+    """Points (n, 2) of foot, stem and bowl, rim, and the inside of the bowl, and their normals.
+
+    The parts share tangents where they join: no crease, whose width would be that of a facet.
+    """
+    outside, inside = Curve.through(_OUTSIDE), _inside()
+    up, down = outside.tangents([0.0, outside.length])
+    foot = Curve.through(_FOOT, (1.0, 0.0), up)
+    rim = Curve.through(_RIM, down, inside.tangents([0.0])[0])
+    parts = [(np.array([[0.0, _FOOT[0][1]]]), np.array([[0.0, -1.0]]))]
+    for part, share in ((foot, 0.125), (outside, 1.0), (rim, 0.125), (inside, 0.75)):
+        points, normals = part.even(max(int(share * rings), 4), _RADIUS)
+        # The next part begins with the last point.
+        parts.append((points[:-1], normals[:-1]))
+    parts.append((np.array([_INSIDE[-1]]), np.array([[0.0, 1.0]])))
+    points, normals = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return points, normals
+
+
+def _inside() -> Curve:
+    """The inside of the bowl, level on the axis."""
+    return Curve.through(_INSIDE, end=(-1.0, 0.0))
 
 
 def _liquid(fill: float, agitation: float, sections: int, rings: int) -> trimesh.Trimesh:
     """The liquid: what is below its waves, out to within the glass."""
-    wall = curve(_INSIDE, 4 * rings)[::-1]
-    wall = wall + _OVERLAP * _outwards(wall)
-    wall[0, 0] = 0.0
+    wall, outwards = (each[::-1] for each in _inside().even(rings, _RADIUS))
+    wall = wall - _OVERLAP * outwards
     # Below all troughs, so that the edge of the surface does not fold over the side.
-    inside = wall[wall[:, 1] < fill - agitation][:: max(8 * rings // 256, 1)]
+    below = wall[:, 1] < fill - agitation
     reach = np.interp(fill, wall[:, 1], wall[:, 0])
     top = np.linspace(reach, 0.0, rings + 1)
-    profile = np.concatenate([inside, np.column_stack([top, np.full(len(top), fill)])])
-    body = revolved(profile, sections)
-    vertices = np.array(body.vertices)
+    profile = np.concatenate([wall[below], np.column_stack([top, np.full(len(top), fill)])])
+    normals = np.concatenate([-outwards[below], np.tile([0.0, 1.0], (len(top), 1))])
+    # On the axis, to the bit.
+    profile[0, 0], normals[0] = 0.0, (0.0, -1.0)
+    body = revolved(profile, sections, normals)
+    vertices, normal = np.array(body.vertices), np.array(body.vertex_normals)
     surface = vertices[:, 2] == fill
-    vertices[surface, 2] += _waves(vertices[surface, :2], agitation)
-    return make_mesh(vertices, body.faces)
+    # The edge of the surface lies within the glass, where its normals do not matter.
+    vertices[surface, 2], normal[surface] = _waves(vertices[surface], agitation)
+    return make_mesh(vertices, body.faces, normal)
 
 
-def _outwards(wall: Floats) -> Floats:
-    """Unit normals (n, 2) of a profile from the axis upwards."""
-    along = np.gradient(wall, axis=0)
-    normal = np.column_stack([along[:, 1], -along[:, 0]])
-    unit: Floats = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    return unit
-
-
-def _waves(xy: Floats, agitation: float) -> Floats:
-    phase = product(2 * np.pi * xy, _WAVES[:, :2].T) + _WAVES[:, 3]
-    height: Floats = np.sin(phase) @ (agitation * _WAVES[:, 2])
-    return height
+def _waves(points: Floats, agitation: float) -> tuple[Floats, Floats]:
+    """Heights (n,) of the waves on points (n, 3) of the surface at rest, and normals (n, 3)."""
+    numbers, height = 2 * np.pi * _WAVES[:, :2], agitation * _WAVES[:, 2]
+    phase = product(points[:, :2], numbers.T) + _WAVES[:, 3]
+    slope = product(np.cos(phase) * height, numbers)
+    normal = np.column_stack([-slope, np.ones(len(points))])
+    return points[:, 2] + np.sin(phase) @ height, normal / np.linalg.norm(
+        normal, axis=1, keepdims=True
+    )

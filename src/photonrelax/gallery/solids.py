@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
 _BOX_QUADS = np.array(
     [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
 )
+
+# Points of a curve that its bends are looked at, for each that is taken of it.
+_FINE = 8
 
 
 def sheet(corner: ArrayLike, first: ArrayLike, second: ArrayLike) -> trimesh.Trimesh:
@@ -63,7 +67,7 @@ def torus(radius: float, tube_radius: float, sections: int, tube_sections: int) 
     return make_mesh(vertices.reshape(-1, 3), faces, normal.reshape(-1, 3))
 
 
-def revolved(profile: Floats, sections: int) -> trimesh.Trimesh:
+def revolved(profile: Floats, sections: int, normals: Floats | None = None) -> trimesh.Trimesh:
     """Closed solid of revolution about the z axis.
 
     Parameters
@@ -73,16 +77,27 @@ def revolved(profile: Floats, sections: int) -> trimesh.Trimesh:
         outside to the right.
     sections : int
         Facets around the axis.
+    normals : (n, 2) array, optional
+        Unit normals of the exact surface at these points, those of the first and last along the
+        axis.
     """
     n = (len(profile) - 2) * sections
     rim = np.arange(sections)
     following = np.roll(rim, -1)
     bottom = np.column_stack([np.full(sections, n), following, rim])
     top = np.column_stack([np.full(sections, n + 1), n - sections + rim, n - sections + following])
-    ends = np.array([[0.0, 0.0, profile[0, 1]], [0.0, 0.0, profile[-1, 1]]])
     sides = _between_rings(len(profile) - 2, sections)
-    vertices = np.concatenate([_rings(profile[1:-1], sections), ends])
-    return make_mesh(vertices, np.concatenate([sides, bottom, top]))
+    faces = np.concatenate([sides, bottom, top])
+    vertices = _rings_and_ends(profile, sections)
+    return make_mesh(
+        vertices, faces, None if normals is None else _rings_and_ends(normals, sections)
+    )
+
+
+def _rings_and_ends(profile: Floats, sections: int) -> Floats:
+    """Vertices around the axis, then the first and the last on it."""
+    ends = np.array([[0.0, 0.0, profile[0, 1]], [0.0, 0.0, profile[-1, 1]]])
+    return np.concatenate([_rings(profile[1:-1], sections), ends])
 
 
 def swept(profile: Floats, sections: int) -> trimesh.Trimesh:
@@ -112,16 +127,43 @@ def _between_rings(n: int, sections: int) -> NDArray[np.intp]:
     return np.concatenate([lower, np.column_stack([here, there + sections, here + sections])])
 
 
-def curve(points: ArrayLike, n: int) -> Floats:
-    """Smooth curve of n + 1 points, (n + 1, 2), through points (m, 2), evenly by their chords."""
-    from scipy.interpolate import CubicSpline
+class Curve(NamedTuple):
+    """Smooth curve in the plane through points, and its lengths along their chords."""
 
-    through = np.asarray(points, dtype=np.float64)
-    lengths = np.linalg.norm(np.diff(through, axis=0), axis=1)
-    at = np.concatenate([[0.0], np.cumsum(lengths)])
-    drawn: Floats = CubicSpline(at, through)(np.linspace(0.0, at[-1], n + 1))
-    drawn[0], drawn[-1] = through[0], through[-1]
-    return drawn
+    at: Callable[..., Floats]
+    length: float
+
+    @classmethod
+    def through(
+        cls, points: ArrayLike, start: ArrayLike | None = None, end: ArrayLike | None = None
+    ) -> Curve:
+        """Cubic spline through points (m, 2), with unit tangents (2,) at its ends if given."""
+        from scipy.interpolate import CubicSpline
+
+        through = np.asarray(points, dtype=np.float64)
+        chords = np.linalg.norm(np.diff(through, axis=0), axis=1)
+        at = np.concatenate([[0.0], np.cumsum(chords)])
+        ends = tuple("not-a-knot" if each is None else (1, each) for each in (start, end))
+        return cls(CubicSpline(at, through, bc_type=ends), float(at[-1]))
+
+    def tangents(self, at: ArrayLike) -> Floats:
+        """Unit tangents (n, 2) at lengths (n,)."""
+        slope = self.at(at, 1)
+        unit: Floats = slope / np.linalg.norm(slope, axis=-1, keepdims=True)
+        return unit
+
+    def even(self, n: int, radius: float) -> tuple[Floats, Floats]:
+        """Points (n + 1, 2) and normals to their right, finer where the curve bends.
+
+        Steps are even in the sum of their length and of `radius` times the angle that they turn by.
+        """
+        fine = np.linspace(0.0, self.length, _FINE * n + 1)
+        step = np.linalg.norm(np.diff(self.at(fine), axis=0), axis=1)
+        bend = np.linalg.norm(np.diff(self.tangents(fine), axis=0), axis=1)
+        done = np.concatenate([[0.0], np.cumsum(step + radius * bend)])
+        at = np.interp(np.linspace(0.0, done[-1], n + 1), done, fine)
+        tangent = self.tangents(at)
+        return self.at(at), np.column_stack([tangent[:, 1], -tangent[:, 0]])
 
 
 def placed(mesh: trimesh.Trimesh, offset: ArrayLike, turn: Floats | None = None) -> trimesh.Trimesh:

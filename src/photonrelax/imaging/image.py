@@ -32,6 +32,8 @@ _MAX_FLOAT32 = float(np.finfo(np.float32).max)
 _MOVIES = {".webp": "WEBP", ".png": "PNG"}
 # Stops, in either direction; larger ones would overflow.
 MAX_EXPOSURE = 100.0
+# How Radiance files begin.
+_RADIANCE = b"#?"
 # Printed by OpenEXR in place of an error.
 _PIXELS_FAILED = "Warning: Exception raised reading pixel data"
 # Attributes of the EXR format, which metadata must not overwrite.
@@ -204,12 +206,18 @@ def read_exr(path: str | os.PathLike[str]) -> Image:
     OSError
         If there is no such file, or it cannot be read.
     ValueError
-        If it is damaged or not an EXR file, has several parts, or channels of different sizes.
+        If it is damaged or not an EXR file, such as a Radiance file (``.hdr``), has several parts,
+        or channels of different sizes.
     MemoryError
         If its pixels do not fit in memory.
     """
     path = Path(path)
-    open_file(path).close()
+    with open_file(path) as file:
+        if file.read(len(_RADIANCE)) == _RADIANCE:
+            raise ValueError(
+                f"{path} should be an EXR file, but is a Radiance file (.hdr): convert it, such as "
+                f"by: oiiotool {path.name} -o {path.stem}.exr"
+            )
     n_parts, header, pixels = _parts(path)
     if n_parts > 1:
         raise ValueError(f"{path} should be an EXR file of one part, but has {n_parts}")

@@ -1,7 +1,8 @@
 """The emission regions of each emitter: the outlines of the groups of casters it may light.
 
 Outlines that overlap count once: a photon of a region that lies in an earlier one, too, is not
-emitted. So the regions of an emitter are a partition of the union of the outlines.
+emitted. So the regions of an emitter are a partition of the union of the outlines. Those of nested
+spheres, the smallest first, are a ball and the shells around it.
 """
 
 from __future__ import annotations
@@ -54,6 +55,35 @@ def aimed_regions(
     if sum(luminance(region) for region in lit) > SAVING * luminance(whole):
         return [whole]
     return lit or regions[:1]
+
+
+def nested_spheres(inner: Sphere, outer: Sphere) -> list[Sphere]:
+    """Spheres from an inner one to an outer one around it, each in the next and half as large."""
+    n = int(np.log2(max(outer.radius / inner.radius, 1.0)))
+    spheres = []
+    for radius in inner.radius * 2.0 ** np.arange(n + 1):
+        if radius < outer.radius:
+            along = (radius - inner.radius) / (outer.radius - inner.radius)
+            centre = inner.centre + along * (outer.centre - inner.centre)
+            spheres.append(Sphere(centre, float(radius)))
+    return [*spheres, outer]
+
+
+def nested_regions(
+    emitter: Emitter, spheres: list[Sphere], scene: Sphere, offset: float
+) -> list[EmissionRegion]:
+    """Regions of one emitter towards nested spheres, the smallest first.
+
+    Those are left out that are hardly smaller than the next, as from a point within both spheres.
+    Arguments and errors are otherwise those of `aimed_regions`.
+    """
+    whole = emitter.emission_region(spheres[-1], scene, offset)
+    regions = [whole]
+    for sphere in spheres[-2::-1]:
+        region = _in_chart(emitter, emitter.emission_region(sphere, scene, offset), whole)
+        if region.flux.any() and luminance(region) <= SAVING * luminance(regions[-1]):
+            regions.append(region)
+    return regions[::-1]
 
 
 def luminance(region: EmissionRegion) -> float:

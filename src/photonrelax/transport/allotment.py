@@ -1,10 +1,17 @@
-"""Photons of each emitter, by the light that it brings to what is stored.
+"""Photons of each emitter and region, by the light that they bring to what is stored.
 
 An emitter may send much flux towards a target and bring little there: a lamp indoors that is aimed
 at a pool outside, say. A few paths of each emitter tell. Of N photons, n_e are of emitter e, which
 sends out the luminance Φ_e and brings S_e = Φ_e p_e, p_e being the photons stored a path. The
 variance of its light is S_e² / (n_e p_e), so that the sum over emitters is least for n_e in
 proportion to S_e / √p_e = √(Φ_e S_e). Where the p_e are equal within their noise, that is Φ_e.
+
+Light that glass and mirrors return to the surfaces around them comes from near by: of a large table
+with a small glass hardly any path is stored. So for ``paths="global"`` the first diffuse surface
+scatters half of the photons towards the specular objects, and regions take the place of emitters,
+shells around these objects, where both make the variance much less. Photons then differ in flux:
+with x_r the light of a path of region r that is stored, relative to that emitted, n_r goes by
+Φ_r √E[x_r²].
 """
 
 from __future__ import annotations
@@ -18,10 +25,11 @@ import numpy as np
 
 from .._util.validation import Floats
 from ..scene.dispersion import N_WAVELENGTHS
+from ..scene.emission_region import Sphere
 from ..scene.scene import Scene
 from ..scene.sky_map import LUMINANCE
 from .batch import TraceContext, TraceSettings, trace_batch
-from .emission import EmissionPlan, plan_emission
+from .emission import AimedRegion, EmissionPlan, nested_aim, plan_emission, plan_through
 from .raycast import RayCaster
 
 # Paths of each emitter that are traced for it, at most and at least, and the share of all photons
@@ -29,19 +37,43 @@ from .raycast import RayCaster
 _MOST, _LEAST, _SHARE = 1024, 32, 8
 # Standard errors by which shares differ.
 _DIFFERENT = 3.0
+# Relative variance with shells over that without them, up to which they are worth it.
+_MUCH_LESS = 0.5
 
 
 class _Probe(NamedTuple):
-    """Paths of each emitter (n_emitters,): luminance sent, photons stored, and its variance."""
+    """Paths of each emitter or region (n,): luminance sent, photons stored, and its variance."""
 
     sent: Floats
     stored_per_path: Floats
     variance: Floats
 
+    @property
+    def share(self) -> Floats:
+        """Photons stored of each path, at least of half a path's: none may be by chance."""
+        # The variance is at least that of one photon stored.
+        least = 0.5 * np.sqrt(self.variance[self.sent > 0.0].min())
+        share: Floats = np.maximum(self.stored_per_path, least)
+        return share
 
-_brought: WeakKeyDictionary[Scene, dict[tuple[TraceSettings, int], Floats | None]] = (
-    WeakKeyDictionary()
-)
+
+class _Shells(NamedTuple):
+    """Regions of emitters, and the photons of each over those in proportion to its luminance."""
+
+    aimed: tuple[AimedRegion, ...]
+    relative: Floats
+    guide: Sphere
+
+    def plan(self, n_emitted: int, seed: int, sampler: str) -> EmissionPlan:
+        """Plan of as many photons through them."""
+        return plan_through(
+            *(self.aimed, n_emitted, self.relative), guide=self.guide, seed=seed, sampler=sampler
+        )
+
+
+_Key = tuple[TraceSettings, int]
+_brought: WeakKeyDictionary[Scene, dict[_Key, Floats | None]] = WeakKeyDictionary()
+_shells: WeakKeyDictionary[Scene, dict[_Key, _Shells | None]] = WeakKeyDictionary()
 
 
 def allotted_plan(
@@ -53,31 +85,45 @@ def allotted_plan(
     sampler: str = "halton",
     caster: RayCaster,
 ) -> EmissionPlan:
-    """Plan the emission of photons, allotted to the emitters by what these bring.
+    """Plan the emission of photons, allotted to emitters and regions by what these bring.
 
-    That does not depend on seed and sampler. Numbers that are given for each emitter are kept.
+    That does not depend on seed and sampler. Numbers that are given for each emitter are kept. In
+    frames of an animation there are no shells: what they bring may differ from frame to frame.
     """
     brought = None
-    if isinstance(n_emitted, int) and len(scene.emitters) > 1:
+    if isinstance(n_emitted, int):
         # Photons elsewhere do not depend on sensors, unless there is nothing else.
         materials = [item.material for item in scene.objects]
         sensors = all(each.is_sensor or each.is_specular for each in materials)
-        settings = replace(settings, frequency_share=0.0, sensors=sensors)
-        n_paths = min(_MOST, n_emitted // (_SHARE * len(scene.emitters)))
-        if n_paths >= _LEAST:
-            brought = _known(scene, settings, n_paths, caster)
+        probed = replace(settings, frequency_share=0.0, sensors=sensors)
+        if settings.paths == "global" and scene.aim is None:
+            shells = _shells_of(scene, n_emitted, probed, caster)
+            if shells is not None:
+                return shells.plan(n_emitted, seed, sampler)
+        brought = _brought_by_emitters(scene, n_emitted, probed, caster)
     return plan_emission(
         scene, n_emitted, settings.paths, seed=seed, sampler=sampler, brought=brought
     )
 
 
-def _known(scene: Scene, settings: TraceSettings, n_paths: int, caster: RayCaster) -> Floats | None:
-    """As `_brought_by_probe`, found once for a scene."""
+def _brought_by_emitters(
+    scene: Scene, n_emitted: int, settings: TraceSettings, caster: RayCaster
+) -> Floats | None:
+    """As `_brought_by_probe`, found once for a scene; None of few photons or a single emitter."""
+    n_paths = _n_paths(n_emitted, len(scene.emitters))
+    if len(scene.emitters) == 1 or not n_paths:
+        return None
     known = _brought.setdefault(scene, {})
     key = settings, n_paths
     if key not in known:
         known[key] = _brought_by_probe(_probe(scene, settings, n_paths, caster))
     return known[key]
+
+
+def _n_paths(n_emitted: int, n: int) -> int:
+    """Paths to trace of each of n emitters or regions; 0 where that would be too few."""
+    n_paths = min(_MOST, n_emitted // (_SHARE * n))
+    return n_paths if n_paths >= _LEAST else 0
 
 
 def _brought_by_probe(probe: _Probe) -> Floats | None:
@@ -90,8 +136,7 @@ def _brought_by_probe(probe: _Probe) -> Floats | None:
     mean, of_mean = stored.mean(), variance.mean() / len(stored)
     if (np.abs(stored - mean) <= _DIFFERENT * np.sqrt(variance + of_mean)).all():
         return None
-    # The variance is at least that of one photon stored.
-    return probe.sent * np.maximum(probe.stored_per_path, 0.5 * np.sqrt(variance.min()))
+    return probe.sent * probe.share
 
 
 def _probe(scene: Scene, settings: TraceSettings, n_paths: int, caster: RayCaster) -> _Probe:
@@ -113,3 +158,56 @@ def _probe(scene: Scene, settings: TraceSettings, n_paths: int, caster: RayCaste
         squares[emitter] += np.square(of_path).sum()
     paths = np.maximum(paths, 1.0)
     return _Probe(plan.flux @ LUMINANCE, stored / paths, (squares + 1.0) / paths**2)
+
+
+def _shells_of(
+    scene: Scene, n_emitted: int, settings: TraceSettings, caster: RayCaster
+) -> _Shells | None:
+    """Shells around the specular objects if they make the variance much less; found once."""
+    aimed, guide = nested_aim(scene), scene.targets.around_casters
+    n_paths = _n_paths(n_emitted, max(len(aimed), 1))
+    if guide is None or not n_paths:
+        return None
+    known = _shells.setdefault(scene, {})
+    key = settings, n_paths
+    if key not in known:
+        plan = plan_through(aimed, n_paths * len(aimed), guide=guide)
+        context = TraceContext(scene, plan, settings, n_paths, caster=caster)
+        sent, (mean, square) = plan.region_flux @ LUMINANCE, _stored_light(context)
+        relative = _relative(aimed, square, 0.5 / n_paths)
+        without = _relative_variance(_probe(scene, settings, n_paths, caster))
+        brought = sent @ mean
+        much_less = (sent @ relative) ** 2 <= _MUCH_LESS * without * brought**2
+        known[key] = _Shells(aimed, relative, guide) if brought and much_less else None
+    return known[key]
+
+
+def _relative(aimed: tuple[AimedRegion, ...], square: Floats, least: float) -> Floats:
+    """Roots of mean squares (n_regions,), with values where nothing was stored.
+
+    It falls outwards, and is taken from the region within; of the first it is the least.
+    """
+    found = square.copy()
+    for i in np.flatnonzero(square == 0.0).tolist():
+        found[i] = found[i - 1] if aimed[i].number else least
+    root: Floats = np.sqrt(found)
+    return root
+
+
+def _stored_light(context: TraceContext) -> tuple[Floats, Floats]:
+    """Mean over the paths of each region of light stored over that emitted, and of its square."""
+    mean, square = np.zeros((2, len(context.plan.aimed)))
+    for region_id in np.flatnonzero(context.plan.counts).tolist():
+        n = int(context.plan.counts[region_id])
+        deposits = trace_batch(context, (region_id, range(n))).deposits
+        luminance = LUMINANCE * context.flux[region_id]
+        light = deposits["throughput"] @ luminance / luminance.sum()
+        of_path = np.bincount(deposits["path"], light, minlength=n)
+        mean[region_id], square[region_id] = of_path.mean(), np.square(of_path).mean()
+    return mean, square
+
+
+def _relative_variance(probe: _Probe) -> float:
+    """Variance of what emitters bring over its square, of one photon emitted in all."""
+    shares = probe.sent * np.sqrt(probe.share)
+    return float((shares.sum() / (probe.sent @ probe.share)) ** 2)

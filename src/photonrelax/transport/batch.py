@@ -111,6 +111,8 @@ class TraceContext:
         self.caster = caster or RayCaster(scene.surfaces)
         self.media, self.faults = media_at_emitters(scene, self.caster, self.materials)
         self.flux = plan.flux_per_photon
+        guide = plan.guide
+        self._guide = (*guide.centre, guide.radius) if guide else (0.0,) * 4
         self._along_curve = sum(len(item.mesh.faces) for item in scene.surfaces) > _MANY_FACES
         self.emissions = [plan.emission(region) for region in range(len(plan.aimed))]
         self._free_list: list[_kernel.Paths] = []
@@ -133,6 +135,7 @@ class TraceContext:
             max_bounces=self.settings.max_bounces,
             n_wavelengths=N_WAVELENGTHS,
             colours=colour_table(),
+            guide=self._guide,
         )
 
     def start(

@@ -4,13 +4,13 @@ Each emitter is sampled over a region of its emitter coordinates, metres on the 
 collimated emitter or unit vectors around a point, which the emitter itself provides: one region, or
 one for each group of casters where these lie apart. All photons of a region carry the same flux,
 of a map of the sky the same luminance, and those of the other regions of an emitter differ from it
-by the rounding of their numbers.
+by the rounding of their numbers, unless these go by what is stored of them (`transport.allotment`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -23,8 +23,9 @@ from .._util.parallel import thread_count
 from .._util.parcels import state_without_caches
 from .._util.validation import Floats, check_choice, check_seed, count
 from ..scene.emission_region import EmissionRegion, Sphere
+from ..scene.emitters import Emitter
 from ..scene.scene import Scene
-from .aim import aimed_regions, luminance, overlapped
+from .aim import aimed_regions, luminance, nested_regions, nested_spheres, overlapped
 from .sampling import seed_shifts
 
 PATHS = ("caustic", "global", "all")
@@ -91,6 +92,8 @@ class EmissionPlan:
         Mean flux of the photons of each region over `flux_per_photon`: ones unless they differ.
     seed, sampler : int, str
         The sequence of the candidates.
+    guide : Sphere, optional
+        Half of the photons are scattered towards it where they first meet a diffuse surface.
     """
 
     aimed: tuple[AimedRegion, ...]
@@ -100,6 +103,7 @@ class EmissionPlan:
     colours: Floats
     seed: int
     sampler: str
+    guide: Sphere | None = None
 
     __getstate__ = state_without_caches
 
@@ -135,8 +139,14 @@ class EmissionPlan:
         """W that each emitter sends out, (n_emitters, 3)."""
         ids = self.emitter_ids
         flux = np.zeros((int(ids[-1]) + 1, 3))
+        np.add.at(flux, ids, self.region_flux)
+        return flux
+
+    @property
+    def region_flux(self) -> Floats:
+        """W that is sent out through each region, (n_regions, 3)."""
         photons = self.counts[:, np.newaxis] * self.colours
-        np.add.at(flux, ids, photons * self.flux_per_photon)
+        flux: Floats = photons * self.flux_per_photon
         return flux
 
     def parts(self, photons: range) -> list[tuple[int, range]]:
@@ -249,21 +259,79 @@ def plan_emission(
         emitter that does not shine on the target.
     """
     n_emitted = checked_numbers(n_emitted, scene)
-    check_choice(sampler, "sampler", SAMPLERS)
-    draw = partial(_emission, n_candidates=0, seed=check_seed(seed), sampler=sampler)
     n_in_all = n_emitted if isinstance(n_emitted, int) else sum(n_emitted)
     aimed = _aimed(scene, paths, n_in_all)
+
+    def numbers(weights: Floats) -> NDArray[np.int64]:
+        if not weights.any():
+            what = "the specular objects" if paths == "caustic" else "the scene"
+            raise ValueError(
+                f"emitters should shine on {what}, "
+                f"but all {len(scene.emitters)} have no power or face away"
+            )
+        return _numbers(n_emitted, weights, aimed, brought)
+
+    return _planned(aimed, numbers, seed, sampler)
+
+
+def nested_aim(scene: Scene) -> tuple[AimedRegion, ...]:
+    """Regions of all emitters towards the specular objects, and in shells around these.
+
+    The last of each emitter is around all objects; empty without specular ones.
+    """
+    aim = scene.targets
+    if aim.around_casters is None:
+        return ()
+    spheres = nested_spheres(aim.around_casters, aim.around)
+    return _of_emitters(scene, lambda *of: nested_regions(of[0], spheres, aim.around, of[1]))
+
+
+def plan_through(
+    aimed: tuple[AimedRegion, ...],
+    n_emitted: int,
+    relative: Floats | None = None,
+    *,
+    guide: Sphere | None = None,
+    seed: int = 0,
+    sampler: str = "halton",
+) -> EmissionPlan:
+    """Apportion photons to regions through which there is flux.
+
+    Parameters
+    ----------
+    aimed : tuple of AimedRegion
+        Such as those of `nested_aim`.
+    n_emitted : int
+        Photons in all.
+    relative : (n_regions,), optional
+        Photons of each region over those in proportion to the luminance that it alone sends out;
+        by default there are as many of each.
+    guide : Sphere, optional
+        As of `EmissionPlan`.
+    seed, sampler : int, str
+        As of `emit`.
+    """
+
+    def numbers(weights: Floats) -> NDArray[np.int64]:
+        return _apportion(n_emitted, np.sign(weights) if relative is None else weights * relative)
+
+    return replace(_planned(aimed, numbers, seed, sampler), guide=guide)
+
+
+def _planned(
+    aimed: tuple[AimedRegion, ...],
+    numbers: Callable[[Floats], NDArray[np.int64]],
+    seed: int,
+    sampler: str,
+) -> EmissionPlan:
+    """Plan of as many photons of each region as follow from the luminance that it alone sends."""
+    check_choice(sampler, "sampler", SAMPLERS)
+    draw = partial(_emission, n_candidates=0, seed=check_seed(seed), sampler=sampler)
     # Whole regions are not sampled for it: there may be many emitters.
     shares = [draw(each).share(_N_PILOT) if each.is_thinned else 1.0 for each in aimed]
     weights = [luminance(each.region) * share for each, share in zip(aimed, shares, strict=True)]
-    if not any(weights):
-        what = "the specular objects" if paths == "caustic" else "the scene"
-        raise ValueError(
-            f"emitters should shine on {what}, "
-            f"but all {len(scene.emitters)} have no power or face away"
-        )
-    numbers = _numbers(n_emitted, np.array(weights), aimed, brought).tolist()
-    found = [_drawn(*given, draw) for given in zip(aimed, numbers, shares, strict=True)]
+    given = zip(aimed, numbers(np.array(weights)).tolist(), shares, strict=True)
+    found = [_drawn(*each, draw) for each in given]
     starts, counts, candidates, colours = zip(*found, strict=True)
     columns = np.array(counts), np.array(candidates), np.array(colours)
     return EmissionPlan(aimed, starts, *columns, seed, sampler)
@@ -377,17 +445,19 @@ def _aimed(scene: Scene, paths: str, n_emitted: int) -> tuple[AimedRegion, ...]:
     known = _regions.setdefault(scene, {})
     key = paths, are_few
     if key not in known:
-        known[key] = _found(scene, targets, around, whole)
+        known[key] = _of_emitters(
+            scene, lambda *of: aimed_regions(of[0], targets, around, whole, of[1])
+        )
     return known[key]
 
 
-def _found(
-    scene: Scene, targets: tuple[Sphere, ...], around: Sphere, whole: Sphere
+def _of_emitters(
+    scene: Scene, regions_of: Callable[[Emitter, float], list[EmissionRegion]]
 ) -> tuple[AimedRegion, ...]:
-    aimed = []
+    """The regions of all emitters, by a function of each and of its offset."""
+    aimed: list[AimedRegion] = []
     for emitter_id, emitter in enumerate(scene.emitters):
-        offset = float(scene.emitter_offsets[emitter_id])
-        regions = aimed_regions(emitter, targets, around, whole, offset)
+        regions = regions_of(emitter, float(scene.emitter_offsets[emitter_id]))
         pairs = zip(regions, overlapped(regions), strict=True)
         aimed += [AimedRegion(emitter_id, number, *pair) for number, pair in enumerate(pairs)]
     return tuple(aimed)

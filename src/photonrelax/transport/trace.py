@@ -7,7 +7,7 @@ their order and the ledger are the same, to the bit, for any number of threads a
 A dielectric reflects at random with the Fresnel reflectance and refracts otherwise. Mirrors,
 absorbing media and, for paths that continue, diffuse surfaces end paths by Russian roulette on the
 luminance. So all photons of an emitter carry the same luminance, and the same flux unless the path
-was coloured.
+was coloured, but for indirect light that is aimed at specular objects (`transport.allotment`).
 
 White light that meets a dispersive surface is taken up there at eight wavelengths, which turn with
 the index of the photon: see `photonrelax.scene.dispersion`.

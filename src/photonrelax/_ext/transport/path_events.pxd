@@ -1,11 +1,12 @@
 """Rays of paths at surfaces and sensors: their random numbers, directions and signatures."""
 
+from libc.math cimport sqrt
 from libc.stdint cimport int16_t, int32_t, uint64_t
 
 from ..common.rng cimport mix, uniform
-from ..common.vec3 cimport dot, orthonormal_frame
+from ..common.vec3 cimport dot, normalise, orthonormal_frame
 from .raycast cimport Hit
-from .sampling cimport disk_point, hemisphere_direction
+from .sampling cimport cap_direction, disk_point, hemisphere_direction
 
 # Events that a path signature distinguishes.
 cdef enum:
@@ -83,18 +84,65 @@ cdef inline double random(const Event* event, int number) noexcept nogil:
     return uniform(event.ray.key, event.counter + number)
 
 
-cdef inline void sample_cosine(double* out, const Event* event) noexcept nogil:
-    """Draw a direction with cosine density around the normal."""
+cdef inline void around(double* out, const double* axis, const double* local) noexcept nogil:
+    """Turn a direction from around z to around an axis."""
     cdef double[3] u
     cdef double[3] v
+    cdef int c
+    orthonormal_frame(u, v, axis)
+    for c in range(3):
+        out[c] = local[0] * u[c] + local[1] * v[c] + local[2] * axis[c]
+
+
+cdef inline void sample_cosine(double* out, const Event* event, double first) noexcept nogil:
+    """Draw a direction with cosine density around the normal; one random number is given."""
+    cdef double[3] local
+    cdef double[2] disk
+    disk_point(disk, first, random(event, OF_DIRECTION + 1))
+    hemisphere_direction(local, disk)
+    around(out, event.facing, local)
+
+
+cdef inline double sample_towards(
+    double* out, const Event* event, const double* sphere
+) noexcept nogil:
+    """Draw a direction, half of them uniform in the cone of a sphere and half by the cosine.
+
+    Returns the cosine's density over that of both, 0 below the surface. It is 1, and all directions
+    are by the cosine, within the sphere, where the surface faces away from it, for light that was
+    scattered before, as such factors would pile up, and if the radius is 0.
+    """
+    cdef double first = random(event, OF_DIRECTION), distance, sine, drop, cosine
+    cdef double[3] axis
     cdef double[3] local
     cdef double[2] disk
     cdef int c
-    orthonormal_frame(u, v, event.facing)
-    disk_point(disk, random(event, OF_DIRECTION), random(event, OF_DIRECTION + 1))
-    hemisphere_direction(local, disk)
     for c in range(3):
-        out[c] = local[0] * u[c] + local[1] * v[c] + local[2] * event.facing[c]
+        axis[c] = sphere[c] - event.hit.position[c]
+    distance = sqrt(dot(axis, axis))
+    if (
+        sphere[3] == 0.0
+        or event.ray.n_diffuse > 0
+        or distance <= sphere[3]
+        or dot(axis, event.facing) <= -sphere[3]
+    ):
+        sample_cosine(out, event, first)
+        return 1.0
+    sine = sphere[3] / distance
+    drop = sine * sine / (1.0 + sqrt((1.0 - sine) * (1.0 + sine)))
+    normalise(axis)
+    if first < 0.5:
+        disk_point(disk, 2.0 * first, random(event, OF_DIRECTION + 1))
+        cap_direction(local, disk, drop)
+        around(out, axis, local)
+    else:
+        sample_cosine(out, event, 2.0 * first - 1.0)
+    cosine = dot(out, event.facing)
+    if cosine <= 0.0:
+        return 0.0
+    if first >= 0.5 and dot(out, axis) < 1.0 - drop:
+        return 2.0
+    return cosine / (0.25 / drop + 0.5 * cosine)
 
 
 cdef inline void append_signature(Ray* ray, int32_t object_id, int kind) noexcept nogil:

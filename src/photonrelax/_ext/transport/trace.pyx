@@ -25,7 +25,7 @@ from .materials cimport (
 )
 from .path_events cimport (
     ENTERED, LEFT, OF_DIRECTION, OF_MEDIUM, OF_SURFACE, REFLECTED, SCATTERED, Crossing, Event, Ray,
-    append_signature, distance_along, event_counter, orient, random, sample_cosine,
+    append_signature, distance_along, event_counter, orient, random, sample_towards,
 )
 from .raycast cimport EmbreeFrame, EmbreeHits, Triangles
 
@@ -68,9 +68,9 @@ cdef struct Loss:
     int32_t path, outcome
 
 
-# Losses of a ray in a pass, at most: in the medium, at the surface, and its end.
+# Losses of a ray in a pass, at most: in the medium, at the surface, by its direction, and its end.
 cdef enum:
-    MAX_LOSSES = 3
+    MAX_LOSSES = 4
 
 
 cdef void write_codes(int32_t[::1] code, const double[:, ::1] coords) noexcept nogil:
@@ -123,6 +123,8 @@ cdef class Paths(LiveRays):
     cdef double[:, :, ::1] ledger
     cdef int64_t[::1] ends
     cdef double[3] luminance
+    # Centre and radius.
+    cdef double[4] guide
     cdef int path_filter, max_bounces
     cdef readonly Py_ssize_t size
     # Rays to be dispersed, each into `n_wavelengths`, whose colours (nodes, 3) are tabulated; the
@@ -139,8 +141,10 @@ cdef class Paths(LiveRays):
     def __init__(
         self, Materials materials, EmbreeFrame frame, Triangles triangles, Py_ssize_t size, *,
         int path_filter, int max_bounces, int n_wavelengths, const double[:, ::1] colours,
+        guide=(0.0, 0.0, 0.0, 0.0),
     ):
         cdef Py_ssize_t n_rays = size
+        self.guide = guide
         super().__init__(materials, frame, triangles)
         if not (n_wavelengths > 0 and colours.shape[0] == N_NODES and colours.shape[1] == 3):
             raise ValueError(f"colours should be of {N_NODES} wavelengths")
@@ -560,9 +564,23 @@ cdef class Paths(LiveRays):
             )
         if not self.roulette(albedo, event, OF_SURFACE, outcome):
             return self.terminate(ray, outcome)
-        sample_cosine(out, event)
+        if not self.weigh(sample_towards(out, event, &self.guide[0]), ray, outcome):
+            return self.terminate(ray, outcome)
         ray.n_diffuse += 1
         append_signature(ray, i, SCATTERED)
+        return True
+
+    cdef bint weigh(self, double weight, Ray* ray, int outcome) noexcept nogil:
+        """Multiply the throughput by the weight of a direction; false if that is 0."""
+        cdef double[3] lost
+        cdef int c
+        if weight == 1.0 or weight == 0.0:
+            return weight > 0.0
+        for c in range(3):
+            lost[c] = ray.throughput[c] * (1.0 - weight)
+            ray.throughput[c] *= weight
+        self.add_colour(lost, ray.wavelength)
+        self.lose(ray.path, outcome, lost)
         return True
 
     cdef bint is_stored(self, const Ray* ray) noexcept nogil:

@@ -90,7 +90,8 @@ class BitmapReader:
 
 
 def _read(path: Path) -> NDArray:
-    if path.suffix.lower() != ".exr":
+    # Of a Radiance file the reader of EXR says what to do.
+    if path.suffix.lower() not in (".exr", ".hdr"):
         return decoded_image(path)
     layers = read_exr(path).layers
     if "radiance" not in layers:
