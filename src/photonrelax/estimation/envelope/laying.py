@@ -11,9 +11,10 @@ from ..._ext.estimation.envelope_pieces import MOST, pieces
 from ..._util.validation import Floats
 from ...spatial.kdtree import KDTree
 from ...transport.splitting import Signatures
-from .borders import cut
+from .borders import cut, joined
 from .elements import areas, bends, luminances, six_places
 from .refinement import Refinement
+from .sheets import Points
 
 # Largest distance of a straight piece from its image, in footprints, and the mean over the largest.
 _FARTHEST, _OF_CHORD = 0.5, 2.0 / 3.0
@@ -47,25 +48,6 @@ class Laid(NamedTuple):
     misplaced: Floats
 
 
-class Points(NamedTuple):
-    """Positions (n, 3), m, normals (n, 3) and fluxes (n, 3), W, of light that has no image.
-
-    `place` (n, 2) is in the unit square of the chart, `sheet` (n,) as of `Laid`.
-    """
-
-    position: Floats
-    normal: Floats
-    flux: Floats
-    place: Floats
-    sheet: Signatures
-
-    @classmethod
-    def none(cls) -> Points:
-        """No points."""
-        vectors = np.empty((0, 3))
-        return cls(vectors, vectors, vectors, np.empty((0, 2)), np.empty(0, np.uint64))
-
-
 def laid(refinement: Refinement, n_rays: float) -> tuple[list[Laid], Points]:
     """Triangles of all light of a chart, in parts, and points of that without smooth images.
 
@@ -88,7 +70,9 @@ def laid(refinement: Refinement, n_rays: float) -> tuple[list[Laid], Points]:
     )
     return (
         [_curved(refinement, np.flatnonzero(smooth)), borders],
-        _of_images(refinement, whole & refinement.jumps),
+        joined(
+            Points, [_of_images(refinement, whole & refinement.jumps), refinement.missed_points]
+        ),
     )
 
 
