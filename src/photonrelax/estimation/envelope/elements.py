@@ -208,13 +208,19 @@ def fluxes(lattice: Lattice, patches: Patches, area: Floats) -> Floats:
     return flux
 
 
+def sags(position: Floats) -> Floats:
+    """Distances (p, 3) of the middle nodes from the middles of straight sides."""
+    corners = position[:, :3]
+    middle = np.stack([corners[:, i] + corners[:, j] for i, j in _SIDES], axis=1) / 2.0
+    distances: Floats = np.linalg.norm(position[:, 3:] - middle, axis=2)
+    return distances
+
+
 def bends(position: Floats) -> tuple[Floats, Floats]:
     """Largest distances of the middle nodes from straight sides, and longest sides, (p,) both."""
     corners = position[:, :3]
-    middle = np.stack([corners[:, i] + corners[:, j] for i, j in _SIDES], axis=1) / 2.0
     side = np.stack([corners[:, i] - corners[:, j] for i, j in _SIDES], axis=1)
-    bend = np.linalg.norm(position[:, 3:] - middle, axis=2).max(axis=1)
-    return bend, np.linalg.norm(side, axis=2).max(axis=1)
+    return sags(position).max(axis=1), np.linalg.norm(side, axis=2).max(axis=1)
 
 
 def misfits(position: Floats, parent: Floats, part: Ids) -> Floats:

@@ -12,12 +12,12 @@ from ..._util.validation import Floats
 from ...spatial.kdtree import KDTree
 from ...transport.splitting import Signatures
 from .borders import cut, joined
-from .elements import areas, bends, luminances, six_places
+from .elements import areas, luminances, sags, six_places
 from .refinement import Refinement
 from .sheets import Points
 
-# Largest distance of a straight piece from its image, in footprints, and the mean over the largest.
-_FARTHEST, _OF_CHORD = 0.5, 2.0 / 3.0
+# Largest mean distance of a straight piece from its image, in footprints.
+_FARTHEST = 1.0 / 3.0
 # Share of the light that may be misplaced that images may misplace; the rest is of their chords.
 OF_IMAGES = 0.6
 # Points of light that the square around each is as large as.
@@ -165,15 +165,16 @@ def _divisions(
 
     Pieces are fewest, for Σ flux · distance given, at distances as (√bend / flux)^(2/3).
     """
-    bend, _ = bends(images.position)
+    # The mean distance over an image is at most that of the middles of its sides, of 4 y z = 1/3.
+    bend = sags(images.position).mean(axis=1)
     flux = np.maximum(luminances(images.light[:, 3:].mean(axis=1)), 1e-300)
     weight = np.cbrt(bend) * flux ** (-2.0 / 3.0)
     of_all = max(float(flux @ weight), 1e-300)
-    most = (1.0 / OF_IMAGES - 1.0) / _OF_CHORD * misplaced
+    most = (1.0 / OF_IMAGES - 1.0) * misplaced
     distance = footprint * np.minimum(weight * (most / of_all), _FARTHEST)
     n = np.ceil(np.sqrt(bend / np.maximum(distance, 1e-300)))
     n = np.clip(n, 1, MOST)
-    return n.astype(np.intp), flux * np.minimum(_OF_CHORD * bend / (n**2 * footprint), 1.0)
+    return n.astype(np.intp), flux * np.minimum(bend / (n**2 * footprint), 1.0)
 
 
 def _divided(images: _Images, n: NDArray[np.intp]) -> Laid:
