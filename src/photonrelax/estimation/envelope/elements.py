@@ -224,13 +224,14 @@ def bends(position: Floats) -> tuple[Floats, Floats]:
 
 
 def misfits(position: Floats, parent: Floats, part: Ids) -> Floats:
-    """Largest distances (p,) of new nodes from where the images of parents have them.
+    """Distances (p,) of new nodes from where the images of parents have them, root mean square.
 
     `position` (p, 6, 3) is of the images, `parent` (p, 6, 3) of the images they are part of, and
     `part` (p,) which of the four.
     """
     predicted = np.einsum("pks,psc->pkc", _NEW_NODES[part], parent)
-    misfit: Floats = np.linalg.norm(position[:, 3:] - predicted, axis=2).max(axis=1)
+    squared = np.square(position[:, 3:] - predicted).sum(axis=2)
+    misfit: Floats = np.sqrt(squared.mean(axis=1))
     return misfit
 
 

@@ -56,8 +56,8 @@ class Refinement:
         Images whose nodes do not follow one smooth map.
     missed : (n,) float64
         Luminance that leaves misplace of sheets that none of their nodes sees, but one of a
-        neighbour on a side of theirs, and that is missed from parts of them from which one of the
-        rays saw a sheet that sheets were found by, W.
+        neighbour on a side of theirs, and that of the first rays in parts of them that are not
+        laid down, W.
     """
 
     def __init__(self, lattice: Lattice, footprint: float) -> None:
@@ -88,17 +88,25 @@ class Refinement:
 
     @property
     def light_of_sheets(self) -> Floats:
-        """Luminance (k, 2) of each sheet that is followed, of all images and of rough ones, W."""
+        """Luminance (k, 2) of each sheet that is followed, all of it and that of rough images, W.
+
+        What is missed is rough.
+        """
         flux = luminances(self._fluxes(self.leaves, self.patches))
-        number, n = self._numbers, len(self.lattice.followed.sheets)
         is_rough = ~self.patches.is_whole | self.jumps
-        return np.column_stack([np.bincount(number, each, n) for each in (flux, flux * is_rough)])
+        return np.column_stack([self._of_sheets(each) for each in (flux, flux * is_rough)])
 
     @property
     def misplaced_of_sheets(self) -> Floats:
-        """Luminance (k,) that the images of each sheet that is followed misplace, W."""
-        n = len(self.lattice.followed.sheets)
-        return np.bincount(self._numbers, self.scores, n).astype(np.float64)
+        """Luminance (k,) of each sheet that is followed that is misplaced, W."""
+        return self._of_sheets(self.scores)
+
+    def _of_sheets(self, luminance: Floats) -> Floats:
+        """Sums (k,) over the images of each sheet, and what is missed of it."""
+        n, missed = len(self.lattice.followed.sheets), self.missed_points
+        number = np.searchsorted(self.lattice.followed.sheets, missed.sheet)
+        of_images = np.bincount(self._numbers, luminance, n).astype(np.float64)
+        return of_images + np.bincount(number, luminances(missed.flux), n)
 
     def rough_elements(self, is_rough: NDArray[np.bool_]) -> NDArray[np.intp]:
         """Elements (k, 2) on which sheets are rough, all, and those where no other sheet is.
@@ -206,8 +214,14 @@ class Refinement:
         return np.where(divided, part, number[self._leaf])
 
     def _missed(self) -> Floats:
-        """Luminance (n,) of sheets that leaves miss, as much as if their images were torn, W."""
-        return _OF_TORN * (self._missed_of_neighbours() + self._missed_of_points())
+        """Luminance (n,) of sheets that leaves miss, W.
+
+        As much as if images were torn where neighbours see them, and all light of the first rays.
+        """
+        is_missed = self._is_missed
+        light = luminances(self._points.flux[is_missed])
+        of_points = np.bincount(self._leaf[is_missed], light, len(self.leaves))
+        return (_OF_TORN * self._missed_of_neighbours() + of_points).astype(np.float64)
 
     def _missed_of_neighbours(self) -> Floats:
         """Luminance (n,) of sheets that a finer neighbour sees on a common side, W."""
@@ -220,21 +234,11 @@ class Refinement:
         keys = self._leaf_keys(leaf, lattice.arrivals.sheet[arrival])
         keys, first = np.unique(keys, return_index=True)
         first = first[~np.isin(keys, self._keys)]
-        return self._light(leaf[first], lattice.light[arrival[first]])
-
-    def _missed_of_points(self) -> Floats:
-        """Luminance (n,) of the parts of leaves from which light of the first rays is missed, W."""
-        rows = np.flatnonzero(self._is_missed)
-        keys = 4 * self._leaf_keys(self._leaf[rows], self._points.sheet[rows]) + self._part[rows]
-        _, first = np.unique(keys, return_index=True)
-        rows = rows[first]
-        of_part = 0.25 * self.lattice.followed.n_scattered * self._points.flux[rows]
-        return self._light(self._leaf[rows], of_part)
-
-    def _light(self, leaf: Ids, light: Floats) -> Floats:
-        """Luminance (n,) of light (k, 3), W per area of the chart, on leaves (k,), W."""
-        luminance = luminances(light) * areas(self.lattice, self.leaves.corners[leaf])
-        return np.bincount(leaf, luminance, len(self.leaves)).astype(np.float64)
+        leaf = leaf[first]
+        light = luminances(lattice.light[arrival[first]]) * areas(
+            lattice, self.leaves.corners[leaf]
+        )
+        return np.bincount(leaf, light, len(self.leaves)).astype(np.float64)
 
     def _elements(self, corners: NDArray[np.int64], level: NDArray[np.int8]) -> Elements:
         places = six_places(corners).reshape(-1, 2)
