@@ -216,11 +216,15 @@ class Refinement:
     def _missed(self) -> Floats:
         """Luminance (n,) of sheets that leaves miss, W.
 
-        As much as if images were torn where neighbours see them, and all light of the first rays.
+        As much as if images were torn where neighbours see them, and the light of the first rays,
+        each of which stands for no more of the chart than its leaf has.
         """
         is_missed = self._is_missed
-        light = luminances(self._points.flux[is_missed])
-        of_points = np.bincount(self._leaf[is_missed], light, len(self.leaves))
+        leaf = self._leaf[is_missed]
+        area = areas(self.lattice, self.leaves.corners[leaf])
+        share = np.minimum(area * self.lattice.followed.n_scattered, 1.0)
+        light = share * luminances(self._points.flux[is_missed])
+        of_points = np.bincount(leaf, light, len(self.leaves))
         return (_OF_TORN * self._missed_of_neighbours() + of_points).astype(np.float64)
 
     def _missed_of_neighbours(self) -> Floats:
