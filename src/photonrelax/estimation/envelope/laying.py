@@ -48,7 +48,7 @@ class Laid(NamedTuple):
     misplaced: Floats
 
 
-def laid(refinement: Refinement, n_rays: float) -> tuple[list[Laid], Points]:
+def laid(refinement: Refinement, n_rays: float, n_threads: int) -> tuple[list[Laid], Points]:
     """Triangles of all light of a chart, in parts, and points of that without smooth images.
 
     Borders are cut by at most so many rays.
@@ -69,7 +69,7 @@ def laid(refinement: Refinement, n_rays: float) -> tuple[list[Laid], Points]:
         lost,
     )
     return (
-        [_curved(refinement, np.flatnonzero(smooth)), borders],
+        [_curved(refinement, np.flatnonzero(smooth), n_threads), borders],
         joined(
             Points, [_of_images(refinement, whole & refinement.jumps), refinement.missed_points]
         ),
@@ -119,7 +119,7 @@ def _of_images(refinement: Refinement, rows: NDArray[np.bool_]) -> Points:
     )
 
 
-def _curved(refinement: Refinement, rows: NDArray[np.intp]) -> Laid:
+def _curved(refinement: Refinement, rows: NDArray[np.intp], n_threads: int) -> Laid:
     """Smooth images as straight triangles, as many as their curvature asks for."""
     patches = refinement.patches[rows]
     area = areas(refinement.lattice, refinement.leaves.corners)[patches.element]
@@ -133,7 +133,7 @@ def _curved(refinement: Refinement, rows: NDArray[np.intp]) -> Laid:
     )
     n, of_chords = _divisions(images, refinement.score, refinement.footprint)
     images = images._replace(score=images.score + of_chords)
-    return _divided(images, n)
+    return _divided(images, n, n_threads)
 
 
 class _Images(NamedTuple):
@@ -177,7 +177,7 @@ def _divisions(
     return n.astype(np.intp), flux * np.minimum(bend / (n**2 * footprint), 1.0)
 
 
-def _divided(images: _Images, n: NDArray[np.intp]) -> Laid:
+def _divided(images: _Images, n: NDArray[np.intp], n_threads: int) -> Laid:
     """Images, each in n² straight triangles."""
     ends = np.cumsum(n**2)
     n_pieces = int(ends[-1]) if len(n) else 0
@@ -194,7 +194,7 @@ def _divided(images: _Images, n: NDArray[np.intp]) -> Laid:
         corners=found.position,
         flux=found.flux,
         places=found.place,
-        n_threads=1,
+        n_threads=n_threads,
     )
     return found
 

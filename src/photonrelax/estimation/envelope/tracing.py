@@ -116,7 +116,7 @@ def laid_envelope(
     traced = perf_counter()
     wanted = _photons_wanted(followed, refinements, settings)
     left = _left_out(charts, followed, wanted)
-    images, chart, points = _images(refinements, charts, left, settings)
+    images, chart, points = _images(refinements, charts, left, settings, threads)
     laid_down = perf_counter()
     rest = rest_photons(
         scene,
@@ -283,12 +283,13 @@ def _images(
     charts: list[Chart],
     left_out: list[tuple[int, Points]],
     settings: EnvelopeSettings,
+    n_threads: int,
 ) -> tuple[Laid, NDArray[np.int32], Floats]:
     """Triangles of all images, their charts, and the flux (3,) laid down around points."""
     left = _rays_left(refinements, settings) + sum(each.n_rays_of_borders for each in refinements)
     footprint = settings.footprint or 1.0
     numbers = [charts.index(each.lattice.chart) for each in refinements]
-    found = [laid(each, left / len(refinements)) for each in refinements]
+    found = [laid(each, left / len(refinements), n_threads) for each in refinements]
     points = [(k, of_chart) for k, (_, of_chart) in zip(numbers, found, strict=True)] + left_out
     parts = [(k, part) for k, (images, _) in zip(numbers, found, strict=True) for part in images]
     parts += [(number, squares(each, footprint)) for number, each in points]
