@@ -10,11 +10,13 @@ import trimesh
 import photonrelax as pr
 from photonrelax import gallery
 from photonrelax._ext.estimation import envelope as kernel
-from photonrelax._ext.estimation import envelope_pieces
+from photonrelax._ext.estimation import envelope_grid, envelope_pieces
 from photonrelax.estimation.envelope import tracing
+from photonrelax.estimation.envelope.grids import Footprints
 from photonrelax.transport import splitting
 from tests.helpers.tracing_scenes import DOWN, box, floor, slab
 
+LIMITS = {"thickness": 1.0, "least_cosine": 0.5}
 NORMAL, LIGHT = np.array([0.0, -0.96, -0.28]), np.array([0.0, 0.6, -0.8])
 
 
@@ -122,7 +124,7 @@ def test_overlap_is_that_of_polygons():
     kernel.means(
         *(tree, flat @ turned.T, normals, sums, np.zeros((1, 3)), normal[:1].copy()),
         *((edges @ turned.T)[np.newaxis], np.arange(1)),
-        thickness=1.0,
+        **LIMITS,
         out=out,
         n_threads=1,
     )
@@ -149,11 +151,74 @@ def test_a_large_footprint_holds_the_light_within():
         *(tree, triangles, kernel.node_normals(tree, normals), kernel.node_sums(tree, values)),
         *(np.zeros((1, 3)), np.array([[0, 0, 1.0]]), np.array([[[4.0, 0, 0], [0, 4.0, 0]]])),
         np.arange(1),
-        thickness=1.0,
+        **LIMITS,
         out=out,
         n_threads=1,
     )
     np.testing.assert_allclose(out[0], values[normals[:, 2] == 1.0].sum(axis=0) / 16, rtol=1e-12)
+
+
+def scattered_triangles(rng):
+    """Of all sizes, some of them lines and points, some aslant or off the plane z = 0."""
+    size = 10.0 ** rng.uniform(-3, 1, (1500, 1, 1))
+    triangles = rng.uniform(-6, 6, (1500, 1, 3)) * [1, 1, 0] + size * rng.normal(0, 1, (1500, 3, 3))
+    triangles[..., 2] *= 0.1
+    triangles[:100, 2] = triangles[:100, :2].mean(axis=1)
+    triangles[100:150] = np.round(triangles[100:150, :1])
+    normals = np.where(rng.random((1500, 1)) < 0.1, [[1.0, 0, 0]], [[0, 0, 1.0]])
+    return triangles, normals
+
+
+def test_texels_of_a_grid_are_as_footprints_one_by_one():
+    """Of a slanted grid, by going through the triangles and by searching their tree."""
+    rng = np.random.default_rng(7)
+    triangles, normals = scattered_triangles(rng)
+    values = rng.random((1500, 3))
+    edges = np.array([[0.21, 0.02, 0.0], [-0.07, 0.17, 0.0]])
+    column, row = (each.ravel() for each in np.meshgrid(np.arange(31), np.arange(23)))
+    centres = np.column_stack([column - 15, row - 11, np.zeros(len(row))])
+    centres[:, :2] = centres[:, :2] @ edges[:, :2]
+    facing, sides = np.tile([0.0, 0.0, 1.0], (len(row), 1)), np.tile(edges, (len(row), 1, 1))
+    footprints = Footprints(centres, facing, sides, rng.permutation(len(row)))
+    tree, one_by_one = pr_tree(triangles), np.empty((len(row), 3))
+    kernel.means(
+        *(tree, triangles, kernel.node_normals(tree, normals), kernel.node_sums(tree, values)),
+        *footprints,
+        **LIMITS,
+        out=one_by_one,
+        n_threads=1,
+    )
+    grid = footprints.grid
+    assert grid.shape == (31, 23)
+    at_once = [np.empty((23, 31, 3)) for _ in range(3)]
+    for n_threads, out in zip((1, 2, 7), at_once, strict=True):
+        envelope_grid.sums(
+            *(triangles, normals, values),
+            **{"origin": grid.origin, "edges": grid.edges, "towards": grid.normal, **LIMITS},
+            out=out,
+            n_threads=n_threads,
+        )
+    means = at_once[0][grid.row, grid.column] / grid.area
+    np.testing.assert_allclose(means, one_by_one, rtol=0, atol=1e-12 * one_by_one.max())
+    assert len({out.tobytes() for out in at_once}) == 1
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda centres, normals, edges: centres.__setitem__((3, 2), 1e-3),
+        lambda centres, normals, edges: centres.__setitem__((3, 0), centres[3, 0] + 1e-3),
+        lambda centres, normals, edges: normals.__setitem__((3, 2), -1.0),
+        lambda centres, normals, edges: edges.__setitem__((3, 0, 0), 0.5),
+    ],
+)
+def test_footprints_that_are_not_of_one_grid_are_known(change):
+    centres = np.column_stack([*(each.ravel() for each in np.mgrid[:4, :4]), np.zeros(16)])
+    normals, edges = np.tile([0.0, 0.0, 1.0], (16, 1)), np.tile(np.eye(3)[:2], (16, 1, 1))
+    footprints = Footprints(centres, normals, edges, np.arange(16))
+    assert footprints.grid is not None
+    change(centres, normals, edges)
+    assert footprints.grid is None
 
 
 @pytest.mark.parametrize("parts", [1, 2, 5, envelope_pieces.MOST])

@@ -26,10 +26,10 @@ class Reporter:
         if self._progress is not None:
             self._progress(self._stage, self._done, self._total)
 
-    def chunks(self, n: int) -> Iterator[tuple[int, int]]:
+    def chunks(self, n: int, size: int = CHUNK) -> Iterator[tuple[int, int]]:
         """Yield (first, end) of consecutive chunks of n rows, and count each when it is done."""
-        for first in range(0, n, CHUNK):
-            end = min(first + CHUNK, n)
+        for first in range(0, n, size):
+            end = min(first + size, n)
             yield first, end
             self.advance(end - first)
 

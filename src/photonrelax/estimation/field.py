@@ -15,7 +15,7 @@ from .._ext.spatial.node_sums import node_sums
 from .._ext.spatial.radius import RadiusGather
 from .._util import validation
 from .._util.parcels import state_without_caches
-from .._util.progress import Progress, Reporter
+from .._util.progress import CHUNK, Progress, Reporter
 from .._util.validation import Floats
 from ..photons.axes import normal_range
 from ..photons.photon_map import PhotonMap
@@ -77,6 +77,8 @@ class Field(ABC):
     used: dict[str, dict[str, Any]]
     surface: Surface | None = None
     _n_threads: int
+    # Points of a chunk.
+    _chunk = CHUNK
 
     def __call__(
         self,
@@ -187,7 +189,7 @@ class Field(ABC):
         """Divide points into chunks, each served by one part; their progress is reported."""
         n_dark = len(points)
         for part, queries, rows in self._parts(points, normals):
-            for first, end in report.chunks(len(rows)):
+            for first, end in report.chunks(len(rows), self._chunk):
                 yield Points(part, queries, normals, rows[first:end])
             n_dark -= len(rows)
         if n_dark:

@@ -176,7 +176,7 @@ def disk_region(
     return EmissionRegion(
         DISK,
         target.centre + upstream * direction,
-        _frame(direction),
+        axis_frame(direction),
         np.array([target.radius, 0.0, 0.0, 0.0]),
         area,
         area * irradiance,
@@ -198,7 +198,7 @@ def sun_region(
     return EmissionRegion(
         SUN,
         target.centre - upstream * direction,
-        _frame(direction),
+        axis_frame(direction),
         np.array([target.radius, one_minus_cos, upstream, 0.0]),
         area,
         # Of solid angle over projected solid angle: the plane sees the rim of the sun aslant.
@@ -256,7 +256,7 @@ def area_region(
     return EmissionRegion(
         AREA,
         triangles[0].mean(axis=0) + start * normals[0],
-        _frame(normals[0]),
+        axis_frame(normals[0]),
         np.array(
             np.array([target.radius, one_minus_cos, two_sided, seen]),
         ),
@@ -303,7 +303,7 @@ def cap_region(
     return EmissionRegion(
         CAP,
         position,
-        _frame(axis),
+        axis_frame(axis),
         shape,
         2.0 * np.pi * shape[0],
         0.5 * shape[0] * power,
@@ -316,7 +316,7 @@ def cap_directions(axis: Floats, one_minus_cos: float, sample: Floats) -> Floats
     drop, azimuth = one_minus_cos * sample[:, 0], 2.0 * np.pi * sample[:, 1]
     aside = np.sqrt(drop * (2.0 - drop))
     local = np.column_stack([aside * np.cos(azimuth), aside * np.sin(azimuth), 1.0 - drop])
-    directions: Floats = product(local, _frame(axis))
+    directions: Floats = product(local, axis_frame(axis))
     return directions
 
 
@@ -354,7 +354,7 @@ def cosine_lobe_region(
     return EmissionRegion(
         ELLIPSE,
         position,
-        _frame(normal, aside),
+        axis_frame(normal, aside),
         np.array([cos_tilt, sin_tilt, cos, sin]),
         np.pi * projected,
         projected * power,
@@ -385,7 +385,7 @@ def spot_region(
     return EmissionRegion(
         SPOT,
         position,
-        _frame(axis, aside),
+        axis_frame(axis, aside),
         np.array([lobe.inner, lobe.outer, low, high, azimuth]),
         2.0 * np.pi * whole * share,
         share * power,
@@ -441,8 +441,8 @@ def _half_angle(radius: float, distance: float) -> tuple[float, float]:
     return sin, np.sqrt((1.0 - sin) * (1.0 + sin))
 
 
-def _frame(w: Floats, aside: Floats | None = None) -> Floats:
-    """Return right-handed unit rows u, v, w, with u along `aside` where that has a length."""
+def axis_frame(w: Floats, aside: Floats | None = None) -> Floats:
+    """Right-handed unit rows u, v, w, with u along `aside` where that has a length."""
     if aside is None or not aside.any():
         # The axis least along w.
         aside = _AXES[np.abs(w).argmin()]

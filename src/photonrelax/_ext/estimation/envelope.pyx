@@ -6,19 +6,13 @@ from libc.math cimport INFINITY, fabs, sqrt
 from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
 from ..common.vec3 cimport cross, dot
 from ..spatial.box_tree cimport FAN, BoxTree, BoxVisit, open_visit, squared_gap, step_over
+from .polygon cimport Polygon, area_of, is_line, longest_side
 
 import numpy as np
 
 cdef enum:
-    # Corners of a triangle cut by the four sides of a square, at most.
-    MOST_CORNERS = 8
     LOOK_EVERY = 256
     GRAIN = 64
-
-# Cosine of the largest angle between the normals of a footprint and of light on it.
-cdef double LEAST_COSINE = 0.5
-# Triangles of a smaller area, over the square of their longest side, are lines.
-cdef double THIN = 1e-9
 
 
 cdef struct Footprint:
@@ -28,11 +22,6 @@ cdef struct Footprint:
     double[3] to_b
     double[3] normal
     double area
-
-
-cdef struct Polygon:
-    int n
-    double[MOST_CORNERS][2] corner
 
 
 cdef struct Box:
@@ -71,7 +60,7 @@ def means(
     BoxTree tree, const double[:, :, ::1] triangles, const double[:, ::1] normals,
     const double[:, ::1] sums, const double[:, ::1] points, const double[:, ::1] towards,
     const double[:, :, ::1] edges, const Py_ssize_t[::1] rows, *, double thickness,
-    double[:, ::1] out, int n_threads,
+    double least_cosine, double[:, ::1] out, int n_threads,
 ):
     """Write means over footprints of values that are spread evenly over triangles.
 
@@ -89,30 +78,32 @@ def means(
         Rows of the footprints whose means are wanted.
     thickness : float
         Largest distance of a triangle from the plane of a footprint over the size of that.
-    out : (m, c) float64 array
+    least_cosine : float
+        Of the angle between the normals of a footprint and of light on it.
+    out : (r, c) float64 array
         Values per m².
     """
-    cdef Py_ssize_t i, m = points.shape[0]
+    cdef Py_ssize_t i, m = points.shape[0], r = rows.shape[0]
     cdef Watch watch = open_watch()
     if not (
         tree.n_boxes == triangles.shape[0] and triangles.shape[1] == triangles.shape[2] == 3
         and tree.bounds.shape[0] == normals.shape[0] == sums.shape[0] and normals.shape[1] == 6
-        and m == towards.shape[0] == edges.shape[0] == out.shape[0]
+        and m == towards.shape[0] == edges.shape[0] and r == out.shape[0]
         and points.shape[1] == towards.shape[1] == edges.shape[2] == 3 and edges.shape[1] == 2
         and out.shape[1] == sums.shape[1]
     ):
         raise ValueError("triangles, footprints and values do not fit one another")
-    for i in range(rows.shape[0]):
+    for i in range(r):
         if not 0 <= rows[i] < m:
             raise ValueError(f"rows should be of {m} footprints, but one is {rows[i]}")
     for i in prange(
-        rows.shape[0], nogil=True, schedule="dynamic", chunksize=GRAIN,
-        num_threads=team_size(n_threads, rows.shape[0], GRAIN)
+        r, nogil=True, schedule="dynamic", chunksize=GRAIN,
+        num_threads=team_size(n_threads, r, GRAIN)
     ):
         if goes_on(&watch, threadid() == 0 and i % LOOK_EVERY == 0):
             mean_over(
                 tree, triangles, normals, sums, &points[rows[i], 0], &towards[rows[i], 0],
-                &edges[rows[i], 0, 0], thickness, &out[rows[i], 0],
+                &edges[rows[i], 0, 0], thickness, least_cosine, &out[i, 0],
             )
     close_watch(&watch)
 
@@ -120,7 +111,7 @@ def means(
 cdef void mean_over(
     BoxTree tree, const double[:, :, ::1] triangles, const double[:, ::1] normals,
     const double[:, ::1] sums, const double* point, const double* towards, const double* edges,
-    double thickness, double* out,
+    double thickness, double least_cosine, double* out,
 ) noexcept nogil:
     """Write the mean of one footprint; nodes that lie in it add their sums."""
     cdef Footprint footprint
@@ -142,9 +133,11 @@ cdef void mean_over(
         share = 0.0
         if squared_gap(&tree.bounds[row, 0], low, high) <= 0.0:
             if visit.level == 0:
-                if dot(&normals[row, 0], footprint.normal) > LEAST_COSINE:
+                if dot(&normals[row, 0], footprint.normal) > least_cosine:
                     share = share_within(&footprint, &triangles[tree.ids[row], 0, 0], slack)
-            elif holds(&footprint, &tree.bounds[row, 0], &normals[row, 0], slack):
+            elif holds(
+                &footprint, &tree.bounds[row, 0], &normals[row, 0], slack, least_cosine
+            ):
                 share = 1.0
             else:
                 visit.level -= 1
@@ -159,7 +152,8 @@ cdef void mean_over(
 
 
 cdef bint holds(
-    const Footprint* footprint, const double* bounds, const double* normals, double slack
+    const Footprint* footprint, const double* bounds, const double* normals, double slack,
+    double least_cosine
 ) noexcept nogil:
     """True if all triangles between bounds, with normals between others, count as a whole."""
     cdef double[3] middle, half
@@ -170,7 +164,7 @@ cdef bint holds(
         half[c] = 0.5 * (bounds[3 + c] - bounds[c])
         least += min(normals[c] * footprint.normal[c], normals[3 + c] * footprint.normal[c])
     return (
-        least > LEAST_COSINE
+        least > least_cosine
         and farthest(footprint.to_a, middle, half) < 0.5
         and farthest(footprint.to_b, middle, half) < 0.5
         and farthest(footprint.normal, middle, half) < slack
@@ -220,8 +214,8 @@ cdef double share_within(
     cdef Polygon polygon
     cdef double[3] offset
     cdef Box box
-    cdef double whole, longest = 0.0, nearest = INFINITY
-    cdef int i, j, c, reach
+    cdef double whole, squared, nearest = INFINITY
+    cdef int i, c, reach, longest
     polygon.n = 3
     for i in range(3):
         for c in range(3):
@@ -231,12 +225,9 @@ cdef double share_within(
         nearest = min(nearest, fabs(dot(offset, footprint.normal)))
     if nearest > slack:
         return 0.0
-    for i in range(3):
-        j = (i + 1) % 3
-        longest = max(longest, squared_length(polygon.corner[i], polygon.corner[j]))
-    whole = area_of(&polygon)
-    if fabs(whole) <= THIN * longest:
-        return share_of_line(&polygon, longest)
+    whole, longest = area_of(&polygon), longest_side(&polygon, &squared)
+    if is_line(whole, squared):
+        return share_of_line(polygon.corner[longest], polygon.corner[(longest + 1) % 3])
     set_box(&box, &polygon)
     if not box.low[0] < 0.5 or not box.high[0] > -0.5 or not box.low[1] < 0.5 or (
         not box.high[1] > -0.5
@@ -289,23 +280,6 @@ cdef int reach_of_sides(const Polygon* polygon, double turn) noexcept nogil:
     return reach
 
 
-cdef double squared_length(const double* a, const double* b) noexcept nogil:
-    return (a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1])
-
-
-cdef double area_of(const Polygon* polygon) noexcept nogil:
-    """Signed area, by corners relative to the first: far ones keep their digits."""
-    cdef double total = 0.0
-    cdef const double* o = polygon.corner[0]
-    cdef int i
-    for i in range(1, polygon.n - 1):
-        total += (
-            (polygon.corner[i][0] - o[0]) * (polygon.corner[i + 1][1] - o[1])
-            - (polygon.corner[i][1] - o[1]) * (polygon.corner[i + 1][0] - o[0])
-        )
-    return 0.5 * total
-
-
 cdef void clip(Polygon* polygon, int axis, double side) noexcept nogil:
     """Cut a convex polygon at side · coordinate <= 1/2 (Sutherland & Hodgman 1974)."""
     cdef Polygon cut
@@ -329,24 +303,18 @@ cdef void clip(Polygon* polygon, int axis, double side) noexcept nogil:
     polygon[0] = cut
 
 
-cdef double share_of_line(const Polygon* polygon, double longest) noexcept nogil:
-    """Share of the longest side of a triangle that lies within; of a point, whether it does."""
-    cdef double enter = 0.0, leave = 1.0, start, change, t
-    cdef int i, j, k, axis
-    i = 0
-    for k in range(3):
-        if squared_length(polygon.corner[k], polygon.corner[(k + 1) % 3]) == longest:
-            i = k
-    j = (i + 1) % 3
+cdef double share_of_line(const double* start, const double* end) noexcept nogil:
+    """Share of a line that lies within; of a point, whether it does."""
+    cdef double enter = 0.0, leave = 1.0, change, t
+    cdef int axis
     for axis in range(2):
-        start = polygon.corner[i][axis]
-        change = polygon.corner[j][axis] - start
+        change = end[axis] - start[axis]
         if change == 0.0:
             # Of footprints that share an edge one has what lies on it.
-            if not -0.5 <= start < 0.5:
+            if not -0.5 <= start[axis] < 0.5:
                 return 0.0
             continue
-        t = (-0.5 - start) / change
-        enter = max(enter, min(t, (0.5 - start) / change))
-        leave = min(leave, max(t, (0.5 - start) / change))
+        t = (-0.5 - start[axis]) / change
+        enter = max(enter, min(t, (0.5 - start[axis]) / change))
+        leave = min(leave, max(t, (0.5 - start[axis]) / change))
     return max(leave - enter, 0.0)

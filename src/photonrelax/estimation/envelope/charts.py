@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..._util.validation import Floats
+from ...scene.emission_region import axis_frame
 from ...scene.emitters import CollimatedEmitter, Emitter
 from ...scene.materials import Dielectric, Mirror
 from ...scene.scene import Scene, SceneObject
@@ -179,14 +180,14 @@ def _charts_around_point(scene: Scene, emitter: Emitter, emitter_id: int) -> lis
     units = [each / np.linalg.norm(each, axis=1)[:, np.newaxis] for each in towards]
     axis = sum(each.mean(axis=0) for each in units)
     length = np.linalg.norm(axis)
-    frame = _aligned(_frame(axis / length), units) if length > 0.0 else np.eye(3)
+    frame = _aligned(axis_frame(axis / length), units) if length > 0.0 else np.eye(3)
     local = [each @ frame.T for each in towards]
     if all((np.hypot(p[:, 0], p[:, 1]) <= _WIDEST * p[:, 2]).all() for p in local):
         boxes = _disjoint([_box(p[:, :2] / p[:, 2:]) for p in local])
         frames = [frame] * len(boxes)
     else:
         boxes = [np.array([[-1.0, -1.0], [1.0, 1.0]])] * 6
-        frames = [_frame(side * np.eye(3)[i]) for i in range(3) for side in (1.0, -1.0)]
+        frames = [axis_frame(side * np.eye(3)[i]) for i in range(3) for side in (1.0, -1.0)]
     return [
         Chart(
             emitter,
@@ -198,13 +199,6 @@ def _charts_around_point(scene: Scene, emitter: Emitter, emitter_id: int) -> lis
         )
         for turned, (low, high) in zip(frames, boxes, strict=True)
     ]
-
-
-def _frame(w: Floats) -> Floats:
-    """Right-handed unit rows u, v, w."""
-    u = np.cross(np.eye(3)[np.abs(w).argmin()], w)
-    u /= np.linalg.norm(u)
-    return np.array([u, np.cross(w, u), w])
 
 
 def _aligned(frame: Floats, casters: list[Floats]) -> Floats:

@@ -122,6 +122,28 @@ def first_corners(lattice: Lattice) -> Places:
     return square[:, [[0, 1, 3], [2, 3, 1]]].reshape(-1, 3, 2)
 
 
+def first_elements_at(lattice: Lattice, places: Floats) -> Ids:
+    """Rows (n,) of the elements of the first grid that places (n, 2) are in."""
+    inside = places / UNIT
+    cell = np.clip(np.floor(inside), 0.0, lattice.cells - 1.0)
+    is_second = (inside - cell).sum(axis=1) > 1.0
+    column, row = cell.T
+    found: Ids = (2.0 * (row * lattice.cells[0] + column) + is_second).astype(np.intp)
+    return found
+
+
+def parts_at(corners: Places, places: Floats) -> Ids:
+    """Which (n,) of the four parts of elements (n, 3, 2) the places (n, 2) in them are in."""
+    a, b = (corners[:, i] - corners[:, 0] for i in (1, 2))
+    at = places - corners[:, 0]
+    area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    v = (at[:, 0] * b[:, 1] - at[:, 1] * b[:, 0]) / area
+    w = (a[:, 0] * at[:, 1] - a[:, 1] * at[:, 0]) / area
+    weights = np.column_stack([1.0 - v - w, v, w])
+    parts: Ids = np.where(weights.max(axis=1) > 0.5, weights.argmax(axis=1), 3)
+    return parts
+
+
 def six_places(corners: Places) -> Places:
     """Places (n, 6, 2) of the nodes of elements."""
     middle = [(corners[:, i] + corners[:, j]) // 2 for i, j in _SIDES]
@@ -186,23 +208,30 @@ def fluxes(lattice: Lattice, patches: Patches, area: Floats) -> Floats:
     return flux
 
 
+def sags(position: Floats) -> Floats:
+    """Distances (p, 3) of the middle nodes from the middles of straight sides."""
+    corners = position[:, :3]
+    middle = np.stack([corners[:, i] + corners[:, j] for i, j in _SIDES], axis=1) / 2.0
+    distances: Floats = np.linalg.norm(position[:, 3:] - middle, axis=2)
+    return distances
+
+
 def bends(position: Floats) -> tuple[Floats, Floats]:
     """Largest distances of the middle nodes from straight sides, and longest sides, (p,) both."""
     corners = position[:, :3]
-    middle = np.stack([corners[:, i] + corners[:, j] for i, j in _SIDES], axis=1) / 2.0
     side = np.stack([corners[:, i] - corners[:, j] for i, j in _SIDES], axis=1)
-    bend = np.linalg.norm(position[:, 3:] - middle, axis=2).max(axis=1)
-    return bend, np.linalg.norm(side, axis=2).max(axis=1)
+    return sags(position).max(axis=1), np.linalg.norm(side, axis=2).max(axis=1)
 
 
 def misfits(position: Floats, parent: Floats, part: Ids) -> Floats:
-    """Largest distances (p,) of new nodes from where the images of parents have them.
+    """Distances (p,) of new nodes from where the images of parents have them, root mean square.
 
     `position` (p, 6, 3) is of the images, `parent` (p, 6, 3) of the images they are part of, and
     `part` (p,) which of the four.
     """
     predicted = np.einsum("pks,psc->pkc", _NEW_NODES[part], parent)
-    misfit: Floats = np.linalg.norm(position[:, 3:] - predicted, axis=2).max(axis=1)
+    squared = np.square(position[:, 3:] - predicted).sum(axis=2)
+    misfit: Floats = np.sqrt(squared.mean(axis=1))
     return misfit
 
 

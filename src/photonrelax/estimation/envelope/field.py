@@ -4,27 +4,40 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from ..._ext.estimation import envelope as _kernel
+from ..._ext.estimation import envelope_grid
 from ..._util.parallel import thread_count
 from ..._util.validation import Floats
 from ..field import Densities, Field, PhotonField, Points
 from .elements import luminances
 from .envelope import NOISE, Envelope
+from .grids import FootprintGrid, Footprints
 from .laying import square_edges
 
-# Distance from the plane of a footprint, over its size, of light that still counts in it.
-_THICKNESS = 1.0
+# Distance from the plane of a footprint, over its size, of light that still counts in it, and the
+# cosine of the largest angle between their normals.
+_LIMITS = {"thickness": 1.0, "least_cosine": 0.5}
+# Footprints evaluated together: triangles are gone through once for all those of a grid.
+_CHUNK = 1 << 18
+# Triangles for each footprint of a grid, at most, that are all gone through.
+_PER_TEXEL = 1000
 
 
-class _Values(NamedTuple):
-    """Sums (rows, c) over nodes of the triangles' tree, and densities of photons, if any."""
+class _Values:
+    """Values of triangles (t, c), and densities of photons, if any."""
 
-    sums: Floats
-    photons: Densities | None
+    def __init__(self, envelope: Envelope, values: Floats, photons: Densities | None) -> None:
+        self._envelope, self.photons = envelope, photons
+        self.of_triangles = np.ascontiguousarray(values)
+
+    @cached_property
+    def sums(self) -> Floats:
+        """Sums (rows, c) over the nodes of the triangles' tree."""
+        sums: Floats = _kernel.node_sums(self._envelope.tree.kernel, self.of_triangles)
+        return sums
 
 
 class EnvelopeField(Field):
@@ -43,6 +56,8 @@ class EnvelopeField(Field):
     -----
     At points the estimate is the mean over a square as large as the envelope's footprint.
     """
+
+    _chunk = _CHUNK
 
     def __init__(
         self, envelope: Envelope, rest: PhotonField | None = None, *, n_threads: int | None = None
@@ -92,15 +107,13 @@ class EnvelopeField(Field):
 
     def _lay_out(self, values: Floats, part: int) -> _Values:
         triangles, photons = np.split(values, [len(self.envelope)])
-        return _Values(
-            _kernel.node_sums(self.envelope.tree.kernel, triangles),
-            None if self.rest is None else self.rest.densities(photons),
-        )
+        rest = None if self.rest is None else self.rest.densities(photons)
+        return _Values(self.envelope, triangles, rest)
 
     def _fill(self, out: Floats, values: Densities, points: Points) -> None:
         laid_out = values.laid_out(0)
         if len(self.envelope):
-            self._fill_of_triangles(out, laid_out.sums, points)
+            self._fill_of_triangles(out, laid_out, points)
         if laid_out.photons is not None:
             rows = points.rows
             footprint = None if points.footprint is None else points.footprint[rows]
@@ -110,23 +123,50 @@ class EnvelopeField(Field):
             # There are no photons where there is no surface.
             out[rows] += np.nan_to_num(found, copy=False)
 
-    def _fill_of_triangles(self, out: Floats, sums: Floats, points: Points) -> None:
-        envelope = self.envelope
-        edges = points.footprint
+    def _fill_of_triangles(self, out: Floats, values: _Values, points: Points) -> None:
+        footprints = self._footprints(points)
+        grid = None
+        if len(self.envelope) <= _PER_TEXEL * len(points.rows):
+            grid = footprints.grid
+        if grid is None:
+            out[points.rows] = self._means(values.sums, footprints)
+        else:
+            out[points.rows] = self._means_of_grid(values.of_triangles, grid)
+
+    def _footprints(self, points: Points) -> Footprints:
+        edges, rows = points.footprint, points.rows
+        if edges is not None and edges.ndim == 3:
+            return Footprints.of(points.queries, points.normals, edges, rows)
+        normals = points.normals[rows]
         if edges is None:
-            edges = np.full(len(points.queries), envelope.settings.footprint)
-        if edges.ndim == 1:
-            edges = square_edges(points.normals, edges)
+            sides = np.full(len(rows), self.envelope.settings.footprint)
+        else:
+            sides = edges[rows]
+        squares = square_edges(normals, sides)
+        return Footprints.of(points.queries[rows], normals, squares, np.arange(len(rows)))
+
+    def _means(self, sums: Floats, footprints: Footprints) -> Floats:
+        """Means (r, c) over any footprints."""
+        means = np.empty((len(footprints.rows), sums.shape[1]))
         _kernel.means(
-            envelope.tree.kernel,
-            envelope.position,
-            self._normals,
-            sums,
-            np.ascontiguousarray(points.queries),
-            np.ascontiguousarray(points.normals),
-            np.ascontiguousarray(edges),
-            points.rows,
-            thickness=_THICKNESS,
-            out=out,
+            *(self.envelope.tree.kernel, self.envelope.position, self._normals, sums, *footprints),
+            **_LIMITS,
+            out=means,
             n_threads=self._n_threads,
         )
+        return means
+
+    def _means_of_grid(self, values: Floats, grid: FootprintGrid) -> Floats:
+        """Means (r, c) over footprints that are the texels of a grid."""
+        sums = np.empty((*grid.shape[::-1], values.shape[1]))
+        envelope_grid.sums(
+            *(self.envelope.position, self.envelope.normal, values),
+            origin=grid.origin,
+            edges=grid.edges,
+            towards=grid.normal,
+            **_LIMITS,
+            out=sums,
+            n_threads=self._n_threads,
+        )
+        means: Floats = sums[grid.row, grid.column] / grid.area
+        return means

@@ -65,6 +65,11 @@ class Lattice:
         unit: Floats = places / (UNIT * self.cells)
         return unit
 
+    def in_lattice(self, unit: Floats) -> Floats:
+        """Points (n, 2) of the chart's unit square as places, which need not be whole."""
+        places: Floats = unit * (UNIT * self.cells)
+        return places
+
     def nodes(self, places: Places) -> Ids:
         """Nodes at places (n, 2); those not yet there are traced."""
         keys: NDArray[np.int64] = (places[:, 0] << 32) | places[:, 1]

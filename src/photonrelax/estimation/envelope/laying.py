@@ -11,12 +11,13 @@ from ..._ext.estimation.envelope_pieces import MOST, pieces
 from ..._util.validation import Floats
 from ...spatial.kdtree import KDTree
 from ...transport.splitting import Signatures
-from .borders import cut
-from .elements import areas, bends, luminances, six_places
+from .borders import cut, joined
+from .elements import areas, luminances, sags, six_places
 from .refinement import Refinement
+from .sheets import Points
 
-# Largest distance of a straight piece from its image, in footprints, and the mean over the largest.
-_FARTHEST, _OF_CHORD = 0.5, 2.0 / 3.0
+# Largest mean distance of a straight piece from its image, in footprints.
+_FARTHEST = 1.0 / 3.0
 # Share of the light that may be misplaced that images may misplace; the rest is of their chords.
 OF_IMAGES = 0.6
 # Points of light that the square around each is as large as.
@@ -47,26 +48,7 @@ class Laid(NamedTuple):
     misplaced: Floats
 
 
-class Points(NamedTuple):
-    """Positions (n, 3), m, normals (n, 3) and fluxes (n, 3), W, of light that has no image.
-
-    `place` (n, 2) is in the unit square of the chart, `sheet` (n,) as of `Laid`.
-    """
-
-    position: Floats
-    normal: Floats
-    flux: Floats
-    place: Floats
-    sheet: Signatures
-
-    @classmethod
-    def none(cls) -> Points:
-        """No points."""
-        vectors = np.empty((0, 3))
-        return cls(vectors, vectors, vectors, np.empty((0, 2)), np.empty(0, np.uint64))
-
-
-def laid(refinement: Refinement, n_rays: float) -> tuple[list[Laid], Points]:
+def laid(refinement: Refinement, n_rays: float, n_threads: int) -> tuple[list[Laid], Points]:
     """Triangles of all light of a chart, in parts, and points of that without smooth images.
 
     Borders are cut by at most so many rays.
@@ -87,8 +69,10 @@ def laid(refinement: Refinement, n_rays: float) -> tuple[list[Laid], Points]:
         lost,
     )
     return (
-        [_curved(refinement, np.flatnonzero(smooth)), borders],
-        _of_images(refinement, whole & refinement.jumps),
+        [_curved(refinement, np.flatnonzero(smooth), n_threads), borders],
+        joined(
+            Points, [_of_images(refinement, whole & refinement.jumps), refinement.missed_points]
+        ),
     )
 
 
@@ -135,7 +119,7 @@ def _of_images(refinement: Refinement, rows: NDArray[np.bool_]) -> Points:
     )
 
 
-def _curved(refinement: Refinement, rows: NDArray[np.intp]) -> Laid:
+def _curved(refinement: Refinement, rows: NDArray[np.intp], n_threads: int) -> Laid:
     """Smooth images as straight triangles, as many as their curvature asks for."""
     patches = refinement.patches[rows]
     area = areas(refinement.lattice, refinement.leaves.corners)[patches.element]
@@ -149,7 +133,7 @@ def _curved(refinement: Refinement, rows: NDArray[np.intp]) -> Laid:
     )
     n, of_chords = _divisions(images, refinement.score, refinement.footprint)
     images = images._replace(score=images.score + of_chords)
-    return _divided(images, n)
+    return _divided(images, n, n_threads)
 
 
 class _Images(NamedTuple):
@@ -181,18 +165,19 @@ def _divisions(
 
     Pieces are fewest, for Σ flux · distance given, at distances as (√bend / flux)^(2/3).
     """
-    bend, _ = bends(images.position)
+    # The mean distance over an image is at most that of the middles of its sides, of 4 y z = 1/3.
+    bend = sags(images.position).mean(axis=1)
     flux = np.maximum(luminances(images.light[:, 3:].mean(axis=1)), 1e-300)
     weight = np.cbrt(bend) * flux ** (-2.0 / 3.0)
     of_all = max(float(flux @ weight), 1e-300)
-    most = (1.0 / OF_IMAGES - 1.0) / _OF_CHORD * misplaced
+    most = (1.0 / OF_IMAGES - 1.0) * misplaced
     distance = footprint * np.minimum(weight * (most / of_all), _FARTHEST)
     n = np.ceil(np.sqrt(bend / np.maximum(distance, 1e-300)))
     n = np.clip(n, 1, MOST)
-    return n.astype(np.intp), flux * np.minimum(_OF_CHORD * bend / (n**2 * footprint), 1.0)
+    return n.astype(np.intp), flux * np.minimum(bend / (n**2 * footprint), 1.0)
 
 
-def _divided(images: _Images, n: NDArray[np.intp]) -> Laid:
+def _divided(images: _Images, n: NDArray[np.intp], n_threads: int) -> Laid:
     """Images, each in n² straight triangles."""
     ends = np.cumsum(n**2)
     n_pieces = int(ends[-1]) if len(n) else 0
@@ -209,7 +194,7 @@ def _divided(images: _Images, n: NDArray[np.intp]) -> Laid:
         corners=found.position,
         flux=found.flux,
         places=found.place,
-        n_threads=1,
+        n_threads=n_threads,
     )
     return found
 

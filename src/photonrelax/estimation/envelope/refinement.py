@@ -7,19 +7,23 @@ from numpy.typing import NDArray
 
 from ..._util.validation import Floats
 from .elements import (
+    PARTS,
     Elements,
     Patches,
     areas,
     bends,
     first_corners,
+    first_elements_at,
     fluxes,
     luminances,
     misfits,
     nodes_of_neighbours,
+    parts_at,
     patches_of,
     six_places,
 )
 from .lattice import MAX_LEVEL, Ids, Lattice
+from .sheets import Points
 
 # Misplaced distance over the misfit of a parent, and over the bend where there is no parent.
 _OF_MISFIT, _OF_BEND = 0.125, 0.25
@@ -52,7 +56,8 @@ class Refinement:
         Images whose nodes do not follow one smooth map.
     missed : (n,) float64
         Luminance that leaves misplace of sheets that none of their nodes sees, but one of a
-        neighbour on a side of theirs, W.
+        neighbour on a side of theirs, and that of the first rays in parts of them that are not
+        laid down, W.
     """
 
     def __init__(self, lattice: Lattice, footprint: float) -> None:
@@ -61,7 +66,9 @@ class Refinement:
         self.leaves = self._elements(corners, np.zeros(len(corners), np.int8))
         self.patches = patches_of(lattice, self.leaves.nodes)
         self.scores, self.jumps = self._scores(self.leaves, self.patches, None)
-        self.missed = np.zeros(len(self.leaves))
+        self._points = lattice.followed.points(lattice.chart, followed=True)
+        self._leaf = first_elements_at(lattice, lattice.in_lattice(self._points.place))
+        self.missed = self._missed()
 
     @property
     def score(self) -> float:
@@ -81,17 +88,25 @@ class Refinement:
 
     @property
     def light_of_sheets(self) -> Floats:
-        """Luminance (k, 2) of each sheet that is followed, of all images and of rough ones, W."""
+        """Luminance (k, 2) of each sheet that is followed, all of it and that of rough images, W.
+
+        What is missed is rough.
+        """
         flux = luminances(self._fluxes(self.leaves, self.patches))
-        number, n = self._numbers, len(self.lattice.followed.sheets)
         is_rough = ~self.patches.is_whole | self.jumps
-        return np.column_stack([np.bincount(number, each, n) for each in (flux, flux * is_rough)])
+        return np.column_stack([self._of_sheets(each) for each in (flux, flux * is_rough)])
 
     @property
     def misplaced_of_sheets(self) -> Floats:
-        """Luminance (k,) that the images of each sheet that is followed misplace, W."""
-        n = len(self.lattice.followed.sheets)
-        return np.bincount(self._numbers, self.scores, n).astype(np.float64)
+        """Luminance (k,) of each sheet that is followed that is misplaced, W."""
+        return self._of_sheets(self.scores)
+
+    def _of_sheets(self, luminance: Floats) -> Floats:
+        """Sums (k,) over the images of each sheet, and what is missed of it."""
+        n, missed = len(self.lattice.followed.sheets), self.missed_points
+        number = np.searchsorted(self.lattice.followed.sheets, missed.sheet)
+        of_images = np.bincount(self._numbers, luminance, n).astype(np.float64)
+        return of_images + np.bincount(number, luminances(missed.flux), n)
 
     def rough_elements(self, is_rough: NDArray[np.bool_]) -> NDArray[np.intp]:
         """Elements (k, 2) on which sheets are rough, all, and those where no other sheet is.
@@ -109,6 +124,35 @@ class Refinement:
         """Rows (p,) of the images' sheets among those that are followed."""
         return np.searchsorted(self.lattice.followed.sheets, self.patches.sheet)
 
+    @property
+    def missed_points(self) -> Points:
+        """Light of the first rays in parts of leaves of which no corner sees its sheet."""
+        return self._points.of(self._is_missed)
+
+    @property
+    def _is_missed(self) -> NDArray[np.bool_]:
+        """(k,) true for the light of the first rays that borders, if they are cut, leave out."""
+        keys, wanted = self._keys, self._leaf_keys(self._leaf, self._points.sheet)
+        image = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        corners = self.patches.arrival[image[:, np.newaxis], PARTS[self._part]]
+        seen = (keys[image] == wanted) & (corners >= 0).any(axis=1)
+        return ~seen
+
+    @property
+    def _part(self) -> Ids:
+        """Parts (k,) of their leaves that the light of the first rays is from."""
+        places = self.lattice.in_lattice(self._points.place)
+        return parts_at(self.leaves.corners[self._leaf], places)
+
+    @property
+    def _keys(self) -> NDArray[np.intp]:
+        """Numbers (p,), ascending, that tell leaves and sheets of images."""
+        return self._leaf_keys(self.patches.element, self.patches.sheet)
+
+    def _leaf_keys(self, leaf: Ids, sheet: NDArray[np.uint64]) -> NDArray[np.intp]:
+        sheets = self.lattice.followed.sheets
+        return leaf * len(sheets) + np.searchsorted(sheets, sheet)
+
     def drop_unfollowed(self) -> None:
         """Leave out images of sheets that are not followed any more."""
         rows = self.lattice.drop_unfollowed()
@@ -118,6 +162,8 @@ class Refinement:
         arrival = np.append(rows, -1)[patches.arrival]
         self.patches = Patches(patches.element, patches.sheet, arrival)
         self.scores, self.jumps = self.scores[kept], self.jumps[kept]
+        kept = np.isin(self._points.sheet, self.lattice.followed.sheets)
+        self._points, self._leaf = self._points.of(kept), self._leaf[kept]
         self.missed = self._missed()
 
     def divide(self, misplaced: float, n_rays: float) -> bool:
@@ -150,6 +196,7 @@ class Refinement:
         others = self.patches[~of_parents]
         number = np.cumsum(kept) - 1
         first = int(np.count_nonzero(kept))
+        self._leaf = self._moved(rows, number, first)
         self.leaves = self.leaves[kept].joined(leaves)
         self.patches = Patches(
             np.concatenate([number[others.element], first + patches.element]),
@@ -160,22 +207,42 @@ class Refinement:
         self.jumps = np.concatenate([self.jumps[~of_parents], jumps])
         self.missed = self._missed()
 
+    def _moved(self, rows: Ids, number: Ids, first: int) -> Ids:
+        """Leaves (k,) of the first rays as leaves `rows` are divided, and others get new rows."""
+        divided = np.isin(self._leaf, rows)
+        part = first + 4 * np.searchsorted(rows, self._leaf) + self._part
+        return np.where(divided, part, number[self._leaf])
+
     def _missed(self) -> Floats:
-        """Luminance (n,) of sheets that leaves miss, as much as if their images were torn, W."""
-        lattice, n = self.lattice, len(self.leaves)
+        """Luminance (n,) of sheets that leaves miss, W.
+
+        As much as if images were torn where neighbours see them, and the light of the first rays,
+        each of which stands for no more of the chart than its leaf has.
+        """
+        is_missed = self._is_missed
+        leaf = self._leaf[is_missed]
+        area = areas(self.lattice, self.leaves.corners[leaf])
+        share = np.minimum(area * self.lattice.followed.n_scattered, 1.0)
+        light = share * luminances(self._points.flux[is_missed])
+        of_points = np.bincount(leaf, light, len(self.leaves))
+        return (_OF_TORN * self._missed_of_neighbours() + of_points).astype(np.float64)
+
+    def _missed_of_neighbours(self) -> Floats:
+        """Luminance (n,) of sheets that a finer neighbour sees on a common side, W."""
+        lattice = self.lattice
         leaf, node = nodes_of_neighbours(lattice, self.leaves.corners)
         count = lattice.count[node]
         leaf, ends = np.repeat(leaf, count), np.cumsum(count)
         arrival = np.repeat(lattice.first[node] - (ends - count), count)
         arrival += np.arange(len(arrival))
-        sheets = lattice.followed.sheets
-        seen = np.searchsorted(sheets, lattice.arrivals.sheet[arrival])
-        key = leaf * len(sheets) + seen
-        key, first = np.unique(key, return_index=True)
-        is_missed = ~np.isin(key, self.patches.element * len(sheets) + self._numbers)
-        leaf, arrival = leaf[first[is_missed]], arrival[first[is_missed]]
-        light = luminances(lattice.light[arrival]) * areas(lattice, self.leaves.corners[leaf])
-        return np.bincount(leaf, _OF_TORN * light, n).astype(np.float64)
+        keys = self._leaf_keys(leaf, lattice.arrivals.sheet[arrival])
+        keys, first = np.unique(keys, return_index=True)
+        first = first[~np.isin(keys, self._keys)]
+        leaf = leaf[first]
+        light = luminances(lattice.light[arrival[first]]) * areas(
+            lattice, self.leaves.corners[leaf]
+        )
+        return np.bincount(leaf, light, len(self.leaves)).astype(np.float64)
 
     def _elements(self, corners: NDArray[np.int64], level: NDArray[np.int8]) -> Elements:
         places = six_places(corners).reshape(-1, 2)

@@ -29,6 +29,29 @@ _LEFT, _LEAST, _MOST_MISPLACED = 0.05, 0.2, 0.01
 _SHORT, _SHORT_SHARE = 1.0, 0.05
 
 
+class Points(NamedTuple):
+    """Positions (n, 3), m, normals (n, 3) and fluxes (n, 3), W, of light that has no image.
+
+    `place` (n, 2) is in the unit square of the chart, `sheet` (n,) the path and surface.
+    """
+
+    position: Floats
+    normal: Floats
+    flux: Floats
+    place: Floats
+    sheet: Signatures
+
+    @classmethod
+    def none(cls) -> Points:
+        """No points."""
+        vectors = np.empty((0, 3))
+        return cls(vectors, vectors, vectors, np.empty((0, 2)), np.empty(0, np.uint64))
+
+    def of(self, rows: NDArray) -> Points:
+        """Those of some rows."""
+        return Points(*(column[rows] for column in self))
+
+
 class Explored(NamedTuple):
     """Sheets of an emitter.
 
@@ -44,6 +67,10 @@ class Explored(NamedTuple):
         Rays that it is the light of.
     before : (k, 2) uint64
         Signatures of paths, and of those one event before.
+    points : dict of Chart to Points
+        All light that was found, of each chart.
+    n_scattered : int
+        Rays of each chart.
     """
 
     sheet: Signatures
@@ -52,6 +79,8 @@ class Explored(NamedTuple):
     luminance: Floats
     n_rays: NDArray[np.int64]
     before: NDArray[np.uint64]
+    points: dict[Chart, Points]
+    n_scattered: int
 
 
 class FollowedSheets:
@@ -98,6 +127,16 @@ class FollowedSheets:
         )
         return short
 
+    @property
+    def n_scattered(self) -> int:
+        """Rays of each chart that sheets were found by."""
+        return self._explored.n_scattered
+
+    def points(self, chart: Chart, *, followed: bool) -> Points:
+        """Light of a chart that was found of sheets that are followed, or of all others."""
+        points = self._explored.points[chart]
+        return points.of(np.isin(points.sheet, self.sheets, invert=not followed))
+
     def drop(self, given_up: Signatures) -> None:
         """Leave some sheets to photons."""
         self._follow(self.sheets[~np.isin(self.sheets, given_up)])
@@ -143,27 +182,32 @@ def followed_sheets(
 
 def _explored(charts: list[Chart], tracer: SplittingTracer, n_rays: int) -> Explored:
     """Sheets of the charts of one emitter, by so many rays scattered over each."""
-    sheet, surface, luminance = [], [], []
+    points, surface = {}, []
     before = [np.empty((0, 2), np.uint64)]
+    places = scattered(n_rays)
     for chart in charts:
-        rays = chart.rays(scattered(n_rays))
-        key = np.arange(len(rays.origin), dtype=np.uint64)
+        rays = chart.rays(places)
+        key = np.arange(n_rays, dtype=np.uint64)
         found, signatures = tracer.explore(rays.origin, rays.direction, key, chart.emitter_id)
-        light = found.throughput * rays.power[found.node] / len(rays.origin)
-        sheet.append(found.sheet)
+        light = found.throughput * rays.power[found.node] / n_rays
+        place = places[found.node]
+        points[chart] = Points(found.position, found.normal, light, place, found.sheet)
         surface.append(found.object_id)
-        luminance.append(light @ LUMINANCE)
         before.append(signatures)
-    each, first, number = np.unique(np.concatenate(sheet), return_index=True, return_inverse=True)
+    sheet = np.concatenate([each.sheet for each in points.values()])
+    luminance = np.concatenate([each.flux for each in points.values()]) @ LUMINANCE
+    each, first, number = np.unique(sheet, return_index=True, return_inverse=True)
     surface_of_each = np.concatenate(surface)[first]
     return Explored(
         each,
         # A sheet is its path's signature and its surface, by exclusive or.
         sheets(each, surface_of_each),
         surface_of_each,
-        np.bincount(number, np.concatenate(luminance), len(each)).astype(np.float64),
+        np.bincount(number, luminance, len(each)).astype(np.float64),
         np.bincount(number, minlength=len(each)),
         np.unique(np.concatenate(before), axis=0),
+        points,
+        n_rays,
     )
 
 

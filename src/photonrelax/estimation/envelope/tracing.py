@@ -22,10 +22,10 @@ from .charts import Chart, charts_of
 from .elements import first_corners, luminances, six_places
 from .envelope import NOISE, Envelope, EnvelopeLedger, EnvelopeSettings
 from .lattice import Lattice
-from .laying import OF_IMAGES, Laid, Points, laid, squares
+from .laying import OF_IMAGES, Laid, laid, squares
 from .refinement import Refinement
 from .rest import Rest, photons_wanted, rest_photons
-from .sheets import FollowedSheets, followed_sheets
+from .sheets import FollowedSheets, Points, followed_sheets
 from .suns import FOOTPRINTS, extent, sun_charts
 
 # Rays to trace and photons to emit, at most, unless settings or a render tell.
@@ -114,11 +114,13 @@ def laid_envelope(
     refinements = [Refinement(each, settings.footprint or 1.0) for each in lattices]
     _refine(refinements, list(followed.values()), settings, started)
     traced = perf_counter()
-    images, chart, points = _images(refinements, settings)
+    wanted = _photons_wanted(followed, refinements, settings)
+    left = _left_out(charts, followed, wanted)
+    images, chart, points = _images(refinements, charts, left, settings, threads)
     laid_down = perf_counter()
     rest = rest_photons(
         scene,
-        _photons_wanted(followed, refinements, settings),
+        wanted,
         {emitter_id: each.sheets for emitter_id, each in followed.items()},
         n_photons=settings.n_photons or _MOST_PHOTONS,
         n_threads=threads,
@@ -128,7 +130,7 @@ def laid_envelope(
     return Envelope(
         *images,
         chart=chart,
-        charts=[each.chart for each in lattices],
+        charts=charts,
         objects={k: v for each in followed.values() for k, v in each.surfaces.items()},
         surface_ids=scene.surface_ids,
         rest=rest.photons,
@@ -265,21 +267,38 @@ def _photons_wanted(
     }
 
 
+def _left_out(
+    charts: list[Chart], followed: dict[int, FollowedSheets], wanted: dict[int, float]
+) -> list[tuple[int, Points]]:
+    """Light of charts that no image has and no photon is emitted for, as it was found first."""
+    return [
+        (number, followed[chart.emitter_id].points(chart, followed=False))
+        for number, chart in enumerate(charts)
+        if wanted[chart.emitter_id] == 0.0
+    ]
+
+
 def _images(
-    refinements: list[Refinement], settings: EnvelopeSettings
+    refinements: list[Refinement],
+    charts: list[Chart],
+    left_out: list[tuple[int, Points]],
+    settings: EnvelopeSettings,
+    n_threads: int,
 ) -> tuple[Laid, NDArray[np.int32], Floats]:
     """Triangles of all images, their charts, and the flux (3,) laid down around points."""
     left = _rays_left(refinements, settings) + sum(each.n_rays_of_borders for each in refinements)
     footprint = settings.footprint or 1.0
-    found = [laid(each, left / len(refinements)) for each in refinements]
-    parts = [(chart, images) for chart, (of_chart, _) in enumerate(found) for images in of_chart]
-    parts += [(chart, squares(points, footprint)) for chart, (_, points) in enumerate(found)]
+    numbers = [charts.index(each.lattice.chart) for each in refinements]
+    found = [laid(each, left / len(refinements), n_threads) for each in refinements]
+    points = [(k, of_chart) for k, (_, of_chart) in zip(numbers, found, strict=True)] + left_out
+    parts = [(k, part) for k, (images, _) in zip(numbers, found, strict=True) for part in images]
+    parts += [(number, squares(each, footprint)) for number, each in points]
     parts = parts or [(0, squares(Points.none(), footprint))]
-    charts, images = zip(*parts, strict=True)
+    chart, images = zip(*parts, strict=True)
     return (
         joined(Laid, images),
-        np.repeat(np.array(charts, dtype=np.int32), [len(each.flux) for each in images]),
-        np.sum([points.flux.sum(axis=0) for _, points in found] or [np.zeros(3)], axis=0),
+        np.repeat(np.array(chart, dtype=np.int32), [len(each.flux) for each in images]),
+        np.sum([each.flux.sum(axis=0) for _, each in points] or [np.zeros(3)], axis=0),
     )
 
 
