@@ -22,9 +22,9 @@ from .layers import RECORDS, total_radiance
 
 # Misplaced light over that of a coarser image, at most, that tells the error of the finer.
 _MOST_RATIO = 0.9
-# Exponent of the error over pixels over misplaced light: 0.5 to 1 in `ring`, `ripples`, `sphere`
-# and `pool`, see docs/measurements/tradeoff.md.
-_SEEN = 0.6
+SEEN = 0.6
+"""Exponent of the error over pixels over misplaced light: 0.5 to 1 in `ring`, `ripples`, `sphere`
+and `pool`, see docs/measurements/tradeoff.md."""
 
 
 class Falls(NamedTuple):
@@ -178,5 +178,5 @@ def refined_error(coarse: Floats, fine: Floats, ratio: float) -> float:
     """
     if not ratio < _MOST_RATIO:
         return float("inf")
-    of_errors = ratio**_SEEN
+    of_errors = ratio**SEEN
     return float(np.abs(fine - coarse).sum() * of_errors / np.sqrt(1.0 - of_errors**2))

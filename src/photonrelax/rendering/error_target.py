@@ -25,8 +25,8 @@ _PILOT, _PILOT_SHARE, _LEAST_FACTOR, _LARGEST_FACTOR = 4000, 1 / 64, 1.6, 24.0
 # Exponents of the error over photons: expected, and believed when measured.
 _EXPONENT, _EXPONENTS = 0.45, (0.35, 0.65)
 # Photons are chosen for an error that is less than asked, as estimates have noise too, and for a
-# time that is less.
-_ERROR_SHARE, _TIME_SHARE = 0.93, 0.9
+# time that is less; all that fit into it are taken at once if they are fewer than so many steps.
+_ERROR_SHARE, _TIME_SHARE, _LAST_FACTOR = 0.93, 0.9, 2.0
 
 Render = Callable[[int, int], Image]
 """Maps a number of photons and a seed to an image."""
@@ -149,8 +149,11 @@ class PhotonTrials:
             n = min(n, int(last.n * max(ratio ** (1.0 / self._exponent), _LEAST_FACTOR)))
         if not np.isfinite(left):
             return n
-        if last.seconds_of(n) > _TIME_SHARE * left:
-            n = _within(last, _TIME_SHARE * left)
+        most = _within(last, _TIME_SHARE * left)
+        if error is None and most < _LAST_FACTOR * n:
+            # A step that leaves too little for another is the last one.
+            n = most
+        n = min(n, most)
         return n if n > last.n else None
 
     def photons_for(self, error: float, component: str) -> float:

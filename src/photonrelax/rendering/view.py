@@ -30,6 +30,8 @@ from ..transport.raycast import RayCaster
 _RAYS_PER_BAND = 400_000
 # Bytes of the layers of a pixel, and of a camera ray and of a hit point that are kept, at least.
 PIXEL_BYTES, _RAY_BYTES, _HIT_BYTES = 128, 56, 176
+# Bytes of a hit point that is kept for other images, with its direct light.
+_KEPT_BYTES = 240
 # Rays a side of the small image from which the number of hit points is estimated.
 _PILOT_SIDE = 64
 # Samples of a pixel are on one piece of surface if they are on a grid and their edges are equal, up
@@ -153,6 +155,8 @@ class View:
         As given, or by default.
     camera : Camera
         Of the scene.
+    kept_bytes : float
+        Estimated memory of the bands that are kept; see `keep_bands`.
 
     Raises
     ------
@@ -187,11 +191,13 @@ class View:
         )
         self.seed = validation.check_seed(seed)
         self.n_threads = thread_count(n_threads)
+        self._kept: dict[tuple[int, int], Band] | None = None
+        self.kept_bytes = 0.0
         self._check_image_fits()
 
     def __getstate__(self) -> dict[str, Any]:
         # The caster is kept by processes that unpickle it.
-        return state_without_caches(self) | {"caster": self.caster}
+        return state_without_caches(self) | {"caster": self.caster, "_kept": None}
 
     def variant(self, *, seed: int | None = None, supersampling: int | None = None) -> View:
         """The view with another seed of shadow rays, or other samples, and the same ray caster."""
@@ -206,7 +212,20 @@ class View:
         for name in ("caster", "lights"):
             if name in vars(self):
                 vars(other)[name] = vars(self)[name]
+        if other.supersampling == self.supersampling:
+            other._kept, other.kept_bytes = self._kept, self.kept_bytes
         return other
+
+    def keep_bands(self, n_bytes: float) -> None:
+        """Trace camera rays once for all images of this view and its variants to come.
+
+        Unless their hit points are estimated to take more than `n_bytes`.
+        """
+        height, width = self.shape
+        each = _KEPT_BYTES * max(self._hits_per_ray(), 1.0)
+        needed = each * height * width * self.supersampling**2
+        if needed <= n_bytes:
+            self._kept, self.kept_bytes = {}, needed
 
     def _check_image_fits(self) -> None:
         height, width = self.shape
@@ -313,6 +332,23 @@ class View:
         direct: bool = True,
     ) -> Band:
         """Trace the camera rays of some rows; see `bands`."""
+        if self._kept is None or offset != CENTRE or number:
+            return self._traced(rows, offset, number, direct=direct)
+        key = rows.start, rows.stop
+        if key not in self._kept:
+            self._kept[key] = self._traced(rows, offset, number, direct=False)
+        band = self._kept[key]
+        if not direct:
+            return replace(band, direct=None)
+        if band.direct is None:
+            band = replace(band, direct=self._direct(band.hits, number))
+            if not samples_light(self.scene, self.light_samples):
+                self._kept[key] = band
+        return band
+
+    def _traced(
+        self, rows: range, offset: tuple[float, float], number: int, *, direct: bool
+    ) -> Band:
         hits, first = trace_hit_points(
             self.scene,
             self.caster,
