@@ -16,6 +16,7 @@ from photonrelax._util.files import write_json
 from photonrelax.estimation.methods import METHODS
 from photonrelax.evaluation.tradeoff import seconds_for
 from photonrelax.imaging.metrics import relative_l1
+from photonrelax.rendering.error_target import photons_of_whole
 from photonrelax.rendering.presets import Choice
 
 _K8 = {"gather": {"k": 8}}
@@ -118,5 +119,6 @@ def chosen(image: pr.Image) -> Choice:
     settings = json.loads(image.metadata["photonrelax.settings"])
     method = image.metadata["photonrelax.method"]
     stages = {name: settings[name] for name in METHODS[method].stages if name in settings}
-    n = image.stats["error"]["photons_of_image"] // 2 if METHODS[method].needs_photons else 0
+    n = photons_of_whole(image.stats["error"]["photons_of_image"])
+    n = n if METHODS[method].needs_photons else 0
     return Choice(method, n, settings["supersampling"], stages)

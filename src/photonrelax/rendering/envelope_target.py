@@ -42,8 +42,9 @@ _LEAST_MISPLACED, _LIMITED = 1e-4, 0.9
 _FIRST_RAYS, _EXPONENT = 20_000, 1.5
 # Rays of a first division, at most: where they do not suffice nearly all light is left to photons.
 _MOST_FIRST_RAYS = 40_000
-# Time that has to be left, over that of a first division, and share of it that is planned with.
-_TIMES_FIRST, _TIME_SHARE = 5.0, 0.9
+# Time that has to be left, over that of a first division and of a second one, and share of it that
+# is planned with.
+_TIMES_FIRST, _TIMES_SECOND, _TIME_SHARE = 3.0, 2.0, 0.9
 # Exponents of the time of an envelope over its misplaced light: expected, and believed when
 # measured.
 _OF_TIME, _OF_TIMES = 1.3, (0.7, 2.0)
@@ -52,8 +53,9 @@ _OF_TIME, _OF_TIMES = 1.3, (0.7, 2.0)
 _LEAST_PHOTONS, _MOST_PHOTONS = 20_000, 1_000_000
 _NOISE_SHARE = 0.25
 _SETTINGS = "photonrelax.settings"
-# Relaxed photons of a map whose relative L1 error would be one: it falls with their root.
-_PHOTONS_OF_NOISE = 300.0
+# Relaxed photons of a map whose relative L1 error would be one: it falls with their root. It is two
+# where all light is somewhere else.
+_PHOTONS_OF_NOISE, _MOST_NOISE = 300.0, 2.0
 # Share of the light that is of photons from which on an envelope is given up.
 _OF_PHOTONS = 0.5
 
@@ -88,11 +90,12 @@ def envelope_summary(field: EnvelopeField) -> dict[str, float]:
     n_photons = len(field.flux) - len(field.envelope)
     of_photons, total = field.flux[len(field.envelope) :].sum(), field.flux.sum()
     share = float(of_photons / total) if total > 0.0 else 0.0
+    noise = min((_PHOTONS_OF_NOISE / max(n_photons, 1)) ** 0.5, _MOST_NOISE)
     return {
         "error": field.envelope.error,
         "rays": field.envelope.n_rays,
         "of_photons": share,
-        "noise": share * (_PHOTONS_OF_NOISE / max(n_photons, 1)) ** 0.5,
+        "noise": share * noise,
     }
 
 
@@ -297,6 +300,10 @@ class EnvelopeTrials:
         self._divide(misplaced)
         return True
 
+    def has_time_for_second(self, left: float) -> bool:
+        """Whether a second envelope takes only a part of the time that is left."""
+        return self._ratio_within(left / _TIMES_SECOND) <= _SECOND
+
     def error_within(self, left: float) -> float:
         """Error that is reached within a time, s."""
         return self.estimate.total * min(self._ratio_within(left), 1.0) ** SEEN
@@ -411,12 +418,15 @@ class EnvelopeAttempt:
         found = EnvelopeTrials(self.parts, goal, self.seed, n_photons, started)
         error = goal.error or _UNKNOWN_ERROR
         found.start(_FIRST * error / max(_share(trials.image), 1e-3), _MOST_FIRST_RAYS, trials)
-        if found.first.of_photons > _OF_PHOTONS:
+        left = goal.left(started)
+        if found.first.of_photons > _OF_PHOTONS or not found.has_time_for_second(left):
             return None
         while not goal.is_met(found.estimate.total) and found.improve(most_rays):
             if _is_worse(found, trials, goal.left(started)):
                 return None
-        if goal.seconds is None and not goal.is_met(found.estimate.total):
+        # One envelope alone has no estimate.
+        is_enough = goal.seconds is not None and np.isfinite(found.estimate.total)
+        if not (is_enough or goal.is_met(found.estimate.total)):
             return None
         return found.told(**trials.counts)
 

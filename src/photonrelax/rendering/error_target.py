@@ -16,12 +16,14 @@ import numpy as np
 from .._util import validation
 from .._util.frozen import set_field
 from ..imaging.image import Image
-from .error_estimate import ErrorEstimate, estimated
+from .error_estimate import QUARTER, Earlier, ErrorEstimate, estimated
 from .passes import pass_seed
 
 # Photons of the first pilot, and the share of those expected to suffice; factors from one number to
 # the next.
-_PILOT, _PILOT_SHARE, _LEAST_FACTOR, _LARGEST_FACTOR = 4000, 1 / 64, 1.6, 24.0
+_PILOT, _PILOT_SHARE, _LEAST_FACTOR, _LARGEST_FACTOR = 4000, 1 / 64, 1.6, 10.0
+# Photons of all three images of a trial over those of the whole.
+_IN_ALL = 1.0 + 2.0 / QUARTER
 # Exponents of the error over photons: expected, and believed when measured.
 _EXPONENT, _EXPONENTS = 0.45, (0.35, 0.65)
 # Photons are chosen for an error that is less than asked, as estimates have noise too, and for a
@@ -72,24 +74,24 @@ class Goal:
 
 
 class _Trial(NamedTuple):
-    """Images of some photons, what they took and their estimated error."""
+    """Images of some photons, their estimated error, and what the whole and a quarter took."""
 
     n: int
     image: Image
     seconds: float
-    half_seconds: float
+    quarter_seconds: float
     estimate: ErrorEstimate
     parts: dict[str, ErrorEstimate]
 
     def seconds_of(self, n: int) -> float:
         """Seconds of a trial of n photons."""
-        whole = self.seconds - 2.0 * self.half_seconds
-        each = max(whole - self.half_seconds, 0.1 * whole) / (0.5 * self.n)
-        return self.seconds + 2.0 * each * (n - self.n)
+        more = max(self.seconds - self.quarter_seconds, 0.1 * self.seconds)
+        each = more / ((1.0 - 1.0 / QUARTER) * self.n)
+        return self.seconds + 2.0 * self.quarter_seconds + _IN_ALL * each * (n - self.n)
 
 
 class PhotonTrials:
-    """Images of ever more photons, with their estimated errors.
+    """Images of ever more photons, with their estimated errors, three a trial.
 
     Parameters
     ----------
@@ -106,16 +108,26 @@ class PhotonTrials:
         self._trials: list[_Trial] = []
 
     def add(self, n: int) -> None:
-        """Render two images of n/2 photons, and one of n."""
-        number, half = len(self._trials), -(-n // 2)
-        started = perf_counter()
-        seeds = [pass_seed(self._seed, 3 * number + i) for i in range(3)]
-        first, second = (self._render(half, seeds[i]) for i in range(2))
-        halves = perf_counter() - started
-        whole = self._render(2 * half, seeds[2])
-        estimate, parts, image = estimated(first, second, whole, self.layer)
-        seconds = perf_counter() - started
-        self._trials.append(_Trial(2 * half, image, seconds, 0.5 * halves, estimate, parts))
+        """Render two images of n/4 photons, and one of n."""
+        number, quarter = len(self._trials), -(-n // QUARTER)
+        n = QUARTER * quarter
+        times, images = [perf_counter()], []
+        for i, photons in enumerate((quarter, quarter, n)):
+            images.append(self._render(photons, pass_seed(self._seed, 3 * number + i)))
+            times.append(perf_counter())
+        first, second, whole = images
+        found = estimated(first, second, whole, self.layer, self._earlier(n))
+        estimate, parts, image = found
+        # The first image of all has to trace the camera's rays too.
+        _, of_quarter, of_whole = np.diff(times).tolist()
+        self._trials.append(_Trial(n, image, of_whole, of_quarter, estimate, parts))
+
+    def _earlier(self, n: int) -> Earlier | None:
+        if not self._trials:
+            return None
+        last = self._trials[-1]
+        differences = {name: found.difference for name, found in last.parts.items()}
+        return Earlier(n / last.n, differences)
 
     @property
     def image(self) -> Image:
@@ -136,8 +148,8 @@ class PhotonTrials:
     def counts(self) -> dict[str, int]:
         """Photons emitted for all images, and for the last three."""
         return {
-            "photons": sum(2 * trial.n for trial in self._trials),
-            "photons_of_image": 2 * self._trials[-1].n,
+            "photons": sum(_in_all(trial.n) for trial in self._trials),
+            "photons_of_image": _in_all(self._trials[-1].n),
         }
 
     def next_number(self, error: float | None, left: float) -> int | None:
@@ -250,8 +262,19 @@ def first_number(n_expected: int, goal: Goal) -> int:
 
 def _within(trial: _Trial, seconds: float) -> int:
     """Most photons that take no more than a time."""
-    each = trial.seconds_of(trial.n + 1) - trial.seconds_of(trial.n)
-    return int(trial.n + (seconds - trial.seconds) / each)
+    now = trial.seconds_of(trial.n)
+    each = max(trial.seconds_of(trial.n + 1) - now, 1e-12)
+    return int(trial.n + (seconds - now) / each)
+
+
+def _in_all(n: int) -> int:
+    """Photons of all three images of a trial, of n and twice a quarter."""
+    return n + 2 * (n // QUARTER)
+
+
+def photons_of_whole(photons_of_image: int) -> int:
+    """Photons of the image of a trial that has most of them, by those of all three."""
+    return round(photons_of_image / _IN_ALL)
 
 
 def told(
@@ -280,8 +303,8 @@ def told(
     }
     of_last = image.stats.get("stages", {})
     others = seconds - sum(stage["seconds"] for stage in of_last.values())
-    pilots = {"seconds": max(others, 0.0), "emitted": photons - photons_of_image // 2}
-    stages = {"pilots and halves": pilots, **of_last}
+    pilots = {"seconds": max(others, 0.0), "emitted": photons - photons_of_whole(photons_of_image)}
+    stages = {"pilots": pilots, **of_last}
     stats = image.stats | {"stages": stages, "seconds": seconds, "error": reached}
     metadata = {**image.metadata, "photonrelax.error": json.dumps(reached)}
     return replace(image, metadata=metadata, stats=stats)
