@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import photonrelax as pr
 from bench.arguments import numbers
 from bench.markdown import markdown_table
-from bench.studies.whole_renders import Whole, WholeRenders, best, chosen
+from bench.studies.whole_renders import Whole, WholeRenders, best, chosen, single_choices
 from photonrelax import gallery
 from photonrelax.imaging.metrics import relative_l1
 from photonrelax.rendering.plan import COMPONENTS
@@ -123,7 +123,8 @@ def rows(study: Study) -> Iterator[list[str]]:
         expected = _kept_reference(scene, study)
         path = None if study.folder is None else study.folder / f"{name}.json"
         renders = WholeRenders(scene, study.light, path)
-        singles = renders.measured(expected, study.numbers) if study.numbers else []
+        choices = single_choices(study.numbers, envelopes=name not in study.counted)
+        singles = renders.measured(choices, expected) if study.numbers else []
         for method in study.methods:
             for goal in goals:
                 asked = goal | {"method": method or None, "components": study.light}

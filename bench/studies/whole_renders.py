@@ -28,10 +28,15 @@ OF_PHOTONS = (
 """Choices that are the best of those with photons on some scene."""
 MISPLACED = (0.4, 0.2, 0.1, 0.05, 0.02, 0.01)
 """Misplaced light of envelopes."""
+# Processor seconds up to which a render is timed twice.
+_QUICK = 1.0
 
 
 class Whole(NamedTuple):
-    """A choice, the processor seconds of its render, and relative L1 of radiance."""
+    """A choice, the processor seconds of its render, and relative L1 of radiance.
+
+    It has what is read of points of sweeps.
+    """
 
     choice: Choice
     total: float
@@ -56,9 +61,9 @@ class WholeRenders:
     path: Path | None = None
 
     def seconds(self, choice: Choice) -> tuple[float, NDArray]:
-        """Processor seconds of a render, the less of two, and its radiance."""
-        times = []
-        for _ in range(2):
+        """Processor seconds of a render, the less of two if it is quick, and its radiance."""
+        times: list[float] = []
+        while not times or (len(times) < 2 and times[0] < _QUICK):
             started = process_time()
             image = pr.render(
                 self.scene,
@@ -71,17 +76,17 @@ class WholeRenders:
             times.append(process_time() - started)
         return min(times), image.layers["radiance"]
 
-    def measured(self, reference: NDArray, numbers: Iterable[int]) -> list[Whole]:
-        """All choices with numbers of photons; what is in the file is not measured again."""
-        found = self._read()
-        for choice in _choices(numbers):
+    def measured(self, choices: Iterable[Choice], reference: NDArray) -> list[Whole]:
+        """Renders by choices; what is in the file is not measured again."""
+        found, points = self._read(), []
+        for choice in choices:
             key = f"{choice.name}, {choice.n_emitted}"
             if key not in found:
                 seconds, radiance = self.seconds(choice)
                 found[key] = [seconds, relative_l1(radiance, reference)]
                 self._write(found)
-        named = {f"{each.name}, {each.n_emitted}": each for each in _choices(numbers)}
-        return [Whole(named[key], *found[key]) for key in named]
+            points.append(Whole(choice, *found[key]))
+        return points
 
     def _read(self) -> dict[str, Any]:
         if self.path is None or not self.path.exists():
@@ -93,8 +98,9 @@ class WholeRenders:
             write_json(self.path, found)
 
 
-def _choices(numbers: Iterable[int]) -> Iterator[Choice]:
-    for misplaced in MISPLACED:
+def single_choices(numbers: Iterable[int], *, envelopes: bool) -> Iterator[Choice]:
+    """Envelopes, if wanted, and choices with numbers of photons."""
+    for misplaced in MISPLACED if envelopes else ():
         yield Choice("envelope", 0, stages={"envelope": {"error": misplaced, "seconds": 20.0}})
     for n in numbers:
         for choice in OF_PHOTONS:
@@ -105,7 +111,6 @@ def best(points: Iterable[Whole], error: float) -> tuple[str, float]:
     """Method that reaches an error first, and its seconds."""
     points = list(points)
     methods = dict.fromkeys(point.choice.method for point in points)
-    # The points have all that is read of points of sweeps.
     seconds: dict[str, float] = {
         method: seconds_for([p for p in points if p.choice.method == method], error)  # type: ignore[misc]
         for method in methods

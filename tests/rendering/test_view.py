@@ -45,6 +45,17 @@ def test_images_of_kept_hit_points_have_the_same_bits(sunlit, monkeypatch):
     assert (found[0]["direct"] != found[1]["direct"]).any()
 
 
+def test_direct_light_is_that_of_three_seeds_in_turns(sunlit):
+    view = View(sunlit)
+    view.keep_bands(1e9)
+    (rows,) = view.row_ranges()
+    direct = [view.variant(seed=seed).band(rows).direct for seed in (5, 6, 7, 8, 6)]
+    assert (direct[0] != direct[1]).any()
+    assert (direct[1] != direct[2]).any()
+    assert direct[3] is direct[0]
+    assert direct[4] is direct[1]
+
+
 def test_direct_light_is_left_out_of_kept_hit_points_where_it_is_not_wanted(ring):
     view = View(ring)
     view.keep_bands(1e9)
