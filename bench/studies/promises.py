@@ -18,6 +18,7 @@ from bench.markdown import markdown_table
 from bench.studies.whole_renders import Whole, WholeRenders, best, chosen, single_choices
 from photonrelax import gallery
 from photonrelax.imaging.metrics import relative_l1
+from photonrelax.rendering.error_target import PhotonTrials
 from photonrelax.rendering.plan import COMPONENTS
 from photonrelax.rendering.view import resized
 
@@ -44,6 +45,8 @@ class Study:
         Photons of the single choices that chosen ones are compared with; none are without.
     folder : path, optional
         What references and single choices are kept in.
+    trials : tuple of int
+        Photons of trials, few to many.
     """
 
     scenes: tuple[str, ...] = ("ring", "sphere", "ripples", "prism", "pool")
@@ -59,6 +62,7 @@ class Study:
     has_indirect: bool = False
     numbers: tuple[int, ...] = (3000, 10_000, 30_000, 100_000, 300_000)
     folder: Path | None = None
+    trials: tuple[int, ...] = ()
 
     @property
     def light(self) -> tuple[str, ...]:
@@ -76,6 +80,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--indirect", action="store_true", help="with indirect light")
     parser.add_argument(
         "--numbers", type=numbers, default=list(default.numbers), help="photons of single choices"
+    )
+    parser.add_argument(
+        "--trials", type=numbers, default=[], help="photons of trials to tell, in place of goals"
     )
     parser.add_argument("--folder", type=Path, help="references and single choices are kept in it")
     parser.add_argument("--reference-error", type=float, default=default.reference_error)
@@ -97,8 +104,9 @@ def run(options: argparse.Namespace) -> None:
         numbers=tuple(options.numbers),
         counts=options.counts,
         folder=options.folder,
+        trials=tuple(options.trials),
     )
-    print(markdown(study))
+    print(trials_markdown(study) if study.trials else markdown(study))
 
 
 def markdown(study: Study) -> str:
@@ -131,6 +139,40 @@ def rows(study: Study) -> Iterator[list[str]]:
                 runs = [_run(scene, expected, asked, seed) for seed in range(study.seeds)]
                 cells = [_method(runs, method), _text(goal), *_cells(runs)]
                 yield [name, *cells, *_compared(runs, renders, singles, goal)]
+
+
+def trials_markdown(study: Study) -> str:
+    """Table of estimates of trials of photons beside true errors, a row each scene and number."""
+    titles = ["scene", "photons", "estimate", "noise", "true", "true / estimate, least…most"]
+    rows = [row for name in study.scenes for row in _trial_rows(name, study)]
+    return f"{markdown_table(titles, rows)}\n\nMedians of {study.seeds} seeds; `mapped`, k = 8."
+
+
+def _trial_rows(name: str, study: Study) -> Iterator[list[str]]:
+    scene = resized(gallery.scene(name), study.pixels, None)
+    expected = _kept_reference(scene, study)
+    found = np.array([_trials(scene, expected, study, seed) for seed in range(study.seeds)])
+    for n, of_number in zip(study.trials, found.swapaxes(0, 1), strict=True):
+        estimate, noise, true = np.median(of_number, axis=0)
+        ratio = of_number[:, 2] / of_number[:, 0]
+        yield [
+            *(name, f"{n:,}", f"{estimate:.4f}", f"{noise:.4f}", f"{true:.4f}"),
+            f"{ratio.min():.2f}…{ratio.max():.2f}",
+        ]
+
+
+def _trials(scene: pr.Scene, expected: NDArray, study: Study, seed: int) -> list[list[float]]:
+    """Estimate, its noise and the true error of one trial after the other."""
+
+    def render(n: int, of_image: int) -> pr.Image:
+        return pr.render(scene, preset="draft", n_emitted=n, seed=of_image, components=study.light)
+
+    trials, found = PhotonTrials(render, seed, "radiance"), []
+    for n in study.trials:
+        trials.add(n)
+        true = relative_l1(trials.image.layers["radiance"], expected)
+        found.append([trials.estimate.total, trials.estimate.noise, true])
+    return found
 
 
 def _kept_reference(scene: pr.Scene, study: Study) -> NDArray:

@@ -5,6 +5,7 @@ import pytest
 
 from photonrelax.imaging.image import Image
 from photonrelax.rendering.error_estimate import (
+    SEEN,
     Earlier,
     Falls,
     estimate_error,
@@ -114,11 +115,11 @@ def test_biases_of_caustics_fall_as_fast_as_their_differences_did():
 
 
 def test_the_error_of_a_finer_image_follows_from_its_difference():
-    coarse, fine = values_of(1, bias=0.0), values_of(2, noise=0.5**0.6, bias=0.0)
+    coarse, fine = values_of(1, bias=0.0), values_of(2, noise=0.5**SEEN, bias=0.0)
     error = np.abs(fine - TRUTH).sum()
     # Of independent errors the difference is the root of both squares, of nested ones that of their
     # difference.
-    nested = fine + (1.0 - 0.25**0.6) ** 0.5 * (coarse - TRUTH)
+    nested = fine + (1.0 - 0.25**SEEN) ** 0.5 * (coarse - TRUTH)
     assert refined_error(nested, fine, 0.5) == pytest.approx(error, rel=0.02)
 
 

@@ -24,7 +24,7 @@ from .layers import RECORDS, total_radiance
 
 # Misplaced light over that of a coarser image, at most, that tells the error of the finer.
 _MOST_RATIO = 0.9
-SEEN = 0.6
+SEEN = 0.62
 """Exponent of the error over pixels over misplaced light: 0.5 to 1 in `ring`, `ripples`, `sphere`
 and `pool`, see docs/measurements/tradeoff.md."""
 
@@ -236,7 +236,7 @@ def refined_error(coarse: Floats, fine: Floats, ratio: float) -> float:
     coarse, fine : (height, width, 3)
     ratio : float
         Light that is misplaced in the finer over that in the coarser; errors over pixels fall as
-        its power of 0.6. What is misplaced in the finer is taken to be independent of it.
+        its power of 0.62. What is misplaced in the finer is taken to be independent of it.
 
     Returns
     -------
