@@ -108,8 +108,12 @@ class Earlier(NamedTuple):
         before = self.differences.get(component, 0.0)
         if not (before > 0.0 and self.ratio > 1.0):
             return _FIRST_EXPONENT
-        found = np.log(before / max(difference, 1e-300)) / np.log(self.ratio)
-        return float(np.clip(found + _SLOWER, *_EXPONENTS))
+        of_ratio = np.log(self.ratio)
+        found = np.log(before / max(difference, 1e-300)) / of_ratio + _SLOWER
+        # Noise of the differences is over the ratio: small ones tell little.
+        trust = min(of_ratio / np.log(QUARTER), 1.0)
+        more = float(np.clip(found, *_EXPONENTS)) - _FIRST_EXPONENT
+        return float(_FIRST_EXPONENT + trust * more)
 
 
 def estimate_error(

@@ -22,6 +22,8 @@ from .passes import pass_seed
 # Photons of the first pilot, and the share of those expected to suffice; factors from one number to
 # the next.
 _PILOT, _PILOT_SHARE, _LEAST_FACTOR, _LARGEST_FACTOR = 4000, 1 / 64, 1.6, 10.0
+# Photons of a trial over those of an earlier one that it is compared with, if there is such a one.
+_APART = 3.0
 # Photons of all three images of a trial over those of the whole.
 _IN_ALL = 1.0 + 2.0 / QUARTER
 # Exponents of the error over photons: expected, and believed when measured.
@@ -125,9 +127,10 @@ class PhotonTrials:
     def _earlier(self, n: int) -> Earlier | None:
         if not self._trials:
             return None
-        last = self._trials[-1]
-        differences = {name: found.difference for name, found in last.parts.items()}
-        return Earlier(n / last.n, differences)
+        enough = [trial for trial in self._trials if _APART * trial.n <= n]
+        before = enough[-1] if enough else self._trials[0]
+        differences = {name: found.difference for name, found in before.parts.items()}
+        return Earlier(n / before.n, differences)
 
     @property
     def image(self) -> Image:
