@@ -28,6 +28,7 @@ python -m bench extremes          errors at extremes of sizes, densities, indice
 python -m bench promises          true errors and times of renders that promise some
 python -m bench fronts            times of methods by error, on many scenes
 python -m bench presets           presets from the fronts of `photonrelax tradeoff`
+python -m bench settings          errors over pixels by iterations, k and step of relaxation
 python -m bench tessellation      changes of the caustic of `cognac` with twice the facets
 python -m bench dispersion        noise of colour behind plates, by how light is dispersed
 python -m bench slopes            light relaxed to the density its map prescribes, and to even one
@@ -70,6 +71,7 @@ from bench.studies import (
     promises,
     refinements,
     resolution,
+    settings,
     shapes,
     slopes,
     table1,
@@ -108,6 +110,7 @@ _COMMANDS = {
     "extremes": extremes,
     "fronts": fronts,
     "presets": presets,
+    "settings": settings,
     "promises": promises,
     # The processes that `compare` and `memory` start.
     "simd": simd,

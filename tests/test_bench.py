@@ -280,10 +280,25 @@ def test_promises_are_told_with_the_method_chosen(monkeypatch):
     ring = gallery.scene("ring", pixels=16, sections=64)
     monkeypatch.setattr(gallery, "scene", lambda name: ring)
     sizes = {"pixels": 16, "reference_error": 0.05, "reference_photons": 5000}
+    sizes |= {"counted": ("ring",), "numbers": (3000,)}
     study = promises.Study(("ring",), errors=(0.3,), seeds=2, **sizes)
-    ((scene, method, asked, runs, estimate, *_),) = promises.rows(study)
+    ((scene, method, asked, runs, estimate, *_, best, ratio),) = promises.rows(study)
     assert (scene, method, asked, runs) == ("ring", "chosen: mapped", "0.3", "2")
     assert 0.0 < float(estimate) < 0.3
+    assert best.split()[0] in ("standard", "parameterised", "mapped")
+    assert float(ratio) > 0.0
+
+
+def test_estimates_of_trials_are_told_beside_true_errors(monkeypatch):
+    ring = gallery.scene("ring", pixels=16, sections=64)
+    monkeypatch.setattr(gallery, "scene", lambda name: ring)
+    sizes = {"pixels": 16, "reference_error": 0.05, "reference_photons": 5000}
+    sizes |= {"counted": ("ring",), "trials": (1000, 4000)}
+    study = promises.Study(("ring",), seeds=1, **sizes)
+    rows = [line.split("|")[1:-1] for line in promises.trials_markdown(study).splitlines()[2:4]]
+    assert [row[1].strip() for row in rows] == ["1,000", "4,000"]
+    few, many = (float(row[4]) for row in rows)
+    assert 0.0 < many < few < 1.0
 
 
 def test_the_papers_settings_are_told_beside_quicker_ones_with_errors():

@@ -90,12 +90,7 @@ def swept(name: str, study: Study) -> Tradeoff:
     """The sweep of a scene, which goes on where it was."""
     scene = resized(gallery.scene(name), study.pixels, None)
     folder = study.folder / name
-    study.folder.mkdir(parents=True, exist_ok=True)
-    front.prepare_folder(folder)
-    path = folder / _REFERENCE
-    if not path.exists():
-        reference(scene, study).write_exr(path)
-    image = read_exr(path)
+    image = kept_reference(scene, study)
     # Where envelopes are left to photons, they would be measured twice.
     is_left = not image.metadata["photonrelax.reference"].startswith(_ENVELOPE)
     methods = [each for each in study.methods if not (is_left and each == "envelope")]
@@ -104,6 +99,17 @@ def swept(name: str, study: Study) -> Tradeoff:
     )
     front.write(found, folder)
     return found
+
+
+def kept_reference(scene: pr.Scene, study: Study) -> Image:
+    """The reference in the folder of a scene, which is made if it is not there."""
+    folder = study.folder / scene.name
+    study.folder.mkdir(parents=True, exist_ok=True)
+    front.prepare_folder(folder)
+    path = folder / _REFERENCE
+    if not path.exists():
+        reference(scene, study).write_exr(path)
+    return read_exr(path)
 
 
 def reference(scene: pr.Scene, study: Study) -> Image:

@@ -1,12 +1,13 @@
-"""Errors and times that renders promise, beside true ones."""
+"""Errors and times that renders promise, beside true ones and the best of single choices."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
-from time import perf_counter
-from typing import Any
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +15,15 @@ from numpy.typing import NDArray
 import photonrelax as pr
 from bench.arguments import numbers
 from bench.markdown import markdown_table
+from bench.studies.whole_renders import Whole, WholeRenders, best, chosen, single_choices
 from photonrelax import gallery
 from photonrelax.imaging.metrics import relative_l1
+from photonrelax.rendering.error_target import PhotonTrials
 from photonrelax.rendering.plan import COMPONENTS
 from photonrelax.rendering.view import resized
 
 # A true error is to be at most, and at least, so many times the estimate.
 _MOST, _LEAST = 1.25, 0.5
-_COUNTS = 4
 _DIRECT = ("emission", "direct", "caustic")
 
 
@@ -35,10 +37,16 @@ class Study:
         Scenes whose envelopes take too long: photons are counted.
     reference_error : float
         Misplaced light of envelopes that are references.
-    reference_photons : int
-        Photons counted, four times, and photons of indirect light.
+    reference_photons, counts : int
+        Photons counted and photons of indirect light, of each of so many images.
     has_indirect : bool
         Indirect light is not left out.
+    numbers : tuple of int
+        Photons of the single choices that chosen ones are compared with; none are without.
+    folder : path, optional
+        What references and single choices are kept in.
+    trials : tuple of int
+        Photons of trials, few to many.
     """
 
     scenes: tuple[str, ...] = ("ring", "sphere", "ripples", "prism", "pool")
@@ -50,7 +58,11 @@ class Study:
     counted: tuple[str, ...] = ("prism",)
     reference_error: float = 0.004
     reference_photons: int = 2_000_000
+    counts: int = 4
     has_indirect: bool = False
+    numbers: tuple[int, ...] = (3000, 10_000, 30_000, 100_000, 300_000)
+    folder: Path | None = None
+    trials: tuple[int, ...] = ()
 
     @property
     def light(self) -> tuple[str, ...]:
@@ -66,7 +78,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=numbers, default=[])
     parser.add_argument("--seeds", type=int, default=default.seeds)
     parser.add_argument("--indirect", action="store_true", help="with indirect light")
+    parser.add_argument(
+        "--numbers", type=numbers, default=list(default.numbers), help="photons of single choices"
+    )
+    parser.add_argument(
+        "--trials", type=numbers, default=[], help="photons of trials to tell, in place of goals"
+    )
+    parser.add_argument("--folder", type=Path, help="references and single choices are kept in it")
     parser.add_argument("--reference-error", type=float, default=default.reference_error)
+    parser.add_argument("--counts", type=int, default=default.counts)
     parser.add_argument("--reference-photons", type=numbers, default=[default.reference_photons])
 
 
@@ -81,17 +101,24 @@ def run(options: argparse.Namespace) -> None:
         has_indirect=options.indirect,
         reference_error=options.reference_error,
         reference_photons=options.reference_photons[0],
+        numbers=tuple(options.numbers),
+        counts=options.counts,
+        folder=options.folder,
+        trials=tuple(options.trials),
     )
-    print(markdown(study))
+    print(trials_markdown(study) if study.trials else markdown(study))
 
 
 def markdown(study: Study) -> str:
     """Table of the study, a row each scene, method and goal."""
     titles = ["scene", "method", "asked", "runs", "estimate", "true / estimate, median, 5…95 %"]
     titles += [f"≤ {_MOST:g}", f"≥ {_LEAST:g}", "met", "seconds, median, worst"]
+    titles += ["CPU, all", "CPU, chosen", "CPU, best", "chosen / best"]
     return (
         f"{markdown_table(titles, rows(study))}\n\nRelative L1 of radiance over {study.pixels} x "
-        f"{study.pixels} pixels, {'with' if study.has_indirect else 'without'} indirect light.\n"
+        f"{study.pixels} pixels, {'with' if study.has_indirect else 'without'} indirect light. "
+        "Processor seconds of all that was rendered, of the chosen settings alone, and of the best "
+        "single render of that error, camera rays included.\n"
     )
 
 
@@ -101,11 +128,63 @@ def rows(study: Study) -> Iterator[list[str]]:
     goals += [{"seconds": float(seconds)} for seconds in study.seconds]
     for name in study.scenes:
         scene = resized(gallery.scene(name), study.pixels, None)
-        expected = reference(scene, study)
+        expected = _kept_reference(scene, study)
+        path = None if study.folder is None else study.folder / f"{name}.json"
+        renders = WholeRenders(scene, study.light, path)
+        choices = single_choices(study.numbers, envelopes=name not in study.counted)
+        singles = renders.measured(choices, expected) if study.numbers else []
         for method in study.methods:
             for goal in goals:
                 asked = goal | {"method": method or None, "components": study.light}
-                yield [name, *_row(scene, expected, _text(goal), asked, study.seeds)]
+                runs = [_run(scene, expected, asked, seed) for seed in range(study.seeds)]
+                cells = [_method(runs, method), _text(goal), *_cells(runs)]
+                yield [name, *cells, *_compared(runs, renders, singles, goal)]
+
+
+def trials_markdown(study: Study) -> str:
+    """Table of estimates of trials of photons beside true errors, a row each scene and number."""
+    titles = ["scene", "photons", "estimate", "noise", "true", "true / estimate, least…most"]
+    rows = [row for name in study.scenes for row in _trial_rows(name, study)]
+    return f"{markdown_table(titles, rows)}\n\nMedians of {study.seeds} seeds; `mapped`, k = 8."
+
+
+def _trial_rows(name: str, study: Study) -> Iterator[list[str]]:
+    scene = resized(gallery.scene(name), study.pixels, None)
+    expected = _kept_reference(scene, study)
+    found = np.array([_trials(scene, expected, study, seed) for seed in range(study.seeds)])
+    for n, of_number in zip(study.trials, found.swapaxes(0, 1), strict=True):
+        estimate, noise, true = np.median(of_number, axis=0)
+        ratio = of_number[:, 2] / of_number[:, 0]
+        yield [
+            *(name, f"{n:,}", f"{estimate:.4f}", f"{noise:.4f}", f"{true:.4f}"),
+            f"{ratio.min():.2f}…{ratio.max():.2f}",
+        ]
+
+
+def _trials(scene: pr.Scene, expected: NDArray, study: Study, seed: int) -> list[list[float]]:
+    """Estimate, its noise and the true error of one trial after the other."""
+
+    def render(n: int, of_image: int) -> pr.Image:
+        return pr.render(scene, preset="draft", n_emitted=n, seed=of_image, components=study.light)
+
+    trials, found = PhotonTrials(render, seed, "radiance"), []
+    for n in study.trials:
+        trials.add(n)
+        true = relative_l1(trials.image.layers["radiance"], expected)
+        found.append([trials.estimate.total, trials.estimate.noise, true])
+    return found
+
+
+def _kept_reference(scene: pr.Scene, study: Study) -> NDArray:
+    """The reference, read if it is in the folder."""
+    if study.folder is None:
+        return reference(scene, study)
+    study.folder.mkdir(parents=True, exist_ok=True)
+    path = study.folder / f"{scene.name}.npy"
+    if not path.exists():
+        np.save(path, reference(scene, study))
+    found: NDArray = np.load(path)
+    return found
 
 
 def reference(scene: pr.Scene, study: Study) -> NDArray:
@@ -131,45 +210,61 @@ def _mean(scene: pr.Scene, study: Study, **settings: Any) -> NDArray:
             seed=1000 + seed,
             **({"components": ("caustic",)} | settings),
         )
-        for seed in range(_COUNTS)
+        for seed in range(study.counts)
     ]
     mean: NDArray = np.mean([image.layers["radiance"] for image in images], axis=0)
     return mean
 
 
-def _row(
-    scene: pr.Scene, expected: NDArray, text: str, asked: dict[str, Any], seeds: int
-) -> list[str]:
-    """Cells of the runs of all seeds."""
-    runs = [_run(scene, expected, asked, seed) for seed in range(seeds)]
-    methods = dict.fromkeys(method for method, *_ in runs)
-    estimate, true, met, seconds = np.array([figures for _, *figures in runs]).T
-    ratio = true / estimate
+class _Run(NamedTuple):
+    """An image to a goal, its true error, seconds and processor seconds."""
+
+    image: pr.Image
+    true: float
+    seconds: float
+    cpu_seconds: float
+
+
+def _run(scene: pr.Scene, expected: NDArray, asked: dict[str, Any], seed: int) -> _Run:
+    started, used = perf_counter(), process_time()
+    image = pr.render(scene, seed=seed, **asked)
+    seconds, cpu_seconds = perf_counter() - started, process_time() - used
+    return _Run(image, relative_l1(image.layers["radiance"], expected), seconds, cpu_seconds)
+
+
+def _method(runs: list[_Run], method: str) -> str:
+    methods = ", ".join(dict.fromkeys(run.image.metadata["photonrelax.method"] for run in runs))
+    return methods if method else f"chosen: {methods}"
+
+
+def _cells(runs: list[_Run]) -> list[str]:
+    """Cells of errors and times."""
+    told = [run.image.stats["error"] for run in runs]
+    estimate = np.array([each["estimate"] for each in told])
+    ratio = np.array([run.true for run in runs]) / estimate
     low, middle, high = np.percentile(ratio, [5, 50, 95])
+    seconds = np.array([run.seconds for run in runs])
     return [
-        ", ".join(methods) if asked["method"] else f"chosen: {', '.join(methods)}",
-        text,
         f"{len(runs)}",
         f"{np.median(estimate):.4f}",
         f"{middle:.2f}, {low:.2f}…{high:.2f}",
         f"{(ratio <= _MOST).mean():.0%}",
         f"{(ratio >= _LEAST).mean():.0%}",
-        f"{met.mean():.0%}",
+        f"{np.mean([each['is_met'] for each in told]):.0%}",
         f"{np.median(seconds):.1f}, {seconds.max():.1f}",
     ]
 
 
-def _run(
-    scene: pr.Scene, expected: NDArray, asked: dict[str, Any], seed: int
-) -> tuple[str, float, float, bool, float]:
-    """Method, estimate, true error, whether the goal was met, and seconds."""
-    started = perf_counter()
-    image = pr.render(scene, seed=seed, **asked)
-    seconds = perf_counter() - started
-    told = image.stats["error"]
-    true = relative_l1(image.layers["radiance"], expected)
-    method = image.metadata["photonrelax.method"]
-    return method, told["estimate"], true, told["is_met"], seconds
+def _compared(
+    runs: list[_Run], renders: WholeRenders, singles: list[Whole], goal: dict[str, float]
+) -> list[str]:
+    """Processor seconds of all, of the first run's choice alone, and of the best single render."""
+    used = f"{np.median([run.cpu_seconds for run in runs]):.2f}"
+    alone, _ = renders.seconds(chosen(runs[0].image))
+    if "error" not in goal or not singles:
+        return [used, f"{alone:.2f}", "–", "–"]
+    method, seconds = best(singles, goal["error"])
+    return [used, f"{alone:.2f}", f"{method} {seconds:.2f}", f"{alone / seconds:.2f}"]
 
 
 def _text(goal: dict[str, float]) -> str:

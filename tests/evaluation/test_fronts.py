@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench.studies import fronts
+from bench.studies import fronts, settings
 from bench.studies.presets import presets
 
 from photonrelax.evaluation.reference import uncertainty_of
@@ -84,6 +84,17 @@ def test_counts_are_the_reference_where_envelopes_are_left_to_photons(ring, stud
     assert image.metadata["photonrelax.reference"] == "counts of 2 x 2,000 photons"
     assert doubt.noise_l1 > 0.0
     assert np.asarray(image.layers["caustic"]).any()
+
+
+def test_settings_of_relaxations_are_measured_once(study, ring, monkeypatch):
+    monkeypatch.setattr(fronts.gallery, "scene", lambda name: ring)
+    some = settings.Study(study, (1000,), ("halton",))
+    text = settings.markdown(some)
+    rows = cells(text)
+    assert [row[:3] for row in rows] == [["ring", "halton", "1,000"]] * len(settings.PAPER)
+    assert all(0.0 < float(row[3]) < 1.0 for row in rows)
+    monkeypatch.setattr(settings, "prepare", None)
+    assert settings.markdown(some) == text
 
 
 def test_presets_follow_from_the_sweeps(found, study):

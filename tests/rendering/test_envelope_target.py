@@ -134,7 +134,7 @@ def test_a_time_is_kept_by_what_reaches_most_in_it(monkeypatch, seconds):
     for other in (None, attempt(divide)):
         now[0] = 0.0
         image = render_to_goal(render, Goal(None, seconds), 1000, 0, "radiance", alternative=other)
-        assert 0.3 * seconds < now[0] < seconds
+        assert 0.8 * seconds < now[0] < seconds
         estimates.append(image.stats["error"]["estimate"])
     assert divided.limits
     # A try that fails takes time; one that does not is worth more.
@@ -148,7 +148,7 @@ def test_an_envelope_is_rendered_to_an_error(ring):
 
 
 def test_the_method_follows_from_the_error(ring):
-    methods = [pr.render(ring, error=each).metadata["photonrelax.method"] for each in (0.3, 0.001)]
+    methods = [pr.render(ring, error=each).metadata["photonrelax.method"] for each in (0.3, 0.01)]
     assert methods == ["mapped", "envelope"]
 
 
@@ -161,7 +161,7 @@ def test_indirect_light_is_in_the_image_of_an_envelope(ring):
     corners = [(-2.0, 0.5, 0.0), (2.0, 0.5, 0.0), (2.0, 0.5, 2.0), (-2.0, 0.5, 2.0)]
     wall = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
     scene = replace(ring, objects=(*ring.objects, pr.SceneObject(wall, pr.Diffuse((0.8,) * 3))))
-    image = pr.render(scene, method="envelope", error=0.2)
+    image = pr.render(scene, method="envelope", error=0.05)
     light = ("caustic", "direct", "indirect")
     total = sum(np.asarray(image.layers[each]) for each in light)
     np.testing.assert_allclose(image.layers["radiance"], total)

@@ -14,12 +14,15 @@ from photonrelax.rendering.error_target import Goal, render_to_goal
 SHAPE = (64, 64, 3)
 TRUTH = 1.0 + np.random.default_rng(5).random(SHAPE)
 PATTERN = np.random.default_rng(6).standard_normal(SHAPE)
+OTHER_PATTERN = np.random.default_rng(7).standard_normal(SHAPE)
 
 
 def image_of(n, seed, *, noise=1.0, bias=1.0):
-    """Truth with independent noise, and a bias that is always the same, both as N^-½."""
+    """Truth with independent noise and a bias, both as N^-½; biases of few and many are alike."""
     drawn = np.random.default_rng(seed).standard_normal(SHAPE)
-    values = TRUTH + (noise * drawn + bias * PATTERN) / np.sqrt(n)
+    turned = 0.3 * np.log2(n)
+    pattern = np.cos(turned) * PATTERN + np.sin(turned) * OTHER_PATTERN
+    values = TRUTH + (noise * drawn + bias * pattern) / np.sqrt(n)
     stats = {"stages": {"render": {"seconds": 0.0}}}
     return Image({"radiance": values, "Z": np.full(SHAPE[:2], np.inf)}, {}, stats)
 
@@ -30,7 +33,7 @@ def test_photons_are_added_until_the_error_is_reached():
     assert reached["is_met"]
     assert 0.002 < reached["estimate"] <= 0.004
     error = np.abs(image.layers["radiance"] - TRUTH).sum() / TRUTH.sum()
-    assert error == pytest.approx(reached["estimate"], rel=0.2)
+    assert 0.5 < error / reached["estimate"] < 1.25
     assert json.loads(image.metadata["photonrelax.error"]) == reached
     assert np.isinf(image.layers["Z"]).all()
 
@@ -56,7 +59,7 @@ def test_a_time_is_kept_and_used(monkeypatch, seconds):
         return image_of(n, seed)
 
     render_to_goal(render, Goal(seconds=seconds), 1000, 0, "radiance")
-    assert 0.7 * seconds < now[0] < seconds
+    assert 0.8 * seconds < now[0] < seconds
 
 
 def test_what_is_reached_stays_where_more_does_not_fit_in_memory():

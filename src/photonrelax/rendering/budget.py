@@ -27,8 +27,9 @@ _SAMPLES = 400_000
 _TEXEL_BYTES, _BAND_TEXEL_BYTES, _BAND_TEXELS = 150, 300, 1 << 18
 # Paths that store a photon of indirect light more than once do so a few times; so does each sensor.
 _MOST_PER_PATH = 4.0
-# Share of the free memory that is taken, unless a limit is given.
-_SHARE = 0.9
+# Share of the free memory that is taken, unless a limit is given, and share of the limit that hit
+# points kept for several images may take.
+_SHARE, _KEPT_SHARE = 0.9, 0.125
 _PATHS = {"caustic": "caustic", "indirect": "global"}
 _ARGUMENTS = {"caustic": "n_emitted", "indirect": "n_global"}
 _SMALLER_IMAGE = "make the image smaller (width, height)"
@@ -53,6 +54,11 @@ def memory_limit(memory: float | None) -> float:
     if memory is None:
         return _SHARE * available_memory()
     return positive(memory, "memory")
+
+
+def kept_limit(memory: float | None) -> float:
+    """Bytes that hit points may take that are kept for several images."""
+    return _KEPT_SHARE * memory_limit(memory)
 
 
 def check_render_fits(
@@ -124,7 +130,8 @@ def _image_bytes(view: View) -> float:
     height, width = view.shape
     samples = view.supersampling**2
     band = min(max(_SAMPLES, width * samples), height * width * samples)
-    return _LIBRARY_BYTES + _PIXEL_BYTES * height * width + _SAMPLE_BYTES * band
+    image = _PIXEL_BYTES * height * width + _SAMPLE_BYTES * band
+    return _LIBRARY_BYTES + image + view.kept_bytes
 
 
 def _stored(view: View, component: str) -> float:

@@ -22,7 +22,7 @@ from ..estimation.envelope.envelope import EnvelopeSettings
 from ..estimation.envelope.field import EnvelopeField
 from ..imaging.image import Image
 from ..scene.scene import Scene
-from .error_estimate import ErrorEstimate, refined_error
+from .error_estimate import SEEN, ErrorEstimate, refined_error
 from .error_target import Goal, PhotonTrials, Render, first_number, told
 from .layers import with_radiance
 from .passes import pass_seed
@@ -31,8 +31,8 @@ from .presets import Work
 
 # Misplaced light of the first envelope over the error asked for, which may be unknown: pixels do
 # not see most of what is misplaced. Of the second over that of the first, and of the next over the
-# last, at least and at most.
-_FIRST, _UNKNOWN_ERROR, _SECOND, _NEXT = 4.0, 1 / 16, 0.4, (0.1, 0.5)
+# last, at least and at most; within a time.
+_FIRST, _UNKNOWN_ERROR, _SECOND, _NEXT, _IN_TIME = 4.0, 1 / 16, 0.4, (0.1, 0.5), (0.15, 0.7)
 # Share of the error asked for that envelopes are divided for, as the next estimate may be larger.
 _ERROR_SHARE = 0.8
 # Least misplaced light; what an envelope misplaces over what a coarser one does where its limits
@@ -42,13 +42,20 @@ _LEAST_MISPLACED, _LIMITED = 1e-4, 0.9
 _FIRST_RAYS, _EXPONENT = 20_000, 1.5
 # Rays of a first division, at most: where they do not suffice nearly all light is left to photons.
 _MOST_FIRST_RAYS = 40_000
-# Time that has to be left, over that of a first division; of a next envelope over the last.
-_TIMES_FIRST, _TIMES_LAST = 5.0, 2.5
+# Time that has to be left, over that of a first division and of a second one, and share of it that
+# is planned with.
+_TIMES_FIRST, _TIMES_SECOND, _TIME_SHARE = 3.0, 2.0, 0.9
+# Exponents of the time of an envelope over its misplaced light: expected, and believed when
+# measured.
+_OF_TIME, _OF_TIMES = 1.3, (0.7, 2.0)
+# Photons for light without images, of a first division and at least, and at most; their
+# noise over the error asked for.
+_LEAST_PHOTONS, _MOST_PHOTONS = 20_000, 1_000_000
+_NOISE_SHARE = 0.25
 _SETTINGS = "photonrelax.settings"
-# Relaxed photons of a map whose relative L1 error would be one: it falls with their root.
-_PHOTONS_OF_NOISE = 300.0
-# Photons for light without images, at most.
-_MOST_PHOTONS = 1_000_000
+# Relaxed photons of a map whose relative L1 error would be one: it falls with their root. It is two
+# where all light is somewhere else.
+_PHOTONS_OF_NOISE, _MOST_NOISE = 300.0, 2.0
 # Share of the light that is of photons from which on an envelope is given up.
 _OF_PHOTONS = 0.5
 
@@ -83,11 +90,12 @@ def envelope_summary(field: EnvelopeField) -> dict[str, float]:
     n_photons = len(field.flux) - len(field.envelope)
     of_photons, total = field.flux[len(field.envelope) :].sum(), field.flux.sum()
     share = float(of_photons / total) if total > 0.0 else 0.0
+    noise = min((_PHOTONS_OF_NOISE / max(n_photons, 1)) ** 0.5, _MOST_NOISE)
     return {
         "error": field.envelope.error,
         "rays": field.envelope.n_rays,
         "of_photons": share,
-        "noise": share * (_PHOTONS_OF_NOISE / max(n_photons, 1)) ** 0.5,
+        "noise": share * noise,
     }
 
 
@@ -151,6 +159,7 @@ class _Division(NamedTuple):
     image: Image
     misplaced: float
     rays: int
+    n_photons: int
     seconds: float
 
     @property
@@ -218,10 +227,23 @@ class EnvelopeTrials:
 
     def _divide(self, misplaced: float, n_rays: int | None = None) -> None:
         started = perf_counter()
-        image = self._parts.divide(DivisionLimits(misplaced, n_rays, self._n_photons))
+        n_photons = self._photons_needed()
+        image = self._parts.divide(DivisionLimits(misplaced, n_rays, n_photons))
         found = image.stats["envelope"]
         seconds = perf_counter() - started
-        self._divisions.append(_Division(image, found["error"], found["rays"], seconds))
+        division = _Division(image, found["error"], found["rays"], n_photons, seconds)
+        self._divisions.append(division)
+
+    def _photons_needed(self) -> int:
+        """Photons of the next envelope, whose noise is to be a share of its error."""
+        most = self._n_photons or _MOST_PHOTONS
+        if not self._divisions:
+            return min(_LEAST_PHOTONS, most)
+        last, error = self._divisions[-1], self._goal.error
+        if error is None:
+            error = 0.5 * min(self.estimate.total, _UNKNOWN_ERROR)
+        ratio = last.noise / (_NOISE_SHARE * error * max(_norm(self.image), 1e-300))
+        return int(np.clip(ratio**2 * last.n_photons, _LEAST_PHOTONS, most))
 
     @property
     def first(self) -> _Division:
@@ -268,16 +290,37 @@ class EnvelopeTrials:
             return n is not None
         misplaced, last = self._next_misplaced(), self._divisions[-1]
         rays = last.rays * (last.misplaced / misplaced) ** (1.0 / _EXPONENT)
-        takes = _TIMES_LAST * last.seconds
-        if self._is_limited or misplaced < _LEAST_MISPLACED or rays > most_rays or takes > left:
+        if np.isfinite(left):
+            least = last.misplaced * self._ratio_within(left)
+            if least > _IN_TIME[1] * last.misplaced:
+                return False
+            misplaced = max(misplaced, least)
+        if self._is_limited or misplaced < _LEAST_MISPLACED or rays > most_rays:
             return False
         self._divide(misplaced)
         return True
 
+    def has_time_for_second(self, left: float) -> bool:
+        """Whether a second envelope takes only a part of the time that is left."""
+        return self._ratio_within(left / _TIMES_SECOND) <= _SECOND
+
     def error_within(self, left: float) -> float:
-        """Error that is reached within a time, s: at least as its inverse."""
-        takes = _TIMES_LAST * self._divisions[-1].seconds
-        return self.estimate.total * min(takes / max(left, 1e-9), 1.0)
+        """Error that is reached within a time, s."""
+        return self.estimate.total * min(self._ratio_within(left), 1.0) ** SEEN
+
+    def _ratio_within(self, left: float) -> float:
+        """Misplaced light of an envelope that takes a time, s, over that of the last."""
+        times = _TIME_SHARE * max(left, 1e-9) / max(self._divisions[-1].seconds, 1e-9)
+        return float(times ** (-1.0 / self._exponent_of_time))
+
+    @property
+    def _exponent_of_time(self) -> float:
+        if len(self._divisions) < 2:
+            return _OF_TIME
+        before, last = self._divisions[-2:]
+        of_light = np.log(before.misplaced / max(last.misplaced, 1e-12))
+        of_time = np.log(max(last.seconds, 1e-9) / max(before.seconds, 1e-9))
+        return float(np.clip(of_time / max(of_light, 1e-3), *_OF_TIMES))
 
     @property
     def _is_limited(self) -> bool:
@@ -290,9 +333,9 @@ class EnvelopeTrials:
         last, error = self._divisions[-1].misplaced, self.estimate.total
         if len(self._divisions) < 2:
             return _SECOND * last
-        wanted = 0.0 if self._goal.error is None else _ERROR_SHARE * self._goal.error / error
-        least, most = _NEXT if self._goal.error is not None else (_NEXT[1], _NEXT[1])
-        return last * float(np.clip(wanted, least, most))
+        if self._goal.error is None:
+            return _IN_TIME[0] * last
+        return last * float(np.clip(_ERROR_SHARE * self._goal.error / error, *_NEXT))
 
     @property
     def _share_of_others(self) -> float:
@@ -375,12 +418,15 @@ class EnvelopeAttempt:
         found = EnvelopeTrials(self.parts, goal, self.seed, n_photons, started)
         error = goal.error or _UNKNOWN_ERROR
         found.start(_FIRST * error / max(_share(trials.image), 1e-3), _MOST_FIRST_RAYS, trials)
-        if found.first.of_photons > _OF_PHOTONS:
+        left = goal.left(started)
+        if found.first.of_photons > _OF_PHOTONS or not found.has_time_for_second(left):
             return None
         while not goal.is_met(found.estimate.total) and found.improve(most_rays):
             if _is_worse(found, trials, goal.left(started)):
                 return None
-        if goal.seconds is None and not goal.is_met(found.estimate.total):
+        # One envelope alone has no estimate.
+        is_enough = goal.seconds is not None and np.isfinite(found.estimate.total)
+        if not (is_enough or goal.is_met(found.estimate.total)):
             return None
         return found.told(**trials.counts)
 

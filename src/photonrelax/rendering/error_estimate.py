@@ -1,17 +1,19 @@
-"""Estimated errors of images, from independent ones of half as many photons, or from a coarser one.
+"""Estimated errors of images, from independent ones of fewer photons, or from a coarser one.
 
-An image of N photons is compared with the mean of two of N/2: all three are independent. With h the
-norm of the difference of the two over √2, the noise of an image of N/2, and d that of the whole and
-their mean: what d has beyond noise is bias. How both fall with N is known of each layer. The result
-is the mean of the three with the least error.
+An image of N photons is compared with the mean of two of N/4: all three are independent. With h the
+norm of the difference of the two over √2, the noise of an image of N/4, and d that of the whole and
+their mean: what d has beyond noise is the difference D of their biases. How noise and bias fall
+with N is known of each layer; of caustics it is told by D in an earlier trial. The result is the
+mean of the three with the least error.
 
 An envelope has no noise. It is compared with a coarser one, and both tell what they misplace.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import reduce
+from functools import partial, reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -22,24 +24,50 @@ from .layers import RECORDS, total_radiance
 
 # Misplaced light over that of a coarser image, at most, that tells the error of the finer.
 _MOST_RATIO = 0.9
-# Exponent of the error over pixels over misplaced light: 0.5 to 1 in `ring`, `ripples`, `sphere`
-# and `pool`, see docs/measurements/tradeoff.md.
-_SEEN = 0.6
+SEEN = 0.62
+"""Exponent of the error over pixels over misplaced light: 0.5 to 1 in `ring`, `ripples`, `sphere`
+and `pool`, see docs/measurements/tradeoff.md."""
+
+
+QUARTER = 4
+"""Photons of the whole image over those of each of the other two."""
+# Exponents of the bias of caustics over photons: of a first trial, and at least and at most of
+# others. D falls more slowly than the bias: what is added to its exponent, see
+# docs/measurements/tradeoff.md.
+_FIRST_EXPONENT, _EXPONENTS, _SLOWER = 0.3, (0.3, 0.8), 0.1
 
 
 class Falls(NamedTuple):
-    """Variance and bias of an image of half as many photons over those of the whole."""
+    """Variance and bias of an image of a quarter of the photons over those of the whole.
+
+    Attributes
+    ----------
+    variance, bias : float
+    difference : float
+        Of both biases, over that of the whole.
+    """
 
     variance: float
     bias: float
+    difference: float
 
 
-PHOTONS = Falls(2.0, 2.0**0.5)
-"""Of k photons in each estimate: the bias is that of a kernel over a fold, ∝ N^-½."""
-# Of estimates of k ∝ N^½ photons on smooth light, whose bias is ∝ k/N.
-_WIDER = Falls(2.0**0.5, 2.0**0.5)
+def photon_falls(exponent: float) -> Falls:
+    """Falls of estimates from k photons each, whose bias is ∝ N^-exponent.
+
+    Their difference is between that of biases that are alike, β − 1, and that of biases of which
+    the larger has another one beside the smaller, √(β² − 1): the geometric mean of both.
+    """
+    bias = QUARTER**exponent
+    return Falls(QUARTER, bias, ((bias - 1.0) * (bias**2 - 1.0) ** 0.5) ** 0.5)
+
+
+PHOTONS = photon_falls(_FIRST_EXPONENT)
+"""Of caustics, in a first trial."""
+# Of estimates of k ∝ N^½ photons on smooth light, whose bias is ∝ k/N, and alike everywhere.
+_WIDER = Falls(QUARTER**0.5, QUARTER**0.5, QUARTER**0.5 - 1.0)
 # Of shadow rays, of which there are as many in all images.
-_SAME = Falls(1.0, 1.0)
+_SAME = Falls(1.0, 1.0, 0.0)
 _FALLS = {"indirect": _WIDER, "direct": _SAME, "emission": _SAME}
 
 
@@ -50,39 +78,74 @@ class ErrorEstimate(NamedTuple):
     ----------
     total, noise, bias : float
     weight : float
-        Of the image of all photons, the rest that of the mean of the two of half as many.
+        Of the image of all photons, the rest that of the mean of the two of a quarter.
+    difference : float
+        Of the biases of these.
     """
 
     total: float
     noise: float
     bias: float
     weight: float
+    difference: float = 0.0
+
+    def times(self, factor: float) -> ErrorEstimate:
+        """The same error, relative to other light."""
+        total, noise, bias, weight, difference = self
+        return ErrorEstimate(
+            factor * total, factor * noise, factor * bias, weight, factor * difference
+        )
+
+
+class Earlier(NamedTuple):
+    """A trial with fewer photons: those of this one over its, and differences by component."""
+
+    ratio: float
+    differences: Mapping[str, float]
+
+    def exponent(self, component: str, difference: float) -> float:
+        """Exponent of the bias of a component whose difference has fallen since."""
+        before = self.differences.get(component, 0.0)
+        if not (before > 0.0 and self.ratio > 1.0):
+            return _FIRST_EXPONENT
+        of_ratio = np.log(self.ratio)
+        found = np.log(before / max(difference, 1e-300)) / of_ratio + _SLOWER
+        # Noise of the differences is over the ratio: small ones tell little.
+        trust = min(of_ratio / np.log(QUARTER), 1.0)
+        more = float(np.clip(found, *_EXPONENTS)) - _FIRST_EXPONENT
+        return float(_FIRST_EXPONENT + trust * more)
 
 
 def estimate_error(
-    first: Floats, second: Floats, whole: Floats, falls: Falls = PHOTONS
+    first: Floats,
+    second: Floats,
+    whole: Floats,
+    falls: Falls | Callable[[float], Falls] = PHOTONS,
 ) -> ErrorEstimate:
-    """Error of the best mean of two images of half as many photons and of one of all.
+    """Error of the best mean of two images of a quarter of the photons and of one of all.
 
     Parameters
     ----------
     first, second, whole : (height, width, 3)
         Independent images.
-    falls : Falls
-        Of their noise and bias.
+    falls : Falls, or callable
+        Of their noise and bias; ``falls(difference)`` of caustics.
     """
     scale = np.abs(whole).sum()
     if not scale > 0.0:
         return ErrorEstimate(0.0, 0.0, 0.0, 1.0)
     h = float(np.abs(first - second).sum() / np.sqrt(2.0) / scale)
     d = float(np.abs(whole - 0.5 * (first + second)).sum() / scale)
-    of_whole, more = 1.0 / falls.variance, falls.bias - 1.0
-    square = max(d * d - (0.5 + of_whole) * h * h, 0.0)
-    bias = np.sqrt(square) / more if more > 0.0 else 0.0
+    variance = falls.variance if isinstance(falls, Falls) else PHOTONS.variance
+    difference = np.sqrt(max(d * d - (0.5 + 1.0 / variance) * h * h, 0.0))
+    if not isinstance(falls, Falls):
+        falls = falls(difference)
+    bias = difference / falls.difference if falls.difference > 0.0 else 0.0
     weight = _best_weight(h, bias, falls)
     bias *= weight + falls.bias * (1.0 - weight)
-    noise = h * np.sqrt(of_whole * weight**2 + 0.5 * (1.0 - weight) ** 2)
-    return ErrorEstimate(float(np.hypot(noise, bias)), float(noise), float(bias), weight)
+    noise = h * np.sqrt(weight**2 / variance + 0.5 * (1.0 - weight) ** 2)
+    total = float(np.hypot(noise, bias))
+    return ErrorEstimate(total, float(noise), float(bias), weight, float(difference))
 
 
 def _best_weight(h: float, bias: float, falls: Falls) -> float:
@@ -98,7 +161,7 @@ def _best_weight(h: float, bias: float, falls: Falls) -> float:
 
 
 def estimated(
-    first: Image, second: Image, whole: Image, layer: str
+    first: Image, second: Image, whole: Image, layer: str, earlier: Earlier | None = None
 ) -> tuple[ErrorEstimate, dict[str, ErrorEstimate], Image]:
     """Error of a layer and of its components, and the best mean of three images.
 
@@ -109,18 +172,20 @@ def estimated(
     Parameters
     ----------
     first, second : Image
-        Of half as many photons.
+        Of a quarter of the photons.
     whole : Image
     layer : str
         ``radiance``, say.
+    earlier : Earlier, optional
+        A trial with fewer photons.
     """
     images = [first, second, whole]
     parts, scale = {}, float(np.abs(whole.layers[layer]).sum())
     for name in _components(whole, layer):
         one, other, both = (np.asarray(image.layers[name]) for image in images)
-        total, noise, bias, weight = estimate_error(one, other, both, _FALLS.get(name, PHOTONS))
         share = float(np.abs(both).sum()) / scale if scale > 0.0 else 0.0
-        parts[name] = ErrorEstimate(share * total, share * noise, share * bias, weight)
+        falls = _FALLS.get(name) or partial(_caustic_falls, earlier, name, share)
+        parts[name] = estimate_error(one, other, both, falls).times(share)
     apart = _apart([first.layers[name] - second.layers[name] for name in parts])
     noise = apart * float(np.linalg.norm([error.noise for error in parts.values()]))
     bias = apart * float(np.linalg.norm([error.bias for error in parts.values()]))
@@ -128,6 +193,12 @@ def estimated(
     image = _mean(images, weights, layer)
     found = ErrorEstimate(float(np.hypot(noise, bias)), noise, bias, next(iter(weights.values())))
     return found, parts, image
+
+
+def _caustic_falls(earlier: Earlier | None, name: str, share: float, difference: float) -> Falls:
+    if earlier is None:
+        return PHOTONS
+    return photon_falls(earlier.exponent(name, share * difference))
 
 
 def _components(image: Image, layer: str) -> list[str]:
@@ -145,15 +216,15 @@ def _apart(differences: list[Floats]) -> float:
 
 
 def _mean(images: list[Image], weights: dict[str, float], layer: str) -> Image:
-    """Mean of two images of half the photons, and of one of all, whose layers have weights."""
+    """Mean of two images of a quarter of the photons and of that of all, which has weights."""
     first, second, whole = images
     others = next(iter(weights.values()))
     layers = {}
     for name, values in whole.layers.items():
         weight = weights.get(name, others)
-        halves = 0.5 * (np.asarray(first.layers[name]) + np.asarray(second.layers[name]))
+        quarters = 0.5 * (np.asarray(first.layers[name]) + np.asarray(second.layers[name]))
         with np.errstate(invalid="ignore"):
-            mean = weight * np.asarray(values) + (1.0 - weight) * halves
+            mean = weight * np.asarray(values) + (1.0 - weight) * quarters
         # Depths may be infinite.
         layers[name] = np.where(np.isfinite(mean), mean, values)
     if layer not in weights:
@@ -169,7 +240,7 @@ def refined_error(coarse: Floats, fine: Floats, ratio: float) -> float:
     coarse, fine : (height, width, 3)
     ratio : float
         Light that is misplaced in the finer over that in the coarser; errors over pixels fall as
-        its power of 0.6. What is misplaced in the finer is taken to be independent of it.
+        its power of 0.62. What is misplaced in the finer is taken to be independent of it.
 
     Returns
     -------
@@ -178,5 +249,5 @@ def refined_error(coarse: Floats, fine: Floats, ratio: float) -> float:
     """
     if not ratio < _MOST_RATIO:
         return float("inf")
-    of_errors = ratio**_SEEN
+    of_errors = ratio**SEEN
     return float(np.abs(fine - coarse).sum() * of_errors / np.sqrt(1.0 - of_errors**2))

@@ -16,17 +16,21 @@ import numpy as np
 from .._util import validation
 from .._util.frozen import set_field
 from ..imaging.image import Image
-from .error_estimate import ErrorEstimate, estimated
+from .error_estimate import QUARTER, Earlier, ErrorEstimate, estimated
 from .passes import pass_seed
 
 # Photons of the first pilot, and the share of those expected to suffice; factors from one number to
 # the next.
-_PILOT, _PILOT_SHARE, _LEAST_FACTOR, _LARGEST_FACTOR = 4000, 1 / 64, 1.6, 24.0
+_PILOT, _PILOT_SHARE, _LEAST_FACTOR, _LARGEST_FACTOR = 4000, 1 / 64, 1.6, 10.0
+# Photons of a trial over those of an earlier one that it is compared with, if there is such a one.
+_APART = 3.0
+# Photons of all three images of a trial over those of the whole.
+_IN_ALL = 1.0 + 2.0 / QUARTER
 # Exponents of the error over photons: expected, and believed when measured.
-_EXPONENT, _EXPONENTS = 0.45, (0.35, 0.65)
+_EXPONENT, _EXPONENTS = 0.45, (0.4, 0.65)
 # Photons are chosen for an error that is less than asked, as estimates have noise too, and for a
-# time that is less.
-_ERROR_SHARE, _TIME_SHARE = 0.93, 0.9
+# time that is less; all that fit into it are taken at once if they are fewer than so many steps.
+_ERROR_SHARE, _TIME_SHARE, _LAST_FACTOR = 0.93, 0.9, 2.0
 
 Render = Callable[[int, int], Image]
 """Maps a number of photons and a seed to an image."""
@@ -72,24 +76,24 @@ class Goal:
 
 
 class _Trial(NamedTuple):
-    """Images of some photons, what they took and their estimated error."""
+    """Images of some photons, their estimated error, and what the whole and a quarter took."""
 
     n: int
     image: Image
     seconds: float
-    half_seconds: float
+    quarter_seconds: float
     estimate: ErrorEstimate
     parts: dict[str, ErrorEstimate]
 
     def seconds_of(self, n: int) -> float:
         """Seconds of a trial of n photons."""
-        whole = self.seconds - 2.0 * self.half_seconds
-        each = max(whole - self.half_seconds, 0.1 * whole) / (0.5 * self.n)
-        return self.seconds + 2.0 * each * (n - self.n)
+        more = max(self.seconds - self.quarter_seconds, 0.1 * self.seconds)
+        each = more / ((1.0 - 1.0 / QUARTER) * self.n)
+        return self.seconds + 2.0 * self.quarter_seconds + _IN_ALL * each * (n - self.n)
 
 
 class PhotonTrials:
-    """Images of ever more photons, with their estimated errors.
+    """Images of ever more photons, with their estimated errors, three a trial.
 
     Parameters
     ----------
@@ -106,16 +110,27 @@ class PhotonTrials:
         self._trials: list[_Trial] = []
 
     def add(self, n: int) -> None:
-        """Render two images of n/2 photons, and one of n."""
-        number, half = len(self._trials), -(-n // 2)
-        started = perf_counter()
-        seeds = [pass_seed(self._seed, 3 * number + i) for i in range(3)]
-        first, second = (self._render(half, seeds[i]) for i in range(2))
-        halves = perf_counter() - started
-        whole = self._render(2 * half, seeds[2])
-        estimate, parts, image = estimated(first, second, whole, self.layer)
-        seconds = perf_counter() - started
-        self._trials.append(_Trial(2 * half, image, seconds, 0.5 * halves, estimate, parts))
+        """Render two images of n/4 photons, and one of n."""
+        number, quarter = len(self._trials), -(-n // QUARTER)
+        n = QUARTER * quarter
+        times, images = [perf_counter()], []
+        for i, photons in enumerate((quarter, quarter, n)):
+            images.append(self._render(photons, pass_seed(self._seed, 3 * number + i)))
+            times.append(perf_counter())
+        first, second, whole = images
+        found = estimated(first, second, whole, self.layer, self._earlier(n))
+        estimate, parts, image = found
+        # The first image of all has to trace the camera's rays too.
+        _, of_quarter, of_whole = np.diff(times).tolist()
+        self._trials.append(_Trial(n, image, of_whole, of_quarter, estimate, parts))
+
+    def _earlier(self, n: int) -> Earlier | None:
+        if not self._trials:
+            return None
+        enough = [trial for trial in self._trials if _APART * trial.n <= n]
+        before = enough[-1] if enough else self._trials[0]
+        differences = {name: found.difference for name, found in before.parts.items()}
+        return Earlier(n / before.n, differences)
 
     @property
     def image(self) -> Image:
@@ -136,8 +151,8 @@ class PhotonTrials:
     def counts(self) -> dict[str, int]:
         """Photons emitted for all images, and for the last three."""
         return {
-            "photons": sum(2 * trial.n for trial in self._trials),
-            "photons_of_image": 2 * self._trials[-1].n,
+            "photons": sum(_in_all(trial.n) for trial in self._trials),
+            "photons_of_image": _in_all(self._trials[-1].n),
         }
 
     def next_number(self, error: float | None, left: float) -> int | None:
@@ -149,8 +164,11 @@ class PhotonTrials:
             n = min(n, int(last.n * max(ratio ** (1.0 / self._exponent), _LEAST_FACTOR)))
         if not np.isfinite(left):
             return n
-        if last.seconds_of(n) > _TIME_SHARE * left:
-            n = _within(last, _TIME_SHARE * left)
+        most = _within(last, _TIME_SHARE * left)
+        if error is None and most < _LAST_FACTOR * n:
+            # A step that leaves too little for another is the last one.
+            n = most
+        n = min(n, most)
         return n if n > last.n else None
 
     def photons_for(self, error: float, component: str) -> float:
@@ -247,8 +265,19 @@ def first_number(n_expected: int, goal: Goal) -> int:
 
 def _within(trial: _Trial, seconds: float) -> int:
     """Most photons that take no more than a time."""
-    each = trial.seconds_of(trial.n + 1) - trial.seconds_of(trial.n)
-    return int(trial.n + (seconds - trial.seconds) / each)
+    now = trial.seconds_of(trial.n)
+    each = max(trial.seconds_of(trial.n + 1) - now, 1e-12)
+    return int(trial.n + (seconds - now) / each)
+
+
+def _in_all(n: int) -> int:
+    """Photons of all three images of a trial, of n and twice a quarter."""
+    return n + 2 * (n // QUARTER)
+
+
+def photons_of_whole(photons_of_image: int) -> int:
+    """Photons of the image of a trial that has most of them, by those of all three."""
+    return round(photons_of_image / _IN_ALL)
 
 
 def told(
@@ -277,8 +306,8 @@ def told(
     }
     of_last = image.stats.get("stages", {})
     others = seconds - sum(stage["seconds"] for stage in of_last.values())
-    pilots = {"seconds": max(others, 0.0), "emitted": photons - photons_of_image // 2}
-    stages = {"pilots and halves": pilots, **of_last}
+    pilots = {"seconds": max(others, 0.0), "emitted": photons - photons_of_whole(photons_of_image)}
+    stages = {"pilots": pilots, **of_last}
     stats = image.stats | {"stages": stages, "seconds": seconds, "error": reached}
     metadata = {**image.metadata, "photonrelax.error": json.dumps(reached)}
     return replace(image, metadata=metadata, stats=stats)

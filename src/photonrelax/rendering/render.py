@@ -34,7 +34,7 @@ from ..scene.scene import Scene
 from ..transport.emission import PATHS, SAMPLERS, EmissionPlan, plan_emission
 from ..transport.trace import trace_photons
 from .bands import BandRenderer
-from .budget import check_render_fits
+from .budget import check_render_fits, kept_limit
 from .envelope_target import (
     DivisionLimits,
     EnvelopeAttempt,
@@ -225,6 +225,7 @@ class _Job:
             raise ValueError(
                 "photons should not be given with error or seconds, which trace their own"
             )
+        self._view.keep_bands(kept_limit(self._memory))
         # So that the error of indirect light falls with photons.
         self._indirect = self._indirect or widening_settings
         envelope = self._given.get("envelope", EnvelopeSettings())

@@ -30,6 +30,8 @@ from ..transport.raycast import RayCaster
 _RAYS_PER_BAND = 400_000
 # Bytes of the layers of a pixel, and of a camera ray and of a hit point that are kept, at least.
 PIXEL_BYTES, _RAY_BYTES, _HIT_BYTES = 128, 56, 176
+# Bytes of a hit point that is kept for other images, with its direct light of so many seeds.
+_KEPT_BYTES, _LIGHTS = 290, 3
 # Rays a side of the small image from which the number of hit points is estimated.
 _PILOT_SIDE = 64
 # Samples of a pixel are on one piece of surface if they are on a grid and their edges are equal, up
@@ -132,6 +134,18 @@ def pixel_sums(pixel: NDArray[np.int64], values: Floats, shape: tuple[int, int])
     return sums.reshape(*shape, -1)
 
 
+class _KeptBands(NamedTuple):
+    """Bands by their rows, their direct light by rows and turn, and numbers of seeds."""
+
+    bands: dict[tuple[int, int], Band]
+    direct: dict[tuple[tuple[int, int], int], Floats]
+    seeds: dict[int, int]
+
+    def turn(self, seed: int) -> int:
+        """Which direct light images of a seed have."""
+        return self.seeds.setdefault(seed, len(self.seeds)) % _LIGHTS
+
+
 class View:
     """Hit points that the camera of a scene sees, computed in bands of rows.
 
@@ -153,6 +167,8 @@ class View:
         As given, or by default.
     camera : Camera
         Of the scene.
+    kept_bytes : float
+        Estimated memory of the bands that are kept; see `keep_bands`.
 
     Raises
     ------
@@ -187,11 +203,13 @@ class View:
         )
         self.seed = validation.check_seed(seed)
         self.n_threads = thread_count(n_threads)
+        self._kept: _KeptBands | None = None
+        self.kept_bytes = 0.0
         self._check_image_fits()
 
     def __getstate__(self) -> dict[str, Any]:
         # The caster is kept by processes that unpickle it.
-        return state_without_caches(self) | {"caster": self.caster}
+        return state_without_caches(self) | {"caster": self.caster, "_kept": None}
 
     def variant(self, *, seed: int | None = None, supersampling: int | None = None) -> View:
         """The view with another seed of shadow rays, or other samples, and the same ray caster."""
@@ -206,7 +224,21 @@ class View:
         for name in ("caster", "lights"):
             if name in vars(self):
                 vars(other)[name] = vars(self)[name]
+        if other.supersampling == self.supersampling:
+            other._kept, other.kept_bytes = self._kept, self.kept_bytes
         return other
+
+    def keep_bands(self, n_bytes: float) -> None:
+        """Trace camera rays once for all images of this view and its variants to come.
+
+        Unless their hit points are estimated to take more than `n_bytes`. Direct light that is
+        sampled is that of the first three seeds, in turns: it does not depend on photons.
+        """
+        height, width = self.shape
+        each = _KEPT_BYTES * max(self._hits_per_ray(), 1.0)
+        needed = each * height * width * self.supersampling**2
+        if needed <= n_bytes:
+            self._kept, self.kept_bytes = _KeptBands({}, {}, {}), needed
 
     def _check_image_fits(self) -> None:
         height, width = self.shape
@@ -313,6 +345,23 @@ class View:
         direct: bool = True,
     ) -> Band:
         """Trace the camera rays of some rows; see `bands`."""
+        kept = self._kept
+        if kept is None or offset != CENTRE or number:
+            return self._traced(rows, offset, number, direct=direct)
+        key = rows.start, rows.stop
+        if key not in kept.bands:
+            kept.bands[key] = self._traced(rows, offset, number, direct=False)
+        band = kept.bands[key]
+        if not direct:
+            return band
+        turn = kept.turn(self.seed) if samples_light(self.scene, self.light_samples) else 0
+        if (key, turn) not in kept.direct:
+            kept.direct[key, turn] = self._direct(band.hits, number)
+        return replace(band, direct=kept.direct[key, turn])
+
+    def _traced(
+        self, rows: range, offset: tuple[float, float], number: int, *, direct: bool
+    ) -> Band:
         hits, first = trace_hit_points(
             self.scene,
             self.caster,
