@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,25 +161,33 @@ def _check_inputs(
         )
 
 
-class Begun(NamedTuple):
-    """State of photons (n,) between two iterations of a stage.
+class Paths:
+    """Distances that photons (n,) searched and went in a stage of iterations.
+
+    Parameters
+    ----------
+    last : (n,) int array
+        Last iteration of interest, of each photon.
 
     Attributes
     ----------
-    start : (n, 3) float array
-        Positions before the first iteration of the stage.
-    radius : (n,) float array
-        Distance to the farthest neighbour in the last search, or an estimate of it.
-    too_few : (n,) bool array
-        Fewer than k photons were in range.
-    n_merged : int
-        Number of photons that others at the same point stand for.
+    searched : (n,) float array
+        Largest distance from where a photon started that a search reached; infinite where fewer
+        than k photons were in an endless range.
+    travelled : (n,) float array
+        Largest distance of a photon from where it started, before the last of all iterations.
     """
 
-    start: Floats
-    radius: Floats
-    too_few: NDArray[np.bool_]
-    n_merged: int = 0
+    def __init__(self, last: NDArray[np.intp]) -> None:
+        self.last = last
+        self.searched, self.travelled = np.zeros((2, len(last)))
+
+    def add(self, iteration: int, rows: Rows, reached: Floats, gone: Floats) -> None:
+        """Add what the photons of some rows reached from a distance that they had gone."""
+        counts = self.last[rows] >= iteration
+        reached = np.where(counts, reached + gone, 0.0)
+        self.searched[rows] = np.maximum(self.searched[rows], reached)
+        self.travelled[rows] = np.maximum(self.travelled[rows], gone)
 
 
 @dataclass(frozen=True)
@@ -195,20 +202,20 @@ class Relaxation:
     n_threads: int
     report: Reporter
 
-    def moved(
-        self, group: Group, before: tuple[Floats, Floats], begun: Begun | None, *, constrained: bool
-    ) -> tuple[Floats, Floats, Begun]:
-        """Positions and normals after one iteration of a stage, and the state that it leaves.
+    def staged(
+        self, group: Group, before: tuple[Floats, Floats], paths: Paths, *, constrained: bool
+    ) -> tuple[Floats, Floats]:
+        """Positions and normals after a stage of iterations, whose paths are added.
 
-        `before` are positions and normals before it, and `begun` the state then, None before the
-        first iteration.
+        `before` are positions and normals before it.
         """
         position, normal = np.empty_like(before[0]), before[1]
         if self.projector is not None:
             normal = np.empty_like(normal)
-        stage = _Stage(self, group, *before, constrained=constrained, begun=begun)
-        stage.finish(1, position, normal)
-        return position, normal, stage.state(before[0] if begun is None else begun.start)
+        stage = _Stage(self, group, *before, constrained=constrained)
+        n = self.settings.n_iterations[0 if constrained else 1]
+        stage.finish(n, position, normal, paths)
+        return position, normal
 
     def relaxed(self) -> PhotonMap:
         """The photons after all iterations."""
@@ -257,7 +264,6 @@ class _Stage:
         normal: Floats,
         *,
         constrained: bool,
-        begun: Begun | None = None,
     ) -> None:
         photons, structure = relaxation.photons, relaxation.structure
         self._relaxation = relaxation
@@ -279,10 +285,7 @@ class _Stage:
         self._squared = np.square(radius) if constrained else np.full_like(radius, -1.0)
         self._few = constrained & (structure.n_found[self._rows] < relaxation.settings.k)
         start = None if constrained else position
-        if begun is not None:
-            self._squared = np.square(begun.radius[self._rows])
-            self._few = begun.too_few[self._rows]
-            start = None if constrained else begun.start
+        self._reach = structure.reach if constrained else None
         self._inputs = _relax.RelaxInputs(
             rows=self._rows,
             normal=self._normal,
@@ -292,7 +295,7 @@ class _Stage:
             basis=structure.basis,
             constraint=structure.constraint,
             range_radius=range_radius,
-            reach=structure.reach if constrained else None,
+            reach=self._reach,
             rest=None
             if relaxation.rest is None
             else self._rest_inputs(relaxation.rest, start, radius),
@@ -324,12 +327,17 @@ class _Stage:
             return np.broadcast_to(normal[self._rows[:1]], self._position.shape)
         return normal[self._rows]
 
-    def finish(self, n_iterations: int, position: Floats, normal: Floats) -> None:
+    def finish(
+        self, n_iterations: int, position: Floats, normal: Floats, paths: Paths | None = None
+    ) -> None:
         """Iterate so often, then write positions and, on surfaces, normals to their rows."""
+        start = None if paths is None else self._from_tree(self._all_blocks)
         for iteration in range(n_iterations):
             if iteration:
                 self._refit()
             self._move()
+            if paths is not None and start is not None:
+                self._add_to(paths, iteration + 1, start)
             if self._relaxation.projector is not None:
                 self._project(self._relaxation.projector)
         if self._n_merged:
@@ -341,16 +349,16 @@ class _Stage:
         if self._relaxation.projector is not None:
             normal[self._rows] = self._normal
             written = position, normal
+        if paths is not None:
+            written = *written, paths.searched, paths.travelled
         if self._distinct is not None:
             self._distinct.repeat(*written)
 
-    def state(self, start: Floats) -> Begun:
-        """State after the last iteration, of a stage that started at some positions."""
-        radius, too_few = np.empty(len(start)), np.empty(len(start), dtype=bool)
-        radius[self._rows], too_few[self._rows] = np.sqrt(self._squared), self._few
-        if self._distinct is not None:
-            self._distinct.repeat(radius, too_few)
-        return Begun(start, radius, too_few, self._n_merged)
+    def _add_to(self, paths: Paths, iteration: int, start: Floats) -> None:
+        """Add the searches of an iteration, and how far photons (n, 3) had gone from a start."""
+        gone = np.linalg.norm(self._from_tree(self._all_blocks) - start, axis=1)
+        limit = np.inf if self._reach is None else self._reach[self._rows]
+        paths.add(iteration, self._rows, np.where(self._few, limit, np.sqrt(self._squared)), gone)
 
     def _move(self) -> None:
         """Write the positions that photons move to; the tree keeps those before."""
@@ -370,6 +378,12 @@ class _Stage:
             self._position[part], self._normal[part] = projector.project(
                 self._from_tree(part), self._normal[part], self._position[part], self._rows[part]
             )
+
+    @property
+    def _all_blocks(self) -> slice:
+        """All points, up to the end of the last block."""
+        block = np.asarray(self._tree.coords).shape[2]
+        return slice(0, len(self._rows) + block - 1)
 
     def _from_tree(self, part: slice) -> Floats:
         """Positions (m, 3) in the tree of the points of some blocks."""
