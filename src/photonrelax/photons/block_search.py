@@ -22,6 +22,8 @@ Rows = NDArray[np.intp]
 # Factor of a radius that was too small by nobody knows how much, which is at least a share of the
 # extent of a group; margin for rounding of one that is known.
 _WIDER, _LEAST, _MARGIN = 4.0, 1e-3, 1e-9
+# Distance of rounding, in units of the extent of a group.
+_ROUNDED = 1e-9
 # Radius of layers over one that was too small.
 _GREATER = 1.1
 
@@ -239,8 +241,7 @@ class BlockSearch:
         boxes = self.tiles.boxes(self.axes)
         if self.travel is None:
             return boxes
-        name, factor = self.travel
-        return replace(boxes, travel=factor * self.tiles.largest(name))
+        return replace(boxes, travel=self.allowed(self.tiles.largest(self.travel[0])))
 
     @cached_property
     def _segment_boxes(self) -> Boxes:
@@ -253,10 +254,7 @@ class BlockSearch:
     @cached_property
     def _extent(self) -> float:
         """Distance that no search exceeds."""
-        boxes = self._boxes
-        axes = slice(0, boxes.n_metric)
-        low, high = boxes.low[:, axes].min(axis=0), boxes.high[:, axes].max(axis=0)
-        return float(np.linalg.norm(high - low)) * (1.0 + 1e-9)
+        return float(np.linalg.norm(self.tiles.extent(self.axes[0][0]))) * (1.0 + 1e-9)
 
     def run(self, segment: int, compute: Compute) -> Columns:
         """Results of the photons of a segment, with halos as wide as they turn out to need.
@@ -282,7 +280,7 @@ class BlockSearch:
             if found.merged and len(short):
                 # Photons at the same point are searched together.
                 short = np.arange(len(todo))
-            known = np.union1d(todo, halo)
+            known = _merged(todo, halo)
             _, left_out = self._halo(todo[short], wider[short], known)
             # Of too few, who knows how far the others are.
             left_out |= np.isinf(found.reached[short]) & (radius[short] < self._extent)
@@ -307,7 +305,7 @@ class BlockSearch:
         rows, depth = own, np.full(len(own), n_iterations)
         for left in range(n_iterations - 1, -1, -1):
             front, _ = self._halo(front, self._radius_of(front, wider), known)
-            known = np.union1d(known, front)
+            known = _merged(known, front)
             rows, depth = np.append(rows, front), np.append(depth, np.full(len(front), left))
         order = np.argsort(rows[len(own) :]) + len(own)
         rows[len(own) :], depth[len(own) :] = rows[order], depth[order]
@@ -326,8 +324,12 @@ class BlockSearch:
         """Distance (n,) that some photons go at most between iterations."""
         if self.travel is None:
             return np.zeros(len(rows))
-        name, factor = self.travel
-        return factor * self.columns.take(name, rows)
+        return self.allowed(self.columns.take(self.travel[0], rows))
+
+    def allowed(self, values: Floats) -> Floats:
+        """Distances that photons go at most, by their values of the column of these."""
+        assert self.travel is not None, "photons travel"
+        return self.travel[1] * (values + _ROUNDED * self._extent)
 
     def _widen(self, wider: _Radii, layers: Layers, reached: Floats) -> bool:
         """Widen the radii of photons that others were too near to; true if there are any."""
@@ -364,32 +366,39 @@ class BlockSearch:
 
         Photons of `rows`, which are ascending, do not count, nor do those of `known`.
         """
-        has_any = np.zeros(len(rows), dtype=bool)
         if not len(rows):
-            return rows, has_any
+            return rows, np.zeros(0, dtype=bool)
         columns = [(scale, self.columns.mapped(name)) for name, scale in self.axes]
         tile = np.searchsorted(self.tiles.first, rows, side="right") - 1
         queries = balls(
             _points(columns, rows), radius, self.range_radius[tile], tile, self._boxes.n_metric
         )
         left_out = rows if known is None else known
-        near = [rows[:0]]
+        near, hit_any = [rows[:0]], np.zeros(len(queries.radius), dtype=bool)
+        travel = None if self.travel is None else self.columns.mapped(self.travel[0])
         for number, hits in near_tiles(
             queries, self._boxes, self._segment_boxes, self.tiles.segments, self._open(left_out)
         ):
             there = np.arange(self.tiles.first[number], self.tiles.stop[number])
             there = there[~_contains(left_out, there)]
             points, some = _points(columns, there), queries.take(hits)
-            own = Boxes(points, points, some.boxes.n_metric, self._travel_of(there))
+            own = Boxes(points, points, some.boxes.n_metric)
+            if self.travel is not None and travel is not None:
+                own = replace(own, travel=self.allowed(travel[there]))
             close = some.boxes.near(own, some.radius, some.range_radius)
             near.append(there[close.any(axis=0)])
-            has_any |= np.isin(queries.query_of, hits[close.any(axis=1)])
-        return np.sort(np.concatenate(near)), has_any
+            hit_any[hits] |= close.any(axis=1)
+        return np.sort(np.concatenate(near)), hit_any[queries.query_of]
 
     def _open(self, known: Rows) -> NDArray[np.bool_]:
         """Tiles (t,) of which not all photons are known; these ascend."""
         first, stop = (np.searchsorted(known, rows) for rows in (self.tiles.first, self.tiles.stop))
         return stop - first < self.tiles.stop - self.tiles.first
+
+
+def _merged(rows: Rows, others: Rows) -> Rows:
+    """Rows of two sets that have none in common, ascending."""
+    return np.sort(np.concatenate([rows, others]), kind="stable")
 
 
 def _contains(ascending: Rows, rows: Rows) -> NDArray[np.bool_]:

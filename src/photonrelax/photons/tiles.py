@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .._ext.spatial.near_boxes import near_boxes
 from .._util.validation import Floats
 
 TILE = 1024
@@ -42,22 +43,9 @@ class Boxes:
 
     def near(self, other: Boxes, radius: Floats, range_radius: Floats) -> NDArray[np.bool_]:
         """Matrix (t, u), true where boxes u of others may have points within t's radii of t's."""
-        metric, ranged = slice(0, self.n_metric), slice(self.n_metric, None)
-        farthest = radius[:, np.newaxis]
-        if other.travel is not None:
-            farthest = farthest + other.travel
-        near = _squared_gaps(self, other, metric) <= np.square(farthest)
-        return near & (_squared_gaps(self, other, ranged) <= np.square(range_radius)[:, np.newaxis])
-
-
-def _squared_gaps(boxes: Boxes, other: Boxes, axes: slice) -> Floats:
-    """Squared distances (t, u) between boxes over some axes."""
-    squared = np.zeros((len(boxes.low), len(other.low)))
-    sides = (boxes.low, boxes.high, other.low, other.high)
-    for low, high, low_there, high_there in zip(*(side[:, axes].T for side in sides), strict=True):
-        gap = np.maximum(low_there - high[:, np.newaxis], low[:, np.newaxis] - high_there)
-        squared += np.square(np.maximum(gap, 0.0))
-    return squared
+        boxes = self.low, self.high, radius, range_radius, other.low, other.high
+        near: NDArray[np.bool_] = near_boxes(*boxes, other.travel, self.n_metric)
+        return near
 
 
 class Balls(NamedTuple):

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._ext.relaxation.projection import SURFACE_POSITION
+from .._ext.relaxation.relax import Paths
 from .._util.progress import Reporter
 from .._util.validation import Floats
 from .._util.workers import Workers
@@ -41,7 +42,7 @@ from ..photons.streamed_groups import StreamedGroup
 from ..scene.scene import Scene
 from ..transport.raycast import RayCaster
 from .projection import SurfaceProjector
-from .relax import Paths, Relaxation, RelaxSettings
+from .relax import Relaxation, RelaxSettings
 from .rest_density import RestDensity
 from .structure import (
     Structure,
@@ -180,7 +181,7 @@ class BlockRelaxation:
         settings, search = self._work.relax, "nearest" if constrained else "nearest_any"
         work = self._group_work(number, (search, 1.0), now, constrained=constrained, turns=True)
         n_between = settings.n_iterations[0 if constrained else 1] - 1
-        travel = "spacing", slack * n_between * settings.largest_step
+        travel = "spacing", slack * n_between * min(settings.largest_step, 1.0)
         return replace(work, search=replace(work.search, travel=travel))
 
     def _group_work(
@@ -363,8 +364,7 @@ def _stage(given: _GroupWork, segment: int) -> Columns:
         columns: Columns = {"position": position[own]}
         if relaxation.projector is not None:
             columns |= {"normal": normal[own], "at": relaxation.projector.at[own]}
-        assert given.search.travel is not None, "photons of a stage travel"
-        allowed = given.search.travel[1] * some.read("spacing")
+        allowed = given.search.allowed(some.read("spacing"))
         columns[_WENT_FARTHER] = np.array([(paths.travelled > allowed).any()])
         return Iterated(columns, paths.searched)
 

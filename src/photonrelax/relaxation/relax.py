@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._ext.relaxation import relax as _relax
 from .._util import validation
@@ -161,35 +160,6 @@ def _check_inputs(
         )
 
 
-class Paths:
-    """Distances that photons (n,) searched and went in a stage of iterations.
-
-    Parameters
-    ----------
-    last : (n,) int array
-        Last iteration of interest, of each photon.
-
-    Attributes
-    ----------
-    searched : (n,) float array
-        Largest distance from where a photon started that a search reached; infinite where fewer
-        than k photons were in an endless range.
-    travelled : (n,) float array
-        Largest distance of a photon from where it started, before the last of all iterations.
-    """
-
-    def __init__(self, last: NDArray[np.intp]) -> None:
-        self.last = last
-        self.searched, self.travelled = np.zeros((2, len(last)))
-
-    def add(self, iteration: int, rows: Rows, reached: Floats, gone: Floats) -> None:
-        """Add what the photons of some rows reached from a distance that they had gone."""
-        counts = self.last[rows] >= iteration
-        reached = np.where(counts, reached + gone, 0.0)
-        self.searched[rows] = np.maximum(self.searched[rows], reached)
-        self.travelled[rows] = np.maximum(self.travelled[rows], gone)
-
-
 @dataclass(frozen=True)
 class Relaxation:
     """All photons, with the structure, settings and surfaces that their moves follow."""
@@ -203,7 +173,7 @@ class Relaxation:
     report: Reporter
 
     def staged(
-        self, group: Group, before: tuple[Floats, Floats], paths: Paths, *, constrained: bool
+        self, group: Group, before: tuple[Floats, Floats], paths: _relax.Paths, *, constrained: bool
     ) -> tuple[Floats, Floats]:
         """Positions and normals after a stage of iterations, whose paths are added.
 
@@ -212,9 +182,9 @@ class Relaxation:
         position, normal = np.empty_like(before[0]), before[1]
         if self.projector is not None:
             normal = np.empty_like(normal)
-        stage = _Stage(self, group, *before, constrained=constrained)
+        stage = _Stage(self, group, *before, constrained=constrained, paths=paths)
         n = self.settings.n_iterations[0 if constrained else 1]
-        stage.finish(n, position, normal, paths)
+        stage.finish(n, position, normal)
         return position, normal
 
     def relaxed(self) -> PhotonMap:
@@ -264,6 +234,7 @@ class _Stage:
         normal: Floats,
         *,
         constrained: bool,
+        paths: _relax.Paths | None = None,
     ) -> None:
         photons, structure = relaxation.photons, relaxation.structure
         self._relaxation = relaxation
@@ -285,7 +256,9 @@ class _Stage:
         self._squared = np.square(radius) if constrained else np.full_like(radius, -1.0)
         self._few = constrained & (structure.n_found[self._rows] < relaxation.settings.k)
         start = None if constrained else position
-        self._reach = structure.reach if constrained else None
+        self._paths = paths
+        if paths is not None:
+            paths.begin(hstack_rows([position], [1.0], self._rows, relaxation.n_threads))
         self._inputs = _relax.RelaxInputs(
             rows=self._rows,
             normal=self._normal,
@@ -295,10 +268,11 @@ class _Stage:
             basis=structure.basis,
             constraint=structure.constraint,
             range_radius=range_radius,
-            reach=self._reach,
+            reach=structure.reach if constrained else None,
             rest=None
             if relaxation.rest is None
             else self._rest_inputs(relaxation.rest, start, radius),
+            paths=paths,
         )
 
     def _rest_inputs(self, rest: RestDensity, start: Floats | None, radius: Floats) -> _relax.Rest:
@@ -327,17 +301,12 @@ class _Stage:
             return np.broadcast_to(normal[self._rows[:1]], self._position.shape)
         return normal[self._rows]
 
-    def finish(
-        self, n_iterations: int, position: Floats, normal: Floats, paths: Paths | None = None
-    ) -> None:
+    def finish(self, n_iterations: int, position: Floats, normal: Floats) -> None:
         """Iterate so often, then write positions and, on surfaces, normals to their rows."""
-        start = None if paths is None else self._from_tree(self._all_blocks)
         for iteration in range(n_iterations):
             if iteration:
                 self._refit()
             self._move()
-            if paths is not None and start is not None:
-                self._add_to(paths, iteration + 1, start)
             if self._relaxation.projector is not None:
                 self._project(self._relaxation.projector)
         if self._n_merged:
@@ -349,20 +318,16 @@ class _Stage:
         if self._relaxation.projector is not None:
             normal[self._rows] = self._normal
             written = position, normal
-        if paths is not None:
-            written = *written, paths.searched, paths.travelled
+        if self._paths is not None:
+            written = *written, self._paths.searched, self._paths.travelled
         if self._distinct is not None:
             self._distinct.repeat(*written)
-
-    def _add_to(self, paths: Paths, iteration: int, start: Floats) -> None:
-        """Add the searches of an iteration, and how far photons (n, 3) had gone from a start."""
-        gone = np.linalg.norm(self._from_tree(self._all_blocks) - start, axis=1)
-        limit = np.inf if self._reach is None else self._reach[self._rows]
-        paths.add(iteration, self._rows, np.where(self._few, limit, np.sqrt(self._squared)), gone)
 
     def _move(self) -> None:
         """Write the positions that photons move to; the tree keeps those before."""
         settings, n_threads = self._relaxation.settings, self._relaxation.n_threads
+        if self._paths is not None:
+            self._paths.next()
         for first, end in self._relaxation.report.chunks(len(self._position)):
             _relax.move(
                 *(self._tree, first, end, self._inputs),
@@ -378,12 +343,6 @@ class _Stage:
             self._position[part], self._normal[part] = projector.project(
                 self._from_tree(part), self._normal[part], self._position[part], self._rows[part]
             )
-
-    @property
-    def _all_blocks(self) -> slice:
-        """All points, up to the end of the last block."""
-        block = np.asarray(self._tree.coords).shape[2]
-        return slice(0, len(self._rows) + block - 1)
 
     def _from_tree(self, part: slice) -> Floats:
         """Positions (m, 3) in the tree of the points of some blocks."""
