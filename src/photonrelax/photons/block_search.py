@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .._ext.spatial.near_boxes import near_points
 from .._util.validation import Floats
 from .blocks import BlockedPhotons
 from .columns import ColumnFolder
@@ -223,9 +224,8 @@ class BlockSearch:
     k : int
         Photons that a search finds at most. As many are searched at least, as long as a group has
         them: of trees with fewer, kernels take all for the neighbours asked for.
-    travel : (str, float) or None
-        Column, and its factor, of the distances that photons go at most between iterations; None
-        if they stay.
+    travel : str or None
+        Column of the distances that photons go at most between iterations; None if they stay.
     """
 
     columns: ColumnFolder
@@ -234,14 +234,14 @@ class BlockSearch:
     expected: tuple[str, float] | None
     range_radius: Floats
     k: int
-    travel: tuple[str, float] | None = None
+    travel: str | None = None
 
     @cached_property
     def _boxes(self) -> Boxes:
         boxes = self.tiles.boxes(self.axes)
         if self.travel is None:
             return boxes
-        return replace(boxes, travel=self.allowed(self.tiles.largest(self.travel[0])))
+        return replace(boxes, travel=self.allowed(self.tiles.largest(self.travel)))
 
     @cached_property
     def _segment_boxes(self) -> Boxes:
@@ -324,12 +324,11 @@ class BlockSearch:
         """Distance (n,) that some photons go at most between iterations."""
         if self.travel is None:
             return np.zeros(len(rows))
-        return self.allowed(self.columns.take(self.travel[0], rows))
+        return self.allowed(self.columns.take(self.travel, rows))
 
     def allowed(self, values: Floats) -> Floats:
         """Distances that photons go at most, by their values of the column of these."""
-        assert self.travel is not None, "photons travel"
-        return self.travel[1] * (values + _ROUNDED * self._extent)
+        return values + _ROUNDED * self._extent
 
     def _widen(self, wider: _Radii, layers: Layers, reached: Floats) -> bool:
         """Widen the radii of photons that others were too near to; true if there are any."""
@@ -375,20 +374,29 @@ class BlockSearch:
         )
         left_out = rows if known is None else known
         near, hit_any = [rows[:0]], np.zeros(len(queries.radius), dtype=bool)
-        travel = None if self.travel is None else self.columns.mapped(self.travel[0])
-        for number, hits in near_tiles(
+        travel = None if self.travel is None else self.columns.mapped(self.travel)
+        for hits in near_tiles(
             queries, self._boxes, self._segment_boxes, self.tiles.segments, self._open(left_out)
         ):
-            there = np.arange(self.tiles.first[number], self.tiles.stop[number])
-            there = there[~_contains(left_out, there)]
-            points, some = _points(columns, there), queries.take(hits)
-            own = Boxes(points, points, some.boxes.n_metric)
-            if self.travel is not None and travel is not None:
-                own = replace(own, travel=self.allowed(travel[there]))
-            close = some.boxes.near(own, some.radius, some.range_radius)
-            near.append(there[close.any(axis=0)])
-            hit_any[hits] |= close.any(axis=1)
-        return np.sort(np.concatenate(near)), hit_any[queries.query_of]
+            there, first = self._left_in(hits.tiles, left_out)
+            close, hit = near_points(
+                *(queries.boxes.low, queries.boxes.high, queries.radius, queries.range_radius),
+                *(hits.searches, hits.first, _points(columns, there), first),
+                None if travel is None else self.allowed(travel[there]),
+                self._boxes.n_metric,
+            )
+            near.append(there[close])
+            hit_any |= hit
+        return np.unique(np.concatenate(near)), hit_any[queries.query_of]
+
+    def _left_in(self, tiles: Rows, left_out: Rows) -> tuple[Rows, Rows]:
+        """Photons of some tiles without those left out, and the first one of each and the end."""
+        first, stop = self.tiles.first[tiles], self.tiles.stop[tiles]
+        starts = np.cumsum(stop - first) - (stop - first)
+        there = np.repeat(first - starts, stop - first) + np.arange((stop - first).sum())
+        known = _contains(left_out, there)
+        counts = np.add.reduceat(~known, starts, dtype=np.intp)
+        return there[~known], np.append(0, np.cumsum(counts))
 
     def _open(self, known: Rows) -> NDArray[np.bool_]:
         """Tiles (t,) of which not all photons are known; these ascend."""

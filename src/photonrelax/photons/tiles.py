@@ -105,14 +105,30 @@ def balls(
     return Balls(boxes, largest, ranges, query_of)
 
 
+class Hits(NamedTuple):
+    """Tiles of a segment, and searches that may find photons in them.
+
+    Attributes
+    ----------
+    tiles : (t,) intp array
+    searches : (h,) intp array
+        Those of all tiles; those of tile i from ``first[i]`` on.
+    first : (t + 1,) intp array
+    """
+
+    tiles: Tiles
+    searches: NDArray[np.intp]
+    first: NDArray[np.intp]
+
+
 def near_tiles(
     queries: Balls,
     tiles: Boxes,
     segments: Boxes,
     first_tile: NDArray[np.intp],
     wanted: NDArray[np.bool_],
-) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Yield those of the tiles wanted (t,) that searches may find photons in, and these searches.
+) -> Iterator[Hits]:
+    """Yield those of the tiles wanted (t,) that searches may find photons in, by segments.
 
     `segments` are the boxes of runs of tiles, which start at `first_tile` (s,).
     """
@@ -127,5 +143,7 @@ def near_tiles(
         for some in np.array_split(mine, -(-len(mine) // _TOGETHER)) if len(mine) else ():
             hit = queries.take(some)
             near = hit.boxes.near(tiles.take(those), hit.radius, hit.range_radius)
-            for tile in np.flatnonzero(near.any(axis=0)):
-                yield int(those[tile]), some[near[:, tile]]
+            tile, search = np.nonzero(near.T)
+            if len(tile):
+                present, first = np.unique(tile, return_index=True)
+                yield Hits(those[present], some[search], np.append(first, len(tile)))

@@ -63,7 +63,7 @@ _DENSEST = 1e300
 _FLAT, _BENT, _FARTHER = 1.0 + 1e-9, 1.25, 2.0
 # Columns that relaxing adds, until it is done.
 _STRUCTURE = ("constraint", "direction", "radius", "n_found", "spacing", "nearest", "nearest_any")
-_TEMPORARY = (*_STRUCTURE, "reach", "merged", "at", "slope", "limit")
+_TEMPORARY = (*_STRUCTURE, "reach", "merged", "at", "slope", "limit", "travel")
 # Columns that move, and what becomes of them in a stage.
 _MOVED = ("position", "normal", "at")
 
@@ -134,6 +134,7 @@ class BlockRelaxation:
     def relax(self) -> None:
         """Relax all photons, and put their columns in place of those before."""
         now = _MOVED
+        self._columns.create("travel", np.float64)
         if self._work.scene is not None:
             self._columns.create("at", SURFACE_POSITION)
             self._pass(_surface, self._search_reach)
@@ -156,12 +157,29 @@ class BlockRelaxation:
                 self._columns.like(moved, name)
         slack, went_farther = _FLAT if self._work.scene is None else _BENT, True
         while went_farther:
-            build = partial(self._search_stage, now=before, constrained=constrained, slack=slack)
+            self._allow_travel(slack, constrained=constrained)
+            build = partial(self._search_stage, now=before, constrained=constrained)
             went_farther = self._pass(_stage, build, after)
             slack *= _FARTHER
         for name in set(before) - set(after) - {"position"}:
             self._columns.remove(name)
         return after
+
+    def _allow_travel(self, slack: float, *, constrained: bool) -> None:
+        """Write how far photons may go in a stage, before the last of its iterations."""
+        settings, columns = self._work.relax, self._columns
+        n_between = settings.n_iterations[0 if constrained else 1] - 1
+        steps = n_between * min(settings.largest_step, 1.0)
+        for tiles in self.tiles:
+            for segment in range(tiles.n_segments):
+                rows, spacings = tiles.rows(segment), np.array(steps)
+                if self._work.has_rest:
+                    # From where they were first, on opposite sides of which a stage may lie.
+                    limit = (1.0 if constrained else 2.0) * columns.read("limit", *rows)
+                    spacings = np.minimum(steps, limit)
+                travel = slack * spacings * columns.read("spacing", *rows)
+                columns.write("travel", rows[0], travel)
+                tiles.bound(segment, "travel", travel)
 
     # --- searches ---------------------------------------------------------------------------------
 
@@ -176,13 +194,11 @@ class BlockRelaxation:
         return self._group_work(number, expected, constrained=True)
 
     def _search_stage(
-        self, number: int, *, now: tuple[str, str, str], constrained: bool, slack: float
+        self, number: int, *, now: tuple[str, str, str], constrained: bool
     ) -> _GroupWork:
-        settings, search = self._work.relax, "nearest" if constrained else "nearest_any"
+        search = "nearest" if constrained else "nearest_any"
         work = self._group_work(number, (search, 1.0), now, constrained=constrained, turns=True)
-        n_between = settings.n_iterations[0 if constrained else 1] - 1
-        travel = "spacing", slack * n_between * min(settings.largest_step, 1.0)
-        return replace(work, search=replace(work.search, travel=travel))
+        return replace(work, search=replace(work.search, travel="travel"))
 
     def _group_work(
         self,
@@ -255,7 +271,7 @@ class BlockRelaxation:
 
 
 # Columns whose boxes are kept, and what tells that photons of a stage went too far.
-_BOUND = ("position", "normal", "spacing")
+_BOUND = ("position", "normal")
 _WENT_FARTHER = "went_farther"
 
 
@@ -296,31 +312,39 @@ def _structure(given: _GroupWork, segment: int) -> Columns:
         if "reach" in some.columns:
             reach = some.read_own("reach")
             coincident, limit = bool(some.read_own("merged").any()), reach[own]
-        detection = _detection(given, some, reach)
+        detection = _detection(given, some, reach, k_inner=given.work.relax.k)
         n_merged = detection.fill(given.local_group(some), coincident=coincident)
         found = {name: column[own] for name, column in detection.found.items()}
         found["direction"] = np.ascontiguousarray(found.pop("basis")[:, 0])
         del found["eigenvalues"]
         reached = np.where(found["n_found"] < k, limit, found["radius"])
-        found |= _expected(given.work, found["radius"], found["n_found"], limit, reached)
+        found |= _expected(given.work, found, limit)
+        del found["inner"]
         return Found(found, reached, n_merged > 0)
 
     return given.search.run(segment, compute)
 
 
-def _expected(
-    work: BlockWork, radius: Floats, n_found: NDArray[np.int32], limit: Floats, reached: Floats
-) -> Columns:
-    """Distances of moves and of their searches, by the structure and the limit of its search."""
-    any_sheet = limit / work.structure.reach_scale
+def _expected(work: BlockWork, found: Columns, limit: Floats) -> Columns:
+    """Distances of moves, and those that their searches are expected to reach.
+
+    `limit` (n,) is that of searches among photons in range.
+    """
+    k, n_found = work.relax.k, found["n_found"]
+    nearest = np.where(n_found < k, limit, np.minimum(_GROWTH * found["inner"], limit))
+    scale = work.structure.reach_scale
+    # The limit is of photons of any sheet.
+    of_any = _GROWTH * limit / scale if np.isfinite(scale) else limit
     return {
-        "spacing": radius * np.sqrt(work.relax.k / n_found),
-        "nearest": np.where(n_found < work.relax.k, limit, radius),
-        "nearest_any": np.where(np.isfinite(any_sheet), any_sheet, reached),
+        "spacing": found["radius"] * np.sqrt(k / n_found),
+        "nearest": nearest,
+        "nearest_any": np.minimum(nearest, of_any),
     }
 
 
-def _detection(given: _GroupWork, some: Neighbourhood, reach: Floats | None) -> StructureDetection:
+def _detection(
+    given: _GroupWork, some: Neighbourhood, reach: Floats | None, *, k_inner: int = 0
+) -> StructureDetection:
     """Detection around the photons of a neighbourhood."""
     report = Reporter(None, "structure", len(some.rows))
     photons = _local_map(
@@ -330,7 +354,9 @@ def _detection(given: _GroupWork, some: Neighbourhood, reach: Floats | None) -> 
         # Of infinite density, photons of the halo find none.
         partial(some.read_own, fill=_DENSEST),
     )
-    return StructureDetection(photons, given.work.structure, given.work.n_threads, report, reach)
+    return StructureDetection(
+        *(photons, given.work.structure, given.work.n_threads, report, reach), k_inner=k_inner
+    )
 
 
 def _surface(given: _GroupWork, segment: int) -> Columns:
@@ -364,7 +390,7 @@ def _stage(given: _GroupWork, segment: int) -> Columns:
         columns: Columns = {"position": position[own]}
         if relaxation.projector is not None:
             columns |= {"normal": normal[own], "at": relaxation.projector.at[own]}
-        allowed = given.search.allowed(some.read("spacing"))
+        allowed = given.search.allowed(some.read("travel"))
         columns[_WENT_FARTHER] = np.array([(paths.travelled > allowed).any()])
         return Iterated(columns, paths.searched)
 
