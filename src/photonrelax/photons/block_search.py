@@ -365,18 +365,20 @@ class BlockSearch:
 
         Photons of `rows`, which are ascending, do not count, nor do those of `known`.
         """
-        if not len(rows):
-            return rows, np.zeros(0, dtype=bool)
+        left_out, has_any = rows if known is None else known, np.zeros(len(rows), dtype=bool)
+        is_open, tile = self._open(left_out), self._tiles_of(rows)
+        mine = np.flatnonzero(self._may_reach(tile, radius, is_open))
+        if not len(mine):
+            return rows[:0], has_any
         columns = [(scale, self.columns.mapped(name)) for name, scale in self.axes]
-        tile = np.searchsorted(self.tiles.first, rows, side="right") - 1
         queries = balls(
-            _points(columns, rows), radius, self.range_radius[tile], tile, self._boxes.n_metric
+            *(_points(columns, rows[mine]), radius[mine], self.range_radius[tile[mine]]),
+            *(tile[mine], self._boxes.n_metric),
         )
-        left_out = rows if known is None else known
         near, hit_any = [rows[:0]], np.zeros(len(queries.radius), dtype=bool)
         travel = None if self.travel is None else self.columns.mapped(self.travel)
         for hits in near_tiles(
-            queries, self._boxes, self._segment_boxes, self.tiles.segments, self._open(left_out)
+            queries, self._boxes, self._segment_boxes, self.tiles.segments, is_open
         ):
             there, first = self._left_in(hits.tiles, left_out)
             close, hit = near_points(
@@ -387,7 +389,26 @@ class BlockSearch:
             )
             near.append(there[close])
             hit_any |= hit
-        return np.unique(np.concatenate(near)), hit_any[queries.query_of]
+        has_any[mine] = hit_any[queries.query_of]
+        return _distinct(np.concatenate(near)), has_any
+
+    def _tiles_of(self, rows: Rows) -> Rows:
+        """Tiles (n,) of photons."""
+        return np.searchsorted(self.tiles.first, rows, side="right") - 1
+
+    def _may_reach(
+        self, tile: Rows, radius: Floats, is_open: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """Photons (n,) of tiles, in ascending order, that may reach segments with open tiles."""
+        if not len(tile):
+            return np.zeros(0, dtype=bool)
+        starts = np.flatnonzero(np.append(True, tile[1:] != tile[:-1]))
+        present, largest = tile[starts], np.maximum.reduceat(radius, starts)
+        segments = np.flatnonzero(np.logical_or.reduceat(is_open, self.tiles.segments))
+        near = self._boxes.take(present).near(
+            self._segment_boxes.take(segments), largest, self.range_radius[present]
+        )
+        return np.repeat(near.any(axis=1), np.diff(np.append(starts, len(tile))))
 
     def _left_in(self, tiles: Rows, left_out: Rows) -> tuple[Rows, Rows]:
         """Photons of some tiles without those left out, and the first one of each and the end."""
@@ -402,6 +423,12 @@ class BlockSearch:
         """Tiles (t,) of which not all photons are known; these ascend."""
         first, stop = (np.searchsorted(known, rows) for rows in (self.tiles.first, self.tiles.stop))
         return stop - first < self.tiles.stop - self.tiles.first
+
+
+def _distinct(rows: Rows) -> Rows:
+    """Rows that are there, ascending."""
+    rows = np.sort(rows)
+    return rows[np.append(True, rows[1:] != rows[:-1])] if len(rows) else rows
 
 
 def _merged(rows: Rows, others: Rows) -> Rows:

@@ -145,5 +145,5 @@ def near_tiles(
             near = hit.boxes.near(tiles.take(those), hit.radius, hit.range_radius)
             tile, search = np.nonzero(near.T)
             if len(tile):
-                present, first = np.unique(tile, return_index=True)
-                yield Hits(those[present], some[search], np.append(first, len(tile)))
+                first = np.flatnonzero(np.append(True, tile[1:] != tile[:-1]))
+                yield Hits(those[tile[first]], some[search], np.append(first, len(tile)))
