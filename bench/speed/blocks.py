@@ -17,8 +17,6 @@ from bench.arguments import numbers
 from bench.markdown import markdown_table
 from bench.speed import child, machine
 
-# Every array in pages of its own, returned when freed, so that the peak is of memory in use.
-_ENVIRONMENT = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
 _PARTS = 8
 
 
@@ -49,7 +47,7 @@ def _markdown(options: argparse.Namespace, folder: str, n_photons: int) -> str:
     for _ in range(options.rounds):
         for size, runs in found.items():
             given = ["block-run", options.scene, options.method, folder, str(size)]
-            runs.append(child.result(given, _ENVIRONMENT))
+            runs.append(child.result(given, {}))
     rows = [_row(size, runs, found[0]) for size, runs in found.items()]
     titles = ["photons of a block", "blocks", "CPU time, s", "over one piece", "peak, GB"]
     return (
