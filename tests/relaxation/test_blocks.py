@@ -1,7 +1,6 @@
 """Relaxation by blocks of space: the photons of one piece, whatever the blocks."""
 
 import json
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -15,20 +14,9 @@ from photonrelax.photons.streamed_groups import StreamedGroups
 from photonrelax.relaxation import blocks
 from photonrelax.relaxation.relax import Relaxation
 from tests.helpers.executors import shared_pool
+from tests.helpers.photon_maps import in_parts
 
 CLOSE = 1e-12
-
-
-def in_parts(photons, folder, n_parts=3):
-    """Photons of any map as a folder of parts."""
-    parts = PhotonParts.create(folder, {})
-    bounds = np.linspace(0, len(photons), n_parts + 1).astype(int)
-    for start, stop in pairwise(bounds):
-        some = photons.subset(slice(start, stop)).replace(
-            n_emitted=len(photons), emitted_ranges=[(start, stop)]
-        )
-        parts = parts.append(some)
-    return parts
 
 
 def difference(photons, folder, *, method="mapped", scene=None, block=700, **options):
