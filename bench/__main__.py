@@ -4,6 +4,7 @@ python -m bench                   compare with peers: tables, JSON and a plot
 python -m bench versions          every stage compared with another build
 python -m bench contention        every stage on several threads and on one, beside busy processes
 python -m bench scaling           work on processes compared with the same in one process
+python -m bench blocks            relaxing by blocks on disk compared with one piece in memory
 python -m bench table1            SJ13's Table I compared with the paper's own figures
 python -m bench memory            bytes a photon takes in each stage
 python -m bench lamps             times and noise of a room with one lamp, and with many
@@ -40,6 +41,8 @@ import argparse
 import sys
 
 from bench.speed import (
+    block_run,
+    blocks,
     contention,
     many_lamps,
     memory,
@@ -84,6 +87,7 @@ _COMMANDS = {
     "versions": versions,
     "contention": contention,
     "scaling": scaling,
+    "blocks": blocks,
     "lamps": many_lamps,
     "table1": table1,
     "figure7": figure7,
@@ -112,9 +116,10 @@ _COMMANDS = {
     "presets": presets,
     "settings": settings,
     "promises": promises,
-    # The processes that `compare` and `memory` start.
+    # The processes that `compare`, `memory` and `blocks` start.
     "simd": simd,
     "stage": memory_stage,
+    "block-run": block_run,
 }
 
 

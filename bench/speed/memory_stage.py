@@ -93,9 +93,9 @@ def _measured(work: Callable[[], Any]) -> tuple[Any, dict[str, float]]:
         _RESET.write_text("5")
     except OSError as error:
         raise SystemExit(f"memory is measured through {_RESET}, which failed: {error}") from None
-    before, started = _resident("VmRSS"), perf_counter()
+    before, started = resident("VmRSS"), perf_counter()
     result = work()
-    seconds, peak, after = perf_counter() - started, _resident("VmHWM"), _resident("VmRSS")
+    seconds, peak, after = perf_counter() - started, resident("VmHWM"), resident("VmRSS")
     return result, {
         "kept": after - before,
         "peak": peak - before,
@@ -104,7 +104,8 @@ def _measured(work: Callable[[], Any]) -> tuple[Any, dict[str, float]]:
     }
 
 
-def _resident(name: str) -> int:
+def resident(name: str) -> int:
+    """Bytes of this process, of a line of its status in Linux's proc file system."""
     for line in _STATUS.read_text().splitlines():
         if line.startswith(name):
             return int(line.split()[1]) * 1024

@@ -1,9 +1,12 @@
 """Photon maps whose irradiance is known."""
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.stats import qmc
 
 import photonrelax as pr
+from photonrelax.photons.parts import PhotonParts
 
 
 def unit_square(n, kind, seed=0, start=0):
@@ -77,3 +80,15 @@ def mapped(name, n, kind, seed=3):
 def plane(xy):
     """Points of the plane z = 0 and their normals."""
     return np.column_stack([xy, np.zeros(len(xy))]), np.tile([0.0, 0.0, 1.0], (len(xy), 1))
+
+
+def in_parts(photons, folder, n_parts=3):
+    """Photons of any map as a folder of parts."""
+    parts = PhotonParts.create(folder, {})
+    bounds = np.linspace(0, len(photons), n_parts + 1).astype(int)
+    for start, stop in pairwise(bounds):
+        some = photons.subset(slice(start, stop)).replace(
+            n_emitted=len(photons), emitted_ranges=[(start, stop)]
+        )
+        parts = parts.append(some)
+    return parts

@@ -1,7 +1,6 @@
 """Relaxation by blocks of space: the photons of one piece, whatever the blocks."""
 
 import json
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,21 +11,12 @@ from photonrelax.estimation.methods import MethodInput, Settings, relaxed_photon
 from photonrelax.photons.neighbourhoods import neighbour_groups
 from photonrelax.photons.parts import PhotonParts
 from photonrelax.photons.streamed_groups import StreamedGroups
+from photonrelax.relaxation import blocks
+from photonrelax.relaxation.relax import Relaxation
 from tests.helpers.executors import shared_pool
+from tests.helpers.photon_maps import in_parts
 
 CLOSE = 1e-12
-
-
-def in_parts(photons, folder, n_parts=3):
-    """Photons of any map as a folder of parts."""
-    parts = PhotonParts.create(folder, {})
-    bounds = np.linspace(0, len(photons), n_parts + 1).astype(int)
-    for start, stop in pairwise(bounds):
-        some = photons.subset(slice(start, stop)).replace(
-            n_emitted=len(photons), emitted_ranges=[(start, stop)]
-        )
-        parts = parts.append(some)
-    return parts
 
 
 def difference(photons, folder, *, method="mapped", scene=None, block=700, **options):
@@ -84,6 +74,19 @@ def sheets_that_meet(n=3000, n_emitters=1):
 @pytest.mark.parametrize("method", ["parameterised", "mapped"])
 def test_sheets_that_meet_in_space_but_not_on_the_emitter(method, tmp_path):
     assert difference(sheets_that_meet(), tmp_path, method=method) < CLOSE
+
+
+@pytest.mark.parametrize(("factor", "value"), [("_GROWTH", 0.4), ("_FLAT", 0.3)])
+def test_photons_that_search_or_go_farther_than_is_expected(factor, value, tmp_path, monkeypatch):
+    monkeypatch.setattr(blocks, factor, value)
+    calls = []
+    stage = Relaxation.staged
+    monkeypatch.setattr(
+        Relaxation, "staged", lambda *given, **named: calls.append(1) or stage(*given, **named)
+    )
+    assert difference(sheets_that_meet(1200), tmp_path, block=600) < CLOSE
+    n_blocks, n_stages = 2, 2
+    assert len(calls) > n_blocks * n_stages, "stages are done again"
 
 
 def test_many_emitters_that_share_trees_and_pools(tmp_path):

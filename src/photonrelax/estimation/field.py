@@ -347,6 +347,10 @@ class Densities:
         """Number of values per element, c."""
         return self._values.shape[1]
 
+    def of(self, rows: Rows) -> Floats:
+        """Values (m, c) of some elements."""
+        return self._values[rows]
+
     def laid_out(self, part: int) -> Any:
         """The values as the field's kernel reads them of one part of the elements."""
         if part not in self._laid_out:

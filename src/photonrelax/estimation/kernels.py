@@ -38,7 +38,7 @@ WELL_SPACED_BIAS = {
     "gaussian": (0.32, -1.35),
 }
 # Largest number of photons, and two quantiles, that the automatic gather radius is taken from.
-_SAMPLE = 10_000
+SAMPLE = 10_000
 _SHARE_OF_PHOTONS = 0.95
 _SHARE_OF_AREA = 0.05
 
@@ -77,29 +77,44 @@ def automatic_gather_radius(tree: KDTree, k: int, *, n_threads: int | None = Non
     ValueError
         If all photons are at one point.
     """
-    points = tree.sample(_SAMPLE)
+    points = tree.sample(SAMPLE)
     threads = thread_count(n_threads)
-    distance = np.sort(
-        _kth_distance.of_queries(
-            *(tree.kernel, points, np.arange(len(points))),
-            k=k,
-            range_radius=normal_range(tree),
-            of_fewer=True,
-            n_threads=threads,
-        )
+    distance = _kth_distance.of_queries(
+        *(tree.kernel, points, np.arange(len(points))),
+        k=k,
+        range_radius=normal_range(tree),
+        of_fewer=True,
+        n_threads=threads,
     )
-    area = np.cumsum(distance**2)
-    lit = distance[np.searchsorted(area, _SHARE_OF_AREA * area[-1])]
-    radius = float(max(np.quantile(distance, _SHARE_OF_PHOTONS), lit))
-    if radius == 0.0:
-        # Photons that all face different ways have no neighbours: the extent of the map.
-        radius = float(np.linalg.norm(np.subtract(tree.kernel.high, tree.kernel.low)[:3]))
+    extent = float(np.linalg.norm(np.subtract(tree.kernel.high, tree.kernel.low)[:3]))
+    return gather_radius_of(distance, extent)
+
+
+def gather_radius_of(distance: Floats, extent: float) -> float:
+    """Radius of `automatic_gather_radius`, by distances (s,) of a sample, and the map's extent, m.
+
+    Raises
+    ------
+    ValueError
+        If all photons are at one point.
+    """
+    # Photons that all face different ways have no neighbours: the extent of the map.
+    radius = _larger_quantile(np.sort(distance)) or extent
     if radius == 0.0:
         raise ValueError(
             "the photons are all at one point, from which no gather radius follows: "
             "give GatherSettings(gather_radius=…)"
         )
     return radius
+
+
+def _larger_quantile(distance: Floats) -> float:
+    """The larger quantile of distances, ascending; zero without any."""
+    if not len(distance):
+        return 0.0
+    area = np.cumsum(distance**2)
+    lit = distance[np.searchsorted(area, _SHARE_OF_AREA * area[-1])]
+    return float(max(np.quantile(distance, _SHARE_OF_PHOTONS), lit))
 
 
 def kth_distance(

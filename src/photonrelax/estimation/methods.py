@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypedDict, Unpack, get_args, get_type_hints
 
 from .._util.parallel import thread_count
 from .._util.progress import Progress
+from ..photons.blocks import BlockedPhotons
 from ..photons.photon_map import PhotonMap
 from ..relaxation.gradient import GradientSettings, detect_gradient
 from ..relaxation.relax import RelaxSettings
@@ -22,6 +23,7 @@ from ..relaxation.rest_density import RestDensity, RestDensitySettings, rest_den
 from ..relaxation.structure import Structure, StructureSettings, detect_structure
 from ..scene.scene import Scene
 from ..transport.raycast import RayCaster
+from .block_field import BlockedField
 from .diffusion import DiffusionField, DiffusionSettings
 from .envelope.envelope import Envelope, EnvelopeSettings
 from .envelope.field import EnvelopeField
@@ -31,7 +33,7 @@ from .frequency import FrequencyField, FrequencySettings
 from .nearest import GatherSettings, IrradianceField
 from .progressive import ProgressiveSettings
 from .split_passes import ProgressiveField
-from .surface import Surface, lit_objects
+from .surface import Surface, lit_objects, objects_lit_in_blocks
 
 DEFAULT_METHOD = "mapped"
 PLAIN_METHOD = "standard"
@@ -70,7 +72,7 @@ SETTINGS_CLASSES: dict[str, type] = {
 
 
 def irradiance_field(
-    photons: PhotonMap | Envelope,
+    photons: PhotonMap | BlockedPhotons | Envelope,
     *,
     method: str = DEFAULT_METHOD,
     scene: Scene | None = None,
@@ -82,8 +84,10 @@ def irradiance_field(
 
     Parameters
     ----------
-    photons : PhotonMap or Envelope
+    photons : PhotonMap, BlockedPhotons or Envelope
         Photons from `trace_photons` or from any other renderer, or what `trace_envelope` returns.
+        Those of `relax_parts` are gathered as they are, some at a time, whichever of the first
+        four methods has relaxed them; see docs/scaling.md.
     method : str
         One of:
 
@@ -126,7 +130,30 @@ def irradiance_field(
         If the method is not known, or a setting.
     """
     given = settings_of("irradiance_field", dict(settings))
+    if isinstance(photons, BlockedPhotons):
+        return _gather_blocks(photons, method_named(method), given, scene, n_threads)
     return prepare(method, MethodInput(photons, given, scene, n_threads, progress))
+
+
+def _gather_blocks(
+    photons: BlockedPhotons,
+    method: Method,
+    settings: Settings,
+    scene: Scene | None,
+    n_threads: int | None,
+) -> BlockedField:
+    if method.stages[-1] != "gather":
+        raise ValueError(
+            f"photons in blocks are gathered as they are, but method is {method.name!r}, which "
+            "estimates in another way: give it their photon_map(), in memory"
+        )
+    gather = Settings(**{**method.defaults, **settings.given}).of("gather")
+    field = BlockedField(photons, gather, n_threads=n_threads)
+    if scene is not None:
+        field.surface = Surface(
+            scene, thread_count(n_threads), objects_lit_in_blocks(scene, photons)
+        )
+    return field
 
 
 class Settings:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from .._ext.estimation import surface_edges as _edges
 from .._util.parcels import state_without_caches
 from .._util.validation import Floats
+from ..photons.blocks import BlockedPhotons
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene
 from ..spatial.box_tree import BoxTree
@@ -133,6 +134,15 @@ def lit_objects(scene: Scene, photons: PhotonMap) -> list[int]:
         return _no_sensors(scene)
     sensors = np.unique(photons.object_id[on_sensor]).tolist()
     return sensors if on_sensor.all() else [*_no_sensors(scene), *sensors]
+
+
+def objects_lit_in_blocks(scene: Scene, photons: BlockedPhotons) -> list[int]:
+    """Ids of the objects that photons in blocks may be on; see `lit_objects`."""
+    if not photons.shared["sensor_ids"] or "object_id" not in photons.columns:
+        return _no_sensors(scene)
+    rows = zip(photons.segments.first, photons.segments.stop, strict=True)
+    lit = {i for start, stop in rows for i in lit_objects(scene, photons.photons(start, stop))}
+    return sorted(lit)
 
 
 def _no_sensors(scene: Scene) -> list[int]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .._ext.spatial.near_boxes import near_points
 from .._util.validation import Floats
 from .blocks import BlockedPhotons
 from .columns import ColumnFolder
@@ -22,6 +23,10 @@ Rows = NDArray[np.intp]
 # Factor of a radius that was too small by nobody knows how much, which is at least a share of the
 # extent of a group; margin for rounding of one that is known.
 _WIDER, _LEAST, _MARGIN = 4.0, 1e-3, 1e-9
+# Distance of rounding, in units of the extent of a group.
+_ROUNDED = 1e-9
+# Radius of layers over one that was too small.
+_GREATER = 1.1
 
 
 class GroupTiles:
@@ -142,6 +147,66 @@ Compute = Callable[[Neighbourhood], Found]
 
 
 @dataclass(frozen=True)
+class Layers(Neighbourhood):
+    """Own photons of a block, and those that they depend on in some iterations.
+
+    Attributes
+    ----------
+    depth : (n,) intp array
+        Iterations after which each photon is where it is in one piece, all of them for own ones:
+        in each it depends on the photons around it as they are after the iteration before.
+    """
+
+    depth: NDArray[np.intp]
+
+    def known(self, depth: int) -> Rows:
+        """Photons (m,) of a depth and more, ascending."""
+        return np.sort(self.rows[self.depth >= depth])
+
+
+class Iterated(NamedTuple):
+    """Results of some iterations of the photons of layers.
+
+    Attributes
+    ----------
+    columns : dict
+        Of the own ones.
+    reached : (n,) float array
+        Largest distance from where they started to which photons were searched, in as many
+        iterations as they are deep.
+    """
+
+    columns: Columns
+    reached: Floats
+
+
+Iterate = Callable[[Layers], Iterated]
+
+
+@dataclass
+class _Radii:
+    """Radii of some photons, whose rows ascend, that are wider than is expected."""
+
+    rows: Rows
+    radius: Floats
+
+    def widen(self, rows: Rows, radius: Floats) -> None:
+        """Add some."""
+        both = np.concatenate([self.rows, rows]), np.concatenate([self.radius, radius])
+        self.rows, place = np.unique(both[0], return_inverse=True)
+        self.radius = np.zeros(len(self.rows))
+        np.maximum.at(self.radius, place, both[1])
+
+    def apply(self, rows: Rows, radius: Floats) -> Floats:
+        """Radii of photons, widened where they are to be."""
+        if not len(self.rows):
+            return radius
+        place = np.minimum(np.searchsorted(self.rows, rows), len(self.rows) - 1)
+        wider = np.where(self.rows[place] == rows, self.radius[place], 0.0)
+        return np.maximum(radius, wider)
+
+
+@dataclass(frozen=True)
 class BlockSearch:
     """Search around the photons of a group, a segment at a time.
 
@@ -159,6 +224,8 @@ class BlockSearch:
     k : int
         Photons that a search finds at most. As many are searched at least, as long as a group has
         them: of trees with fewer, kernels take all for the neighbours asked for.
+    travel : str or None
+        Column of the distances that photons go at most between iterations; None if they stay.
     """
 
     columns: ColumnFolder
@@ -167,24 +234,27 @@ class BlockSearch:
     expected: tuple[str, float] | None
     range_radius: Floats
     k: int
+    travel: str | None = None
 
     @cached_property
     def _boxes(self) -> Boxes:
-        return self.tiles.boxes(self.axes)
+        boxes = self.tiles.boxes(self.axes)
+        if self.travel is None:
+            return boxes
+        return replace(boxes, travel=self.allowed(self.tiles.largest(self.travel)))
 
     @cached_property
     def _segment_boxes(self) -> Boxes:
         boxes, segments = self._boxes, self.tiles.segments
         low = np.minimum.reduceat(boxes.low, segments, axis=0)
-        return Boxes(low, np.maximum.reduceat(boxes.high, segments, axis=0), boxes.n_metric)
+        high = np.maximum.reduceat(boxes.high, segments, axis=0)
+        travel = None if boxes.travel is None else np.maximum.reduceat(boxes.travel, segments)
+        return Boxes(low, high, boxes.n_metric, travel)
 
     @cached_property
     def _extent(self) -> float:
         """Distance that no search exceeds."""
-        boxes = self._boxes
-        axes = slice(0, boxes.n_metric)
-        low, high = boxes.low[:, axes].min(axis=0), boxes.high[:, axes].max(axis=0)
-        return float(np.linalg.norm(high - low)) * (1.0 + 1e-9)
+        return float(np.linalg.norm(self.tiles.extent(self.axes[0][0]))) * (1.0 + 1e-9)
 
     def run(self, segment: int, compute: Compute) -> Columns:
         """Results of the photons of a segment, with halos as wide as they turn out to need.
@@ -210,7 +280,8 @@ class BlockSearch:
             if found.merged and len(short):
                 # Photons at the same point are searched together.
                 short = np.arange(len(todo))
-            _, left_out = self._halo(todo[short], wider[short], known=todo)
+            known = _merged(todo, halo)
+            _, left_out = self._halo(todo[short], wider[short], known)
             # Of too few, who knows how far the others are.
             left_out |= np.isinf(found.reached[short]) & (radius[short] < self._extent)
             if found.merged and left_out.any():
@@ -218,6 +289,60 @@ class BlockSearch:
             todo, radius = todo[short][left_out], wider[short][left_out]
             halo, _ = self._halo(todo, radius)
         return results
+
+    def iterate(self, segment: int, n_iterations: int, compute: Iterate) -> Columns:
+        """Results of the photons of a segment, with layers as wide as they turn out to need."""
+        own, wider = np.arange(*self.tiles.rows(segment)), _Radii(np.empty(0, np.intp), np.empty(0))
+        while True:
+            layers = self._layers(own, n_iterations, wider)
+            found = compute(layers)
+            if not self._widen(wider, layers, found.reached):
+                return found.columns
+
+    def _layers(self, own: Rows, n_iterations: int, wider: _Radii) -> Layers:
+        """Photons that others depend on, a layer for each iteration."""
+        known = front = own
+        rows, depth = own, np.full(len(own), n_iterations)
+        for left in range(n_iterations - 1, -1, -1):
+            front, _ = self._halo(front, self._radius_of(front, wider), known)
+            known = _merged(known, front)
+            rows, depth = np.append(rows, front), np.append(depth, np.full(len(front), left))
+        order = np.argsort(rows[len(own) :]) + len(own)
+        rows[len(own) :], depth[len(own) :] = rows[order], depth[order]
+        more = self._filled(own, rows[len(own) :])[len(rows) - len(own) :]
+        rows, depth = np.append(rows, more), np.append(depth, np.zeros(len(more), np.intp))
+        return Layers(self.columns, rows, len(own), depth)
+
+    def _radius_of(self, rows: Rows, wider: _Radii) -> Floats:
+        """Distance (n,), from where some photons are first, in which others are in layers."""
+        assert self.expected is not None, "iterations follow a search"
+        name, factor = self.expected
+        radius = factor * self.columns.take(name, rows) + self._travel_of(rows)
+        return np.minimum(wider.apply(rows, radius), self._extent)
+
+    def _travel_of(self, rows: Rows) -> Floats:
+        """Distance (n,) that some photons go at most between iterations."""
+        if self.travel is None:
+            return np.zeros(len(rows))
+        return self.allowed(self.columns.take(self.travel, rows))
+
+    def allowed(self, values: Floats) -> Floats:
+        """Distances that photons go at most, by their values of the column of these."""
+        return values + _ROUNDED * self._extent
+
+    def _widen(self, wider: _Radii, layers: Layers, reached: Floats) -> bool:
+        """Widen the radii of photons that others were too near to; true if there are any."""
+        radius = self._radius_of(layers.rows, wider)
+        short = (layers.depth > 0) & (reached > radius) & (radius < self._extent)
+        reached, found = np.minimum(_GREATER * reached, self._extent), False
+        for depth in np.unique(layers.depth[short]).tolist():
+            mine = np.flatnonzero(short & (layers.depth == depth))
+            order = mine[np.argsort(layers.rows[mine])]
+            rows, needed = layers.rows[order], reached[order]
+            _, missed = self._halo(rows, needed, layers.known(depth - 1))
+            wider.widen(rows[missed], needed[missed])
+            found |= bool(missed.any())
+        return found
 
     def _filled(self, todo: Rows, halo: Rows) -> Rows:
         """A halo with some more photons of the group, if there are fewer than k in all."""
@@ -236,32 +361,79 @@ class BlockSearch:
     def _halo(
         self, rows: Rows, radius: Floats, known: Rows | None = None
     ) -> tuple[Rows, NDArray[np.bool_]]:
-        """Photons within the radii of some, and which of these have any.
+        """Photons within the radii of some, ascending, and which of these have any.
 
         Photons of `rows`, which are ascending, do not count, nor do those of `known`.
         """
-        near, has_any = [np.empty(0, dtype=np.intp)], np.zeros(len(rows), dtype=bool)
-        if not len(rows):
-            return near[0], has_any
+        left_out, has_any = rows if known is None else known, np.zeros(len(rows), dtype=bool)
+        is_open, tile = self._open(left_out), self._tiles_of(rows)
+        mine = np.flatnonzero(self._may_reach(tile, radius, is_open))
+        if not len(mine):
+            return rows[:0], has_any
         columns = [(scale, self.columns.mapped(name)) for name, scale in self.axes]
-        tile = np.searchsorted(self.tiles.first, rows, side="right") - 1
         queries = balls(
-            _points(columns, rows), radius, self.range_radius[tile], self._boxes.n_metric
+            *(_points(columns, rows[mine]), radius[mine], self.range_radius[tile[mine]]),
+            *(tile[mine], self._boxes.n_metric),
         )
-        left_out = rows if known is None else known
-        for number, hits in near_tiles(
-            queries, self._boxes, self._segment_boxes, self.tiles.segments
+        near, hit_any = [rows[:0]], np.zeros(len(queries.radius), dtype=bool)
+        travel = None if self.travel is None else self.columns.mapped(self.travel)
+        for hits in near_tiles(
+            queries, self._boxes, self._segment_boxes, self.tiles.segments, is_open
         ):
-            there = np.arange(self.tiles.first[number], self.tiles.stop[number])
-            there = there[~_contains(left_out, there)]
-            if not len(there):
-                continue
-            points, some = _points(columns, there), queries.take(hits)
-            own = Boxes(points, points, some.boxes.n_metric)
-            close = some.boxes.near(own, some.radius, some.range_radius)
-            near.append(there[close.any(axis=0)])
-            has_any |= np.isin(queries.query_of, hits[close.any(axis=1)])
-        return np.concatenate(near), has_any
+            there, first = self._left_in(hits.tiles, left_out)
+            close, hit = near_points(
+                *(queries.boxes.low, queries.boxes.high, queries.radius, queries.range_radius),
+                *(hits.searches, hits.first, _points(columns, there), first),
+                None if travel is None else self.allowed(travel[there]),
+                self._boxes.n_metric,
+            )
+            near.append(there[close])
+            hit_any |= hit
+        has_any[mine] = hit_any[queries.query_of]
+        return _distinct(np.concatenate(near)), has_any
+
+    def _tiles_of(self, rows: Rows) -> Rows:
+        """Tiles (n,) of photons."""
+        return np.searchsorted(self.tiles.first, rows, side="right") - 1
+
+    def _may_reach(
+        self, tile: Rows, radius: Floats, is_open: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """Photons (n,) of tiles, in ascending order, that may reach segments with open tiles."""
+        if not len(tile):
+            return np.zeros(0, dtype=bool)
+        starts = np.flatnonzero(np.append(True, tile[1:] != tile[:-1]))
+        present, largest = tile[starts], np.maximum.reduceat(radius, starts)
+        segments = np.flatnonzero(np.logical_or.reduceat(is_open, self.tiles.segments))
+        near = self._boxes.take(present).near(
+            self._segment_boxes.take(segments), largest, self.range_radius[present]
+        )
+        return np.repeat(near.any(axis=1), np.diff(np.append(starts, len(tile))))
+
+    def _left_in(self, tiles: Rows, left_out: Rows) -> tuple[Rows, Rows]:
+        """Photons of some tiles without those left out, and the first one of each and the end."""
+        first, stop = self.tiles.first[tiles], self.tiles.stop[tiles]
+        starts = np.cumsum(stop - first) - (stop - first)
+        there = np.repeat(first - starts, stop - first) + np.arange((stop - first).sum())
+        known = _contains(left_out, there)
+        counts = np.add.reduceat(~known, starts, dtype=np.intp)
+        return there[~known], np.append(0, np.cumsum(counts))
+
+    def _open(self, known: Rows) -> NDArray[np.bool_]:
+        """Tiles (t,) of which not all photons are known; these ascend."""
+        first, stop = (np.searchsorted(known, rows) for rows in (self.tiles.first, self.tiles.stop))
+        return stop - first < self.tiles.stop - self.tiles.first
+
+
+def _distinct(rows: Rows) -> Rows:
+    """Rows that are there, ascending."""
+    rows = np.sort(rows)
+    return rows[np.append(True, rows[1:] != rows[:-1])] if len(rows) else rows
+
+
+def _merged(rows: Rows, others: Rows) -> Rows:
+    """Rows of two sets that have none in common, ascending."""
+    return np.sort(np.concatenate([rows, others]), kind="stable")
 
 
 def _contains(ascending: Rows, rows: Rows) -> NDArray[np.bool_]:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .._ext.spatial.near_boxes import near_boxes
 from .._util.validation import Floats
 
 TILE = 1024
@@ -27,31 +28,24 @@ _ISOLATED, _CLIPPED = 3.0, 4.0
 class Boxes:
     """Bounding boxes (t, axes) of tiles: the first three or two axes carry the metric.
 
-    The others are range axes, in units of the radius of the balls over them.
+    The others are range axes, in units of the radius of the balls over them. `travel` (t,) is how
+    far points may have gone from the boxes, None if they stay.
     """
 
     low: Floats
     high: Floats
     n_metric: int
+    travel: Floats | None = None
 
     def take(self, tiles: Tiles | slice) -> Boxes:
-        return Boxes(self.low[tiles], self.high[tiles], self.n_metric)
+        travel = None if self.travel is None else self.travel[tiles]
+        return Boxes(self.low[tiles], self.high[tiles], self.n_metric, travel)
 
     def near(self, other: Boxes, radius: Floats, range_radius: Floats) -> NDArray[np.bool_]:
         """Matrix (t, u), true where boxes u of others may have points within t's radii of t's."""
-        metric, ranged = slice(0, self.n_metric), slice(self.n_metric, None)
-        near = _squared_gaps(self, other, metric) <= np.square(radius)[:, np.newaxis]
-        return near & (_squared_gaps(self, other, ranged) <= np.square(range_radius)[:, np.newaxis])
-
-
-def _squared_gaps(boxes: Boxes, other: Boxes, axes: slice) -> Floats:
-    """Squared distances (t, u) between boxes over some axes."""
-    squared = np.zeros((len(boxes.low), len(other.low)))
-    sides = (boxes.low, boxes.high, other.low, other.high)
-    for low, high, low_there, high_there in zip(*(side[:, axes].T for side in sides), strict=True):
-        gap = np.maximum(low_there - high[:, np.newaxis], low[:, np.newaxis] - high_there)
-        squared += np.square(np.maximum(gap, 0.0))
-    return squared
+        boxes = self.low, self.high, radius, range_radius, other.low, other.high
+        near: NDArray[np.bool_] = near_boxes(*boxes, other.travel, self.n_metric)
+        return near
 
 
 class Balls(NamedTuple):
@@ -79,15 +73,19 @@ class Balls(NamedTuple):
         )
 
 
-def balls(points: Floats, radius: Floats, range_radius: Floats, n_metric: int) -> Balls:
-    """Searches of photons (n, axes), in an order in which they are close to one another.
+def balls(
+    points: Floats, radius: Floats, range_radius: Floats, tile: Tiles, n_metric: int
+) -> Balls:
+    """Searches of photons (n, axes) of some tiles (n,), in their order.
 
     Isolated photons, which search much farther than those around them, are alone in theirs: the
     region within so far of all the others would have far more photons than any search finds.
     """
     n = len(points)
-    run = np.arange(n) // _RUN
-    starts = np.arange(0, n, _RUN)
+    # Photons of different tiles may be far from one another.
+    begins = np.arange(n) % _RUN == 0
+    begins[1:] |= tile[1:] != tile[:-1]
+    run, starts = np.cumsum(begins) - 1, np.flatnonzero(begins)
     typical = np.add.reduceat(np.minimum(radius, _CLIPPED * np.median(radius)), starts)
     typical /= np.diff(np.append(starts, n))
     alone = radius > _ISOLATED * typical[run]
@@ -107,20 +105,45 @@ def balls(points: Floats, radius: Floats, range_radius: Floats, n_metric: int) -
     return Balls(boxes, largest, ranges, query_of)
 
 
+class Hits(NamedTuple):
+    """Tiles of a segment, and searches that may find photons in them.
+
+    Attributes
+    ----------
+    tiles : (t,) intp array
+    searches : (h,) intp array
+        Those of all tiles; those of tile i from ``first[i]`` on.
+    first : (t + 1,) intp array
+    """
+
+    tiles: Tiles
+    searches: NDArray[np.intp]
+    first: NDArray[np.intp]
+
+
 def near_tiles(
-    queries: Balls, tiles: Boxes, segments: Boxes, first_tile: NDArray[np.intp]
-) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Yield tiles that searches may find photons in, and these searches.
+    queries: Balls,
+    tiles: Boxes,
+    segments: Boxes,
+    first_tile: NDArray[np.intp],
+    wanted: NDArray[np.bool_],
+) -> Iterator[Hits]:
+    """Yield those of the tiles wanted (t,) that searches may find photons in, by segments.
 
     `segments` are the boxes of runs of tiles, which start at `first_tile` (s,).
     """
     stops = np.append(first_tile[1:], len(tiles.low))
     for segment in range(len(first_tile)):
+        those = np.arange(first_tile[segment], stops[segment])
+        those = those[wanted[those]]
+        if not len(those):
+            continue
         one = segments.take(np.array([segment]))
         mine = np.flatnonzero(queries.boxes.near(one, queries.radius, queries.range_radius)[:, 0])
         for some in np.array_split(mine, -(-len(mine) // _TOGETHER)) if len(mine) else ():
-            those = np.arange(first_tile[segment], stops[segment])
             hit = queries.take(some)
             near = hit.boxes.near(tiles.take(those), hit.radius, hit.range_radius)
-            for tile in np.flatnonzero(near.any(axis=0)):
-                yield int(those[tile]), some[near[:, tile]]
+            tile, search = np.nonzero(near.T)
+            if len(tile):
+                first = np.flatnonzero(np.append(True, tile[1:] != tile[:-1]))
+                yield Hits(those[tile[first]], some[search], np.append(first, len(tile)))

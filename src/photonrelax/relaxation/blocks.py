@@ -3,9 +3,11 @@
 A photon's structure, and each of its moves, depends on the photons within the distance that its
 search reaches. A block is searched with a halo of the photons within that distance of its tiles;
 what was reached says whether the halo was wide enough, else it is widened and the block done again.
-Between two iterations blocks exchange the positions of their photons, so that halos are as wide as
-a single search. What depends on the whole map, as whether all normals of a group are equal and its
-largest range over the emitter coordinates, follows from the boxes of tiles.
+Iterations of a stage move the photons of a block and those of layers around it. Each layer has the
+photons within the searches of the last, and those that may come there meanwhile, and is right for
+an iteration less. Searches and paths of all of them are checked. What depends on the whole map, as
+whether all normals of a group are equal and its largest range over the emitter coordinates, follows
+from the boxes of tiles.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._ext.relaxation.projection import SURFACE_POSITION
+from .._ext.relaxation.relax import Paths
 from .._util.progress import Reporter
 from .._util.validation import Floats
 from .._util.workers import Workers
@@ -28,6 +31,8 @@ from ..photons.block_search import (
     Columns,
     Found,
     GroupTiles,
+    Iterated,
+    Layers,
     Neighbourhood,
 )
 from ..photons.blocks import LABEL, BlockedPhotons
@@ -37,7 +42,7 @@ from ..photons.streamed_groups import StreamedGroup
 from ..scene.scene import Scene
 from ..transport.raycast import RayCaster
 from .projection import SurfaceProjector
-from .relax import Begun, Relaxation, RelaxSettings
+from .relax import Relaxation, RelaxSettings
 from .rest_density import RestDensity
 from .structure import (
     Structure,
@@ -53,9 +58,14 @@ _ROUNDING = 1e-15
 _GROWTH = 1.1
 # Emitter density of photons of halos, whose range is next to nothing.
 _DENSEST = 1e300
+# Distance that photons go in an iteration, over that allowed: on surfaces they go round bends, and
+# should some go farther, the stage is done again for so many times the distance.
+_FLAT, _BENT, _FARTHER = 1.0 + 1e-9, 1.25, 2.0
 # Columns that relaxing adds, until it is done.
-_STRUCTURE = ("constraint", "direction", "radius", "n_found")
-_TEMPORARY = (*_STRUCTURE, "reach", "merged", "at", "searched", "too_few", "slope", "limit")
+_STRUCTURE = ("constraint", "direction", "radius", "n_found", "spacing", "nearest", "nearest_any")
+_TEMPORARY = (*_STRUCTURE, "reach", "merged", "at", "slope", "limit", "travel")
+# Columns that move, and what becomes of them in a stage.
+_MOVED = ("position", "normal", "at")
 
 
 @dataclass(frozen=True)
@@ -75,17 +85,15 @@ class BlockWork:
 class _GroupWork:
     """The search of a group in one pass, and what its tasks need besides.
 
-    `position` and `normal` are the names of columns where photons are now, `start` of where they
-    were before the first iteration of the stage.
+    `now` are the names of columns where photons are now: positions, normals, and places on
+    surfaces.
     """
 
     work: BlockWork
     search: BlockSearch
     group: StreamedGroup
     whole: WholeGroup
-    position: str = "position"
-    normal: str = "normal"
-    start: str = "position"
+    now: tuple[str, str, str] = _MOVED
     constrained: bool = True
 
     def local_group(self, some: Neighbourhood) -> Group:
@@ -104,7 +112,6 @@ class BlockRelaxation:
         self._work, self._workers, self._report = work, workers, report
         self._columns = work.photons.columns
         self._has_coords = "emitter_coords" in self._columns
-        self._n_moves = 0
         groups = work.photons.groups
         self.tiles = [GroupTiles(work.photons, number) for number in range(len(groups))]
         self._bound_all()
@@ -114,7 +121,7 @@ class BlockRelaxation:
     def detect_structure(self) -> None:
         """Detect the structure around all photons, into columns."""
         columns = self._columns
-        for name in ("constraint", "radius"):
+        for name in ("constraint", "radius", "spacing", "nearest", "nearest_any"):
             columns.create(name, np.float64)
         columns.create("direction", np.float64, (3,))
         columns.create("n_found", np.int32)
@@ -126,89 +133,85 @@ class BlockRelaxation:
 
     def relax(self) -> None:
         """Relax all photons, and put their columns in place of those before."""
-        columns, settings = self._columns, self._work.relax
-        columns.create("searched", np.float64)
-        columns.create("too_few", np.bool_)
-        position, normal = "position", "normal"
+        now = _MOVED
+        self._columns.create("travel", np.float64)
         if self._work.scene is not None:
-            columns.create("at", SURFACE_POSITION)
+            self._columns.create("at", SURFACE_POSITION)
             self._pass(_surface, self._search_reach)
-        for constrained, n in zip((True, False), settings.n_iterations, strict=True):
-            start = position
-            for iteration in range(n):
-                position, normal = self._iterate(
-                    (position, normal), start, constrained=constrained, is_first=iteration == 0
-                )
-            if start not in ("position", position):
-                columns.remove(start)
-        self._finish(position, normal)
+        for constrained, n in zip((True, False), self._work.relax.n_iterations, strict=True):
+            if n:
+                now = self._stage(now, constrained=constrained)
+        for name, moved in zip(_MOVED, now, strict=True):
+            if moved != name:
+                self._columns.rename(moved, name)
+        self._columns.remove(*_TEMPORARY)
 
-    def _iterate(
-        self, before: tuple[str, str], start: str, *, constrained: bool, is_first: bool
-    ) -> tuple[str, str]:
-        """Names of the columns of positions and normals after one iteration."""
-        self._n_moves += 1
-        after = f"position-{self._n_moves}", before[1]
-        self._columns.like(after[0], "position")
+    def _stage(self, before: tuple[str, str, str], *, constrained: bool) -> tuple[str, str, str]:
+        """Names of the columns of moved photons after a stage of iterations."""
+        number, (_, normal, at) = int(constrained), before
         if self._work.scene is not None:
-            after = after[0], f"normal-{self._n_moves}"
-            self._columns.like(after[1], "normal")
-        build = partial(
-            self._search_moves,
-            before=before,
-            start=start,
-            constrained=constrained,
-            is_first=is_first,
-        )
-        self._pass(partial(_move, is_first=is_first), build, after)
-        for name, kept in zip(before, (("position", start), ("normal", after[1])), strict=True):
-            if name not in kept:
-                self._columns.remove(name)
+            normal, at = f"normal-{number}", f"at-{number}"
+        after = f"position-{number}", normal, at
+        for name, moved in zip(before, after, strict=True):
+            if moved != name:
+                self._columns.like(moved, name)
+        slack, went_farther = _FLAT if self._work.scene is None else _BENT, True
+        while went_farther:
+            self._allow_travel(slack, constrained=constrained)
+            build = partial(self._search_stage, now=before, constrained=constrained)
+            went_farther = self._pass(_stage, build, after)
+            slack *= _FARTHER
+        for name in set(before) - set(after) - {"position"}:
+            self._columns.remove(name)
         return after
 
-    def _finish(self, position: str, normal: str) -> None:
-        """Put the columns of moved photons in place of those before."""
-        for name, now in (("position", position), ("normal", normal)):
-            if now != name:
-                self._columns.rename(now, name)
-        self._columns.remove(*_TEMPORARY)
+    def _allow_travel(self, slack: float, *, constrained: bool) -> None:
+        """Write how far photons may go in a stage, before the last of its iterations."""
+        settings, columns = self._work.relax, self._columns
+        n_between = settings.n_iterations[0 if constrained else 1] - 1
+        steps = n_between * min(settings.largest_step, 1.0)
+        for tiles in self.tiles:
+            for segment in range(tiles.n_segments):
+                rows, spacings = tiles.rows(segment), np.array(steps)
+                if self._work.has_rest:
+                    # From where they were first, on opposite sides of which a stage may lie.
+                    limit = (1.0 if constrained else 2.0) * columns.read("limit", *rows)
+                    spacings = np.minimum(steps, limit)
+                travel = slack * spacings * columns.read("spacing", *rows)
+                columns.write("travel", rows[0], travel)
+                tiles.bound(segment, "travel", travel)
 
     # --- searches ---------------------------------------------------------------------------------
 
     def _search_reach(self, number: int) -> _GroupWork:
-        return self._group_work(number, None, ("position", "normal"), constrained=False)
+        return self._group_work(number, None, constrained=False)
 
     def _search_structure(self, number: int) -> _GroupWork:
         expected = None
         if self._has_coords and np.isfinite(self._work.structure.reach_scale):
             # Where photons are of one sheet.
             expected = "reach", _GROWTH / self._work.structure.reach_scale
-        return self._group_work(number, expected, ("position", "normal"), constrained=True)
+        return self._group_work(number, expected, constrained=True)
 
-    def _search_moves(
-        self,
-        number: int,
-        *,
-        before: tuple[str, str],
-        start: str,
-        constrained: bool,
-        is_first: bool,
+    def _search_stage(
+        self, number: int, *, now: tuple[str, str, str], constrained: bool
     ) -> _GroupWork:
-        share = np.sqrt(self._work.relax.k / self._work.structure.k)
-        expected = ("radius", _GROWTH * share) if is_first else ("searched", _GROWTH)
-        work = self._group_work(number, expected, before, constrained=constrained)
-        return replace(work, start=start)
+        search = "nearest" if constrained else "nearest_any"
+        work = self._group_work(number, (search, 1.0), now, constrained=constrained, turns=True)
+        return replace(work, search=replace(work.search, travel="travel"))
 
     def _group_work(
         self,
         number: int,
         expected: tuple[str, float] | None,
-        now: tuple[str, str],
+        now: tuple[str, str, str] = _MOVED,
         *,
         constrained: bool,
+        turns: bool = False,
     ) -> _GroupWork:
+        """The search of a group; while photons turn, they are not searched by normals."""
         tiles, group = self.tiles[number], self._work.photons.groups[number]
-        position, normal = now
+        position, normal, _ = now
         facing = bool((tiles.extent(normal) > _ROUNDING).any())
         in_emitter = constrained and self._has_coords and not group.mixed
         largest, range_radius = MAX_NORMAL_CHORD, np.full(len(tiles.first), MAX_NORMAL_CHORD)
@@ -219,14 +222,12 @@ class BlockRelaxation:
             axes.append(("emitter_coords", 1.0))
         if group.labelled:
             axes.append((LABEL, 2.0 * largest))
-        if facing:
+        if facing and not turns:
             axes.append((normal, largest / MAX_NORMAL_CHORD))
         k = max(self._work.structure.k, self._work.relax.k)
         search = BlockSearch(self._columns, tiles, tuple(axes), expected, range_radius, k)
         whole = WholeGroup(facing, float(largest))
-        return _GroupWork(
-            self._work, search, group, whole, position, normal, constrained=constrained
-        )
+        return _GroupWork(self._work, search, group, whole, now, constrained=constrained)
 
     # --- running ----------------------------------------------------------------------------------
 
@@ -234,22 +235,24 @@ class BlockRelaxation:
         self,
         work: Callable[[_GroupWork, int], Columns],
         build: Callable[[int], _GroupWork],
-        names: tuple[str, str] = ("position", "normal"),
-    ) -> None:
+        names: tuple[str, str, str] = _MOVED,
+    ) -> bool:
         """Do one pass over all blocks of all groups, and write its results.
 
-        `names` are those of the columns of positions and normals.
+        `names` are those of the columns of what moves; true if photons went too far.
         """
-        renamed = dict(zip(("position", "normal"), names, strict=True))
+        renamed, went_farther = dict(zip(_MOVED, names, strict=True)), False
         for number, tiles in enumerate(self.tiles):
             value, jobs = build(number), range(tiles.n_segments)
             for segment, found in enumerate(self._workers.map(work, value, jobs)):
                 first, stop = tiles.rows(segment)
+                went_farther |= bool(found.pop(_WENT_FARTHER, False))
                 for name, column in found.items():
                     self._columns.write(renamed.get(name, name), first, column)
                     if name in _BOUND:
                         tiles.bound(segment, renamed.get(name, name), column)
                 self._report.advance(stop - first)
+        return went_farther
 
     def _bound_all(self) -> None:
         """Boxes of the columns that do not change."""
@@ -267,12 +270,14 @@ class BlockRelaxation:
                     tiles.bound(segment, "emitter_range", ranges)
 
 
+# Columns whose boxes are kept, and what tells that photons of a stage went too far.
 _BOUND = ("position", "normal")
+_WENT_FARTHER = "went_farther"
 
 
 def n_passes(settings: RelaxSettings, *, has_coords: bool, has_scene: bool) -> int:
     """Passes over all photons of `BlockRelaxation`."""
-    return 1 + has_coords + has_scene + sum(settings.n_iterations)
+    return 1 + has_coords + has_scene + sum(n > 0 for n in settings.n_iterations)
 
 
 # --- tasks ----------------------------------------------------------------------------------------
@@ -307,22 +312,51 @@ def _structure(given: _GroupWork, segment: int) -> Columns:
         if "reach" in some.columns:
             reach = some.read_own("reach")
             coincident, limit = bool(some.read_own("merged").any()), reach[own]
-        detection = _detection(given, some, reach)
+        detection = _detection(given, some, reach, k_inner=given.work.relax.k)
         n_merged = detection.fill(given.local_group(some), coincident=coincident)
         found = {name: column[own] for name, column in detection.found.items()}
         found["direction"] = np.ascontiguousarray(found.pop("basis")[:, 0])
         del found["eigenvalues"]
         reached = np.where(found["n_found"] < k, limit, found["radius"])
+        found |= _expected(given.work, found, limit)
+        del found["inner"]
         return Found(found, reached, n_merged > 0)
 
     return given.search.run(segment, compute)
 
 
-def _detection(given: _GroupWork, some: Neighbourhood, reach: Floats | None) -> StructureDetection:
+def _expected(work: BlockWork, found: Columns, limit: Floats) -> Columns:
+    """Distances of moves, and those that their searches are expected to reach.
+
+    `limit` (n,) is that of searches among photons in range.
+    """
+    k, n_found = work.relax.k, found["n_found"]
+    nearest = np.where(n_found < k, limit, np.minimum(_GROWTH * found["inner"], limit))
+    scale = work.structure.reach_scale
+    # The limit is of photons of any sheet.
+    of_any = _GROWTH * limit / scale if np.isfinite(scale) else limit
+    return {
+        "spacing": found["radius"] * np.sqrt(k / n_found),
+        "nearest": nearest,
+        "nearest_any": np.minimum(nearest, of_any),
+    }
+
+
+def _detection(
+    given: _GroupWork, some: Neighbourhood, reach: Floats | None, *, k_inner: int = 0
+) -> StructureDetection:
     """Detection around the photons of a neighbourhood."""
     report = Reporter(None, "structure", len(some.rows))
-    photons = _local_map(some, some.read(given.position), some.read(given.normal))
-    return StructureDetection(photons, given.work.structure, given.work.n_threads, report, reach)
+    photons = _local_map(
+        some,
+        some.read("position"),
+        some.read("normal"),
+        # Of infinite density, photons of the halo find none.
+        partial(some.read_own, fill=_DENSEST),
+    )
+    return StructureDetection(
+        *(photons, given.work.structure, given.work.n_threads, report, reach), k_inner=k_inner
+    )
 
 
 def _surface(given: _GroupWork, segment: int) -> Columns:
@@ -340,65 +374,52 @@ def _surface(given: _GroupWork, segment: int) -> Columns:
 _ON_SURFACES = ("position", "normal", "object_id")
 
 
-def _move(given: _GroupWork, segment: int, *, is_first: bool) -> Columns:
-    """Positions and normals of the photons of a segment after an iteration."""
+def _stage(given: _GroupWork, segment: int) -> Columns:
+    """Positions and normals of the photons of a segment after a stage of iterations."""
+    settings = given.work.relax
+    if given.group.at_rest:
+        return _at_rest(given, segment)
 
-    def compute(some: Neighbourhood) -> Found:
-        if given.group.at_rest:
-            return _at_rest(given, some)
-        own = slice(0, some.n_own)
-        before = some.read(given.position), some.read(given.normal)
+    def compute(some: Layers) -> Iterated:
+        own, paths = slice(0, some.n_own), Paths(some.depth)
+        before = some.read(given.now[0]), some.read(given.now[1])
         relaxation = _relaxation(given, some, before)
-        begun = None
-        if not is_first:
-            start = some.read_own(given.start)
-            begun = Begun(start, some.read_own("searched"), some.read_own("too_few"))
-        position, normal, after = relaxation.moved(
-            given.local_group(some), before, begun, constrained=given.constrained
+        position, normal = relaxation.staged(
+            given.local_group(some), before, paths, constrained=given.constrained
         )
-        limit, reach = np.full(some.n_own, np.inf), relaxation.structure.reach
-        if given.constrained and reach is not None:
-            limit = reach[own]
-        few = after.too_few[own]
-        reached = np.where(few, limit, after.radius[own])
-        columns = {
-            "position": position[own],
-            "searched": np.where(np.isfinite(reached), reached, after.radius[own]),
-            "too_few": few,
-        }
+        columns: Columns = {"position": position[own]}
         if relaxation.projector is not None:
             columns |= {"normal": normal[own], "at": relaxation.projector.at[own]}
-        return Found(columns, reached, after.n_merged > 0)
+        allowed = given.search.allowed(some.read("travel"))
+        columns[_WENT_FARTHER] = np.array([(paths.travelled > allowed).any()])
+        return Iterated(columns, paths.searched)
 
-    return given.search.run(segment, compute)
+    n = settings.n_iterations[0 if given.constrained else 1]
+    return given.search.iterate(segment, n, compute)
 
 
-def _at_rest(given: _GroupWork, some: Neighbourhood) -> Found:
+def _at_rest(given: _GroupWork, segment: int) -> Columns:
     """Photons that stay where they are."""
-    own = slice(0, some.n_own)
-    columns = {"position": some.read(given.position)[own]}
-    if given.work.scene is not None:
-        columns["normal"] = some.read(given.normal)[own]
-    return Found(columns, np.zeros(some.n_own))
+    rows = given.search.tiles.rows(segment)
+    names = _MOVED if given.work.scene is not None else _MOVED[:1]
+    source = given.work.photons.columns
+    return {name: source.read(now, *rows) for name, now in zip(names, given.now, strict=False)}
 
 
-def _relaxation(
-    given: _GroupWork, some: Neighbourhood, before: tuple[Floats, Floats]
-) -> Relaxation:
-    """Relaxation of the photons of a neighbourhood, whose positions and normals are now these."""
+def _relaxation(given: _GroupWork, some: Layers, before: tuple[Floats, Floats]) -> Relaxation:
+    """Relaxation of the photons of layers, whose positions and normals are now these."""
     work, (position, normal), rest, projector = given.work, before, None, None
     if work.has_rest:
         # The density is that of where photons were first.
-        position = some.read_own("position")
-        limit = some.read_own("limit", np.inf)
-        rest = RestDensity(some.read_own("slope"), np.zeros(len(limit)), limit)
-    photons = _local_map(some, position, normal)
+        position, limit = some.read("position"), some.read("limit")
+        rest = RestDensity(some.read("slope"), np.zeros(len(limit)), limit)
+    photons = _local_map(some, position, normal, some.read)
     if work.scene is not None:
         photons = photons.replace(object_id=some.read("object_id"))
         projector = SurfaceProjector(
-            work.scene, photons, work.n_threads, work.caster, some.read_own("at")
+            work.scene, photons, work.n_threads, work.caster, some.read(given.now[2])
         )
-    report = Reporter(None, "relax", len(photons))
+    report = Reporter(None, "relax", len(photons) * max(work.relax.n_iterations))
     structure = _local_structure(some, photons, work.structure)
     return Relaxation(photons, structure, work.relax, rest, projector, work.n_threads, report)
 
@@ -408,27 +429,28 @@ def _local_structure(
 ) -> Structure:
     n = len(some.rows)
     basis = np.zeros((n, 2, 3))
-    basis[:, 0] = some.read_own("direction")
+    basis[:, 0] = some.read("direction")
     return Structure(
         eigenvalues=np.zeros((n, 2)),
-        constraint=some.read_own("constraint"),
+        constraint=some.read("constraint"),
         basis=basis,
-        radius=some.read_own("radius"),
-        n_found=some.read_own("n_found", 1),
+        radius=some.read("radius"),
+        n_found=some.read("n_found"),
         emitter_range=emitter_range(photons, settings),
-        reach=some.read_own("reach") if "reach" in some.columns else None,
+        reach=some.read("reach") if "reach" in some.columns else None,
     )
 
 
-def _local_map(some: Neighbourhood, position: Floats, normal: Floats) -> PhotonMap:
-    """Photons of a neighbourhood, with what searches need."""
+def _local_map(
+    some: Neighbourhood, position: Floats, normal: Floats, read: Callable[[str], NDArray]
+) -> PhotonMap:
+    """Photons of a neighbourhood, with what searches need; `read` reads densities."""
     n = len(some.rows)
     flux = np.broadcast_to(0.0, (n, 3))
     columns: dict[str, Any] = {"position": position, "normal": normal}
     if "emitter_coords" in some.columns:
         columns["emitter_coords"] = some.read("emitter_coords")
-        # Of infinite density, photons of the halo find none.
-        columns["emitter_density"] = some.read_own("emitter_density", _DENSEST)
+        columns["emitter_density"] = read("emitter_density")
     for column in columns.values():
         column.setflags(write=False)
     return PhotonMap(flux=flux, **columns)

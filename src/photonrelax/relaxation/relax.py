@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .._ext.relaxation import relax as _relax
 from .._util import validation
@@ -162,27 +160,6 @@ def _check_inputs(
         )
 
 
-class Begun(NamedTuple):
-    """State of photons (n,) between two iterations of a stage.
-
-    Attributes
-    ----------
-    start : (n, 3) float array
-        Positions before the first iteration of the stage.
-    radius : (n,) float array
-        Distance to the farthest neighbour in the last search, or an estimate of it.
-    too_few : (n,) bool array
-        Fewer than k photons were in range.
-    n_merged : int
-        Number of photons that others at the same point stand for.
-    """
-
-    start: Floats
-    radius: Floats
-    too_few: NDArray[np.bool_]
-    n_merged: int = 0
-
-
 @dataclass(frozen=True)
 class Relaxation:
     """All photons, with the structure, settings and surfaces that their moves follow."""
@@ -195,20 +172,20 @@ class Relaxation:
     n_threads: int
     report: Reporter
 
-    def moved(
-        self, group: Group, before: tuple[Floats, Floats], begun: Begun | None, *, constrained: bool
-    ) -> tuple[Floats, Floats, Begun]:
-        """Positions and normals after one iteration of a stage, and the state that it leaves.
+    def staged(
+        self, group: Group, before: tuple[Floats, Floats], paths: _relax.Paths, *, constrained: bool
+    ) -> tuple[Floats, Floats]:
+        """Positions and normals after a stage of iterations, whose paths are added.
 
-        `before` are positions and normals before it, and `begun` the state then, None before the
-        first iteration.
+        `before` are positions and normals before it.
         """
         position, normal = np.empty_like(before[0]), before[1]
         if self.projector is not None:
             normal = np.empty_like(normal)
-        stage = _Stage(self, group, *before, constrained=constrained, begun=begun)
-        stage.finish(1, position, normal)
-        return position, normal, stage.state(before[0] if begun is None else begun.start)
+        stage = _Stage(self, group, *before, constrained=constrained, paths=paths)
+        n = self.settings.n_iterations[0 if constrained else 1]
+        stage.finish(n, position, normal)
+        return position, normal
 
     def relaxed(self) -> PhotonMap:
         """The photons after all iterations."""
@@ -257,7 +234,7 @@ class _Stage:
         normal: Floats,
         *,
         constrained: bool,
-        begun: Begun | None = None,
+        paths: _relax.Paths | None = None,
     ) -> None:
         photons, structure = relaxation.photons, relaxation.structure
         self._relaxation = relaxation
@@ -279,10 +256,9 @@ class _Stage:
         self._squared = np.square(radius) if constrained else np.full_like(radius, -1.0)
         self._few = constrained & (structure.n_found[self._rows] < relaxation.settings.k)
         start = None if constrained else position
-        if begun is not None:
-            self._squared = np.square(begun.radius[self._rows])
-            self._few = begun.too_few[self._rows]
-            start = None if constrained else begun.start
+        self._paths = paths
+        if paths is not None:
+            paths.begin(hstack_rows([position], [1.0], self._rows, relaxation.n_threads))
         self._inputs = _relax.RelaxInputs(
             rows=self._rows,
             normal=self._normal,
@@ -296,6 +272,7 @@ class _Stage:
             rest=None
             if relaxation.rest is None
             else self._rest_inputs(relaxation.rest, start, radius),
+            paths=paths,
         )
 
     def _rest_inputs(self, rest: RestDensity, start: Floats | None, radius: Floats) -> _relax.Rest:
@@ -341,20 +318,16 @@ class _Stage:
         if self._relaxation.projector is not None:
             normal[self._rows] = self._normal
             written = position, normal
+        if self._paths is not None:
+            written = *written, self._paths.searched, self._paths.travelled
         if self._distinct is not None:
             self._distinct.repeat(*written)
-
-    def state(self, start: Floats) -> Begun:
-        """State after the last iteration, of a stage that started at some positions."""
-        radius, too_few = np.empty(len(start)), np.empty(len(start), dtype=bool)
-        radius[self._rows], too_few[self._rows] = np.sqrt(self._squared), self._few
-        if self._distinct is not None:
-            self._distinct.repeat(radius, too_few)
-        return Begun(start, radius, too_few, self._n_merged)
 
     def _move(self) -> None:
         """Write the positions that photons move to; the tree keeps those before."""
         settings, n_threads = self._relaxation.settings, self._relaxation.n_threads
+        if self._paths is not None:
+            self._paths.next()
         for first, end in self._relaxation.report.chunks(len(self._position)):
             _relax.move(
                 *(self._tree, first, end, self._inputs),

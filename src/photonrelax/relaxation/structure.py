@@ -259,7 +259,8 @@ def empty_columns(n: int) -> dict[str, Any]:
 class StructureDetection:
     """Structure of all photons, filled one group of neighbours after the other.
 
-    `reach` (n,) is None for a map without emitter coordinates.
+    `reach` (n,) is None for a map without emitter coordinates. With `k_inner` there is a column
+    `inner`, a bound of the distance to the nearest so many photons in range.
     """
 
     def __init__(
@@ -269,6 +270,8 @@ class StructureDetection:
         n_threads: int,
         report: Reporter,
         reach: Floats | None,
+        *,
+        k_inner: int = 0,
     ) -> None:
         self._photons = photons
         self._settings = settings
@@ -277,6 +280,9 @@ class StructureDetection:
         self.ranges = emitter_range(photons, settings)
         self.reach = reach
         self.found = empty_columns(len(photons))
+        self._k_inner = k_inner
+        if k_inner:
+            self.found["inner"] = np.empty(len(photons))
 
     def fill(self, group: Group, *, coincident: bool) -> int:
         """Detect the structure of a group; photons at rest are alone in theirs.
@@ -303,7 +309,12 @@ class StructureDetection:
         k = 1 if group.at_rest else self._settings.k
         tree = of_group.tree
         for first, end in self._report.chunks(len(tree)):
-            _structure.detect(tree.kernel, first, end, inputs, self.found, k=k, n_threads=n_threads)
+            _structure.detect(
+                *(tree.kernel, first, end, inputs, self.found),
+                k=k,
+                k_inner=self._k_inner,
+                n_threads=n_threads,
+            )
         of_group.repeat(*self.found.values())
         if of_group.n_merged:
             self._report.advance(of_group.n_merged)

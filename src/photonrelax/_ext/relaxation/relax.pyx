@@ -140,6 +140,63 @@ cdef inline void put_back(
             moved[axis] = origin[axis] + gone[axis] * scale
 
 
+cdef class Paths:
+    """Distances that photons searched and went in a stage of iterations.
+
+    Parameters
+    ----------
+    last : (m,) intp array
+        Last iteration of interest of each photon, by row; those that follow may leave it out.
+
+    Attributes
+    ----------
+    searched : (m,) float64 array
+        Largest distance from where a photon started that a search reached; infinite where fewer
+        than k photons were found without a limit.
+    travelled : (m,) float64 array
+        Largest distance of a photon from where it started, before the last of its iterations.
+    """
+
+    cdef readonly object searched, travelled
+    cdef const Py_ssize_t[::1] last
+    cdef double[::1] searched_view
+    cdef double[::1] travelled_view
+    # In tree order.
+    cdef const double[:, ::1] start
+    cdef Py_ssize_t iteration
+
+    def __init__(self, const Py_ssize_t[::1] last):
+        self.last = last
+        self.searched, self.travelled = np.zeros((2, last.shape[0]))
+        self.searched_view, self.travelled_view = self.searched, self.travelled
+
+    def begin(self, const double[:, ::1] start):
+        """Start at some positions (n, 3), in tree order."""
+        self.start = start
+        self.iteration = 0
+
+    def next(self):
+        """Begin an iteration."""
+        self.iteration += 1
+
+    cdef bint needs(self, Py_ssize_t row) noexcept nogil:
+        return self.last[row] >= self.iteration
+
+    cdef void add(
+        self, Py_ssize_t row, Py_ssize_t place, const double* position, double radius
+    ) noexcept nogil:
+        """Add the search of a photon that is at a position."""
+        cdef double[3] gone
+        cdef double distance
+        cdef Py_ssize_t axis
+        for axis in range(3):
+            gone[axis] = position[axis] - self.start[place, axis]
+        distance = sqrt(dot(gone, gone))
+        self.travelled_view[row] = max(self.travelled_view[row], distance)
+        if self.needs(row):
+            self.searched_view[row] = max(self.searched_view[row], radius + distance)
+
+
 cdef class RelaxInputs:
     """The photons of a tree in tree order, and their structure by row.
 
@@ -165,6 +222,8 @@ cdef class RelaxInputs:
         Limits over the range axes and in space, by row; None for none.
     rest : Rest, optional
         None for even density.
+    paths : Paths, optional
+        Are added to; photons that they no longer need may stay.
     """
 
     cdef const Py_ssize_t[::1] rows
@@ -177,10 +236,11 @@ cdef class RelaxInputs:
     cdef double[::1] squared_radius
     cdef unsigned char[::1] too_few
     cdef Rest rest
+    cdef Paths paths
 
     def __init__(
         self, *, rows, normal, largest_step, squared_radius, basis, constraint, range_radius,
-        reach, too_few=None, Rest rest=None
+        reach, too_few=None, Rest rest=None, Paths paths=None
     ):
         self.rows = rows
         self.normal = normal
@@ -189,6 +249,7 @@ cdef class RelaxInputs:
         self.range_radius = range_radius
         self.reach = reach
         self.rest = rest
+        self.paths = paths
         self.largest_step = largest_step
         self.squared_radius = squared_radius
         if too_few is None:
@@ -203,6 +264,19 @@ cdef class Move(BatchWork):
     cdef RelaxInputs inputs
     cdef double step
     cdef double[:, ::1] moved
+
+    cdef bint skips(self, Py_ssize_t first) noexcept nogil:
+        """True for photons that their paths no longer need: they stay."""
+        cdef Py_ssize_t place, axis, end = min(first + BLOCK, self.tree.n_points)
+        if self.inputs.paths is None:
+            return False
+        for place in range(first, end):
+            if self.inputs.paths.needs(self.inputs.rows[place]):
+                return False
+        for place in range(first, end):
+            for axis in range(3):
+                self.moved[place, axis] = self.tree.coords[first // BLOCK, axis, place - first]
+        return True
 
     cdef void limit(self, Batch* batch, Query* query, Py_ssize_t place) noexcept nogil:
         cdef Py_ssize_t row = self.inputs.rows[place]
@@ -233,6 +307,12 @@ cdef class Move(BatchWork):
         for lane in range(batch.n_queries):
             self.move_one(batch, lane, first + lane)
 
+    cdef double searched(self, const Query* query, Py_ssize_t k, Py_ssize_t row) noexcept nogil:
+        """Distance to which the neighbours of a photon were searched."""
+        if query.candidates.count == k:
+            return sqrt(query.candidates.squared_radius)
+        return INFINITY if self.inputs.reach is None else self.inputs.reach[row]
+
     cdef void move_one(self, Batch* batch, Py_ssize_t lane, Py_ssize_t place) noexcept nogil:
         """Move one photon by the repulsion of its neighbours; write its row of `moved` only."""
         cdef const Query* query = &batch.queries[lane]
@@ -257,6 +337,8 @@ cdef class Move(BatchWork):
             shorten(f, step, self.inputs.largest_step[place])
         self.inputs.squared_radius[place] = query.candidates.squared_radius
         self.inputs.too_few[place] = query.candidates.count < batch.k
+        if self.inputs.paths is not None:
+            self.inputs.paths.add(row, place, query.bounds.low, self.searched(query, batch.k, row))
         for axis in range(3):
             self.moved[place, axis] = query.bounds.low[axis] + f[axis]
         if self.inputs.rest is not None and query.candidates.count >= MIN_NEIGHBOURS:

@@ -9,14 +9,16 @@ import numpy as np
 from ..common.prefetch cimport prefetch_row
 from ..common.threads cimport ELEMENTS, team_size
 from ..common.vec3 cimport orthonormal_frame
-from ..spatial.batch cimport Batch, Query, limit_radius, limit_range
+from ..spatial.batch cimport Batch, Query, gather_neighbours, limit_radius, limit_range
 from ..spatial.query_loop cimport BatchWork, search_points
-from ..spatial.simd.kernels cimport BLOCK
+from ..spatial.simd.kernels cimport BLOCK, Candidates
 from ..spatial.tree cimport Tree
 
 cdef enum:
     # Least number of photons whose neighbourhood has a structure.
     MIN_NEIGHBOURS = 4
+    # Rings in which neighbours are counted.
+    RINGS = 32
 
 
 # Factor of the search radius that the last block suggests; it differs where a sheet ends.
@@ -120,6 +122,9 @@ cdef class Detection(BatchWork):
     cdef double[:, :, ::1] basis
     cdef double[::1] radius
     cdef int[::1] n_found
+    # Bounds of distances to the nearest so many; None for none.
+    cdef double[::1] inner
+    cdef Py_ssize_t k_inner
 
     cdef void limit(self, Batch* batch, Query* query, Py_ssize_t place) noexcept nogil:
         """Limit the neighbourhood of the photon at a tree position.
@@ -157,8 +162,15 @@ cdef class Detection(BatchWork):
         """Detect the structure around the photons of a block; write their rows only."""
         cdef Py_ssize_t lane, row
         cdef double squared_reach, share = 0.0
+        if self.inner is not None:
+            gather_neighbours(self.tree, batch)
         for lane in range(batch.n_queries):
             row = self.inputs.rows[first + lane]
+            if self.inner is not None:
+                self.inner[row] = bound_of_nearest(
+                    &batch.queries[lane].candidates, batch.squared + lane * batch.stride,
+                    self.k_inner
+                )
             self.detect_one(&batch.queries[lane], row, &self.inputs.normal[row, 0])
             if self.inputs.reach is not None and self.inputs.reach[row] > 0.0:
                 squared_reach = self.inputs.reach[row] * self.inputs.reach[row]
@@ -206,6 +218,29 @@ cdef class Detection(BatchWork):
             self.basis[row, 1, axis] = pca.cosine * frame[3 + axis] - pca.sine * frame[axis]
 
 
+cdef double bound_of_nearest(
+    const Candidates* candidates, const double* squared, Py_ssize_t k
+) noexcept nogil:
+    """Bound of the distance to the k-th nearest of some neighbours: of the ring that it is in.
+
+    Of no more than k it is the distance to the farthest.
+    """
+    cdef int[RINGS] counts
+    cdef Py_ssize_t i, n = 0, number = 0
+    cdef double scale
+    if candidates.count <= k or candidates.squared_radius <= 0.0:
+        return sqrt(candidates.squared_radius)
+    scale = RINGS / candidates.squared_radius
+    for i in range(RINGS):
+        counts[i] = 0
+    for i in range(candidates.count):
+        counts[min(<int> (scale * squared[i]), RINGS - 1)] += 1
+    while n < k:
+        n += counts[number]
+        number += 1
+    return sqrt(number / scale)
+
+
 cdef double align(Components* pca, double u, double v) noexcept nogil:
     """Turn the second direction along (u, v), if it has a length; return that."""
     cdef double length = sqrt(u * u + v * v)
@@ -217,7 +252,7 @@ cdef double align(Components* pca, double u, double v) noexcept nogil:
 
 def detect(
     Tree tree, Py_ssize_t first, Py_ssize_t end, StructureInputs inputs, columns, *,
-    Py_ssize_t k, double gain=-1.0, int n_threads
+    Py_ssize_t k, double gain=-1.0, Py_ssize_t k_inner=0, int n_threads
 ):
     """Fill the rows of the photons at tree positions first … end, whole blocks.
 
@@ -227,7 +262,8 @@ def detect(
     first, end : int
     inputs : StructureInputs
     columns : dict
-        Those of a `photonrelax.Structure`: eigenvalues, constraint, basis, radius and n_found.
+        Those of a `photonrelax.Structure`: eigenvalues, constraint, basis, radius and n_found; and
+        `inner`, if it is there, a bound of the distance to the nearest `k_inner` photons.
     k : int
         Photons in a neighbourhood, at most.
     gain : float
@@ -242,6 +278,8 @@ def detect(
     work.basis = columns["basis"]
     work.radius = columns["radius"]
     work.n_found = columns["n_found"]
+    work.inner = columns.get("inner")
+    work.k_inner = k_inner
     search_points(work, first, end, n_threads)
 
 

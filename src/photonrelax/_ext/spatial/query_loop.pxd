@@ -15,6 +15,7 @@ cdef class BatchWork:
     cdef double squared_radius
     cdef double range_radius
 
+    cdef bint skips(self, Py_ssize_t first) noexcept nogil
     cdef void limit(self, Batch* batch, Query* query, Py_ssize_t i) noexcept nogil
     cdef void finish(self, Batch* batch, Py_ssize_t first, int thread) noexcept nogil
 

@@ -32,6 +32,10 @@ cdef class BatchWork:
         self.squared_radius = radius * radius
         self.range_radius = range_radius
 
+    cdef bint skips(self, Py_ssize_t first) noexcept nogil:
+        """True if the points of the tree from `first` on, of a block, are not searched around."""
+        return False
+
     cdef void limit(self, Batch* batch, Query* query, Py_ssize_t i) noexcept nogil:
         """Limit query i, counted in their order, before its batch is searched."""
         limit_radius(query, self.squared_radius)
@@ -101,6 +105,8 @@ cdef void search_block(
 ) noexcept nogil:
     """Search around the points of a block."""
     cdef Py_ssize_t lane
+    if work.skips(BLOCK * block):
+        return
     open_block(work.tree, batch, block)
     for lane in range(batch.n_queries):
         work.limit(batch, &batch.queries[lane], BLOCK * block + lane)
