@@ -174,18 +174,30 @@ def along(x, y, n=N_TEXELS):
     return np.column_stack([np.broadcast_to(x, n), np.broadcast_to(y, n)])
 
 
-def mean_and_deviation(scene, places, side, k, *, lit=None):
-    """Of estimates of uniform light, by the name of places."""
-    estimates = {name: [] for name in places}
-    for seed in range(N_MAPS):
-        photons = uniform_map(N_PHOTONS, "random", seed) if lit is None else lit(seed)
-        field = pr.irradiance_field(
-            photons, method="standard", scene=scene, gather=pr.GatherSettings(k=k)
-        )
-        for name, points in places.items():
+def random_light(seed):
+    return uniform_map(N_PHOTONS, "random", seed)
+
+
+def estimates_at(places, sides, photons, **settings):
+    """Estimates at places, functions of the side of footprints, by side and name, of one field."""
+    field = pr.irradiance_field(photons, **settings)
+    found = {}
+    for side in sides:
+        for name, points in places(side).items():
             footprint = None if side == 0.0 else np.full(len(points), side)
-            estimates[name].append(field(*plane(points), footprint=footprint)[:, 0])
-    return {name: (np.mean(e), np.std(e)) for name, e in estimates.items()}
+            found[side, name] = field(*plane(points), footprint=footprint)[:, 0]
+    return found
+
+
+def mean_and_deviation(scene, places, sides, k, *, lit=random_light):
+    """Of estimates of uniform light, for each side by the name of places."""
+    settings = {"method": "standard", "scene": scene, "gather": pr.GatherSettings(k=k)}
+    maps = [estimates_at(places, sides, lit(seed), **settings) for seed in range(N_MAPS)]
+    found = {side: {} for side in sides}
+    for side, name in maps[0]:
+        every = [each[side, name] for each in maps]
+        found[side][name] = np.mean(every), np.std(every)
+    return found.values()
 
 
 def assert_uniform(found, interior="middle", n=N_MAPS * N_TEXELS):
@@ -198,20 +210,24 @@ def assert_uniform(found, interior="middle", n=N_MAPS * N_TEXELS):
 
 @pytest.mark.many_photons
 @pytest.mark.parametrize("k", [8, 50])
-@pytest.mark.parametrize("n_in_texel", [0.0, 0.1, 2.5, 40.0])
-def test_uniform_light_on_a_square(n_in_texel, k):
-    side = np.sqrt(n_in_texel / N_PHOTONS)
-    half, inner = 0.5 * side, np.linspace(0.1, 0.9, N_TEXELS)
-    ends = [half, 1.0 - half]
-    places = {
-        "middle": along(inner, 0.5),
-        "edges": np.concatenate([along(inner[::4], y, 10) for y in ends])
-        if n_in_texel
-        else along(inner, 0.0),
-        "second texel": along(inner, 3.0 * half),
-        "corners": np.array([[x, y] for x in ends for y in ends]),
-    }
-    assert_uniform(mean_and_deviation(scene_of(flat(SQUARE)), places, side, k), n=N_MAPS * 4)
+def test_uniform_light_on_a_square(k):
+    """At points, and over texels of a tenth of a photon, of a few, and of many."""
+
+    def places(side):
+        half, inner = 0.5 * side, np.linspace(0.1, 0.9, N_TEXELS)
+        ends = [half, 1.0 - half]
+        return {
+            "middle": along(inner, 0.5),
+            "edges": np.concatenate([along(inner[::4], y, 10) for y in ends])
+            if side
+            else along(inner, 0.0),
+            "second texel": along(inner, 3.0 * half),
+            "corners": np.array([[x, y] for x in ends for y in ends]),
+        }
+
+    sides = np.sqrt(np.array([0.0, 0.1, 2.5, 40.0]) / N_PHOTONS)
+    for found in mean_and_deviation(scene_of(flat(SQUARE)), places, sides, k):
+        assert_uniform(found, n=N_MAPS * 4)
 
 
 def test_uniform_light_on_two_surfaces_that_abut():
@@ -224,10 +240,10 @@ def test_uniform_light_on_two_surfaces_that_abut():
         "seam": along(0.5, np.linspace(0.2, 0.8, N_TEXELS)),
         "right": along(0.506, np.linspace(0.2, 0.8, N_TEXELS)),
     }
-    for side in (0.0, 0.01):
-        for other in (right, shifted):
-            scene = scene_of(flat(left), flat(other))
-            assert_uniform(mean_and_deviation(scene, places, side, 15))
+    for other in (right, shifted):
+        scene = scene_of(flat(left), flat(other))
+        for found in mean_and_deviation(scene, lambda side: places, (0.0, 0.01), 15):
+            assert_uniform(found)
 
 
 def wall(x, height=1.0):
@@ -248,8 +264,8 @@ def test_uniform_light_on_a_floor_that_meets_a_wall():
     both = trimesh.util.concatenate([flat(SQUARE), wall(1.0)])
     both.merge_vertices()
     for scene in (scene_of(both), scene_of(flat(SQUARE), wall(1.0))):
-        for side in (0.0, 0.01):
-            assert_uniform(mean_and_deviation(scene, places, side, 15))
+        for found in mean_and_deviation(scene, lambda side: places, (0.0, 0.01), 15):
+            assert_uniform(found)
 
 
 @pytest.mark.parametrize("sunk", [0.0, 0.01], ids=["stands", "sunk"])
@@ -270,8 +286,8 @@ def test_uniform_light_beside_a_cube(sunk):
         "beside": along(low - 0.5 * side, np.linspace(low, 1.0 - low, N_TEXELS)),
         "corner": np.array([[low - 0.5 * side, low - 0.5 * side]]),
     }
-    for width in (0.0, side):
-        found = mean_and_deviation(scene_of(flat(SQUARE), cube), places, width, 15, lit=lit)
+    scene, sides = scene_of(flat(SQUARE), cube), (0.0, side)
+    for found in mean_and_deviation(scene, lambda side: places, sides, 15, lit=lit):
         assert_uniform(found, n=N_MAPS)
 
 
@@ -348,30 +364,29 @@ def test_sensors_are_surfaces():
 # Progressive photon mapping
 
 
-@pytest.mark.parametrize("side", [0.0, 0.01])
-def test_uniform_light_in_passes(side):
-    """Up to edges and corners of a square."""
-    half = 0.5 * side
-    inner = np.linspace(0.1, 0.9, N_TEXELS)
-    places = {
-        "middle": along(inner, 0.5),
-        "edge": along(inner, half),
-        "corner": np.array([[x, y] for x in (half, 1.0 - half) for y in (half, 1.0 - half)]),
+def test_uniform_light_in_passes():
+    """Up to edges and corners of a square, at points and over texels."""
+
+    def places(side):
+        ends, inner = [0.5 * side, 1.0 - 0.5 * side], np.linspace(0.1, 0.9, N_TEXELS)
+        return {
+            "middle": along(inner, 0.5),
+            "edge": along(inner, ends[0]),
+            "corner": np.array([[x, y] for x in ends for y in ends]),
+        }
+
+    settings = {
+        "method": "progressive",
+        "scene": scene_of(flat(SQUARE)),
+        "progressive": pr.ProgressiveSettings(k=15, n_passes=3),
     }
-    found = {name: [] for name in places}
-    for seed in range(N_MAPS):
-        field = pr.irradiance_field(
-            uniform_map(N_PHOTONS, "random", seed),
-            method="progressive",
-            scene=scene_of(flat(SQUARE)),
-            progressive=pr.ProgressiveSettings(k=15, n_passes=3),
-        )
-        for name, points in places.items():
-            footprint = None if side == 0.0 else np.full(len(points), side)
-            found[name].append(field(*plane(points), footprint=footprint)[:, 0])
-    for name, estimates in found.items():
+    maps = [
+        estimates_at(places, (0.0, 0.01), random_light(seed), **settings) for seed in range(N_MAPS)
+    ]
+    for key in maps[0]:
+        estimates = [each[key] for each in maps]
         n = np.size(estimates) / 4
-        assert abs(np.mean(estimates) - 1.0) < 0.02 + 3.0 * np.std(estimates) / np.sqrt(n), name
+        assert abs(np.mean(estimates) - 1.0) < 0.02 + 3.0 * np.std(estimates) / np.sqrt(n), key
 
 
 # Diffusion
@@ -379,20 +394,20 @@ def test_uniform_light_in_passes(side):
 
 @pytest.mark.many_photons
 @pytest.mark.parametrize("method", ["diffusion", "isotropic-diffusion"])
-@pytest.mark.parametrize("side", [0.0, 0.01, 0.3])
-def test_uniform_light_by_diffusion(method, side):
+def test_uniform_light_by_diffusion(method):
     """At points, over footprints smaller than kernels, and over wider ones, up to an edge."""
-    half, found = 0.5 * side, []
-    points = np.array([[x, half] for x in np.linspace(0.2, 0.8, 10)] + [[half, half]])
-    for seed in range(10):
-        field = pr.irradiance_field(
-            uniform_map(N_PHOTONS, "random", seed), method=method, scene=scene_of(flat(SQUARE))
-        )
-        footprint = None if side == 0.0 else np.full(len(points), side)
-        found.append(field(*plane(points), footprint=footprint)[:, 0])
-    mean, noise = np.mean(found, axis=0), np.std(found, axis=0) / np.sqrt(len(found))
-    assert abs(mean[:-1].mean() - 1.0) < 0.02 + 3.0 * noise[:-1].mean()
-    assert abs(mean[-1] - 1.0) < 0.02 + 4.0 * noise[-1]
+
+    def places(side):
+        half = 0.5 * side
+        return {"edge": along(np.linspace(0.2, 0.8, 10), half, 10), "corner": along(half, half, 1)}
+
+    sides, settings = (0.0, 0.01, 0.3), {"method": method, "scene": scene_of(flat(SQUARE))}
+    maps = [estimates_at(places, sides, random_light(seed), **settings) for seed in range(10)]
+    for key in maps[0]:
+        found = [each[key] for each in maps]
+        noise = np.std(found, axis=0).mean() / np.sqrt(len(found))
+        times = 3.0 if key[1] == "edge" else 4.0
+        assert abs(np.mean(found) - 1.0) < 0.02 + times * noise, key
 
 
 def test_kernels_of_any_shape_are_divided_by_their_surface():

@@ -138,7 +138,10 @@ def test_uniform_light_uses_nearly_all_photons(refinement):
     """And keeps its mean: what is chosen is chosen by chance, 0.9 % low at most (measured)."""
     used, means, noise = [], [], {K_MIN: [], K: [], refinement: []}
     for seed in range(4):
-        photons, (points, normals) = endless_map(10_000, "random", seed), even_points(2584, 1000 + seed)
+        photons, (points, normals) = (
+            endless_map(10_000, "random", seed),
+            even_points(2584, 1000 + seed),
+        )
         used.append(numbers(refinement, photons, points[:2500:10]).mean())
         for name, settings in (
             (K_MIN, pr.GatherSettings(k=K_MIN)),

@@ -44,7 +44,7 @@ def endless_map(n, kind, seed=0, margin=0.6):
     has a part of the sequence to itself.
     """
     xy = unit_square(n, kind, seed, start=seed * n)
-    copies = np.concatenate([xy + [i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    copies = np.concatenate([np.add(xy, [i, j]) for i in (-1, 0, 1) for j in (-1, 0, 1)])
     copies = copies[(np.abs(copies - 0.5) <= 0.5 + margin).all(axis=1)]
     return flat_map(copies, n, well_spaced=kind == "halton")
 

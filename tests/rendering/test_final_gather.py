@@ -59,8 +59,7 @@ def test_corners_and_glass_are_as_without_it():
         pr.SceneObject(ball(0.3, [-0.5, -0.5, -0.6]), pr.Mirror(), smooth=True),
     ]
     found, gathered = (
-        rendered(objects, SMALL, final_gather=n, n_global=50_000).mean(axis=(0, 1))
-        for n in (0, 16)
+        rendered(objects, SMALL, final_gather=n, n_global=50_000).mean(axis=(0, 1)) for n in (0, 16)
     )
     np.testing.assert_allclose(gathered, found, rtol=0.03)
 

@@ -240,7 +240,7 @@ def test_memory_does_not_grow_with_passes(ring, stochastic):
 
     peak(3)
     # Eight bytes for each hit point and pass would be ten times as much.
-    assert peak(30) - peak(3) < 27 * 8 * 16 * 16 * 4 / 10
+    assert peak(12) - peak(3) < 9 * 8 * 16 * 16 * 4 / 10
 
 
 # Processes fork from one that has imported what they need.
