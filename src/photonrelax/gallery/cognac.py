@@ -138,8 +138,12 @@ def _liquid(fill: float, agitation: float, sections: int, rings: int) -> trimesh
     body = revolved(profile, sections, normals)
     vertices, normal = np.array(body.vertices), np.array(body.vertex_normals)
     surface = vertices[:, 2] == fill
-    # The edge of the surface lies within the glass, where its normals do not matter.
     vertices[surface, 2], normal[surface] = _waves(vertices[surface], agitation)
+    # The edge of the surface is rounded: it lies within the glass, which rules there.
+    side, edge = ((below.sum() + i) * sections + np.arange(sections) for i in (-2, -1))
+    normal[edge] = (normal[edge] + normal[side]) / np.linalg.norm(
+        normal[edge] + normal[side], axis=1, keepdims=True
+    )
     return make_mesh(vertices, body.faces, normal)
 
 
