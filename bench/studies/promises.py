@@ -264,6 +264,8 @@ def _compared(
     if "error" not in goal or not singles:
         return [used, f"{alone:.2f}", "–", "–"]
     method, seconds = best(singles, goal["error"])
+    if not np.isfinite(seconds):
+        return [used, f"{alone:.2f}", "not reached", "–"]
     return [used, f"{alone:.2f}", f"{method} {seconds:.2f}", f"{alone / seconds:.2f}"]
 
 

@@ -49,17 +49,21 @@ def test_seeds_of_images_differ():
     assert len(set(seeds)) == len(seeds) > 3
 
 
-@pytest.mark.parametrize("seconds", [1.0, 20.0, 600.0])
-def test_a_time_is_kept_and_used(monkeypatch, seconds):
-    now = [0.0]
+def test_times_are_kept_and_used_and_longer_ones_reach_smaller_errors(monkeypatch):
+    now, errors = [0.0], []
     monkeypatch.setattr(error_target, "perf_counter", lambda: now[0])
 
     def render(n, seed):
         now[0] += 0.02 + 1e-5 * n
         return image_of(n, seed)
 
-    render_to_goal(render, Goal(seconds=seconds), 1000, 0, "radiance")
-    assert 0.8 * seconds < now[0] < seconds
+    for seconds in (1.0, 4.0, 20.0, 100.0, 600.0):
+        now[0] = 0.0
+        image = render_to_goal(render, Goal(seconds=seconds), 1000, 0, "radiance")
+        assert 0.8 * seconds < now[0] < seconds
+        errors.append(np.abs(image.layers["radiance"] - TRUTH).sum())
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < 0.1 * errors[0]
 
 
 def test_what_is_reached_stays_where_more_does_not_fit_in_memory():

@@ -27,7 +27,7 @@ _APART = 3.0
 # Photons of all three images of a trial over those of the whole.
 _IN_ALL = 1.0 + 2.0 / QUARTER
 # Exponents of the error over photons: expected, and believed when measured.
-_EXPONENT, _EXPONENTS = 0.45, (0.4, 0.65)
+_EXPONENT, _EXPONENTS = 0.45, (0.45, 0.65)
 # Photons are chosen for an error that is less than asked, as estimates have noise too, and for a
 # time that is less; all that fit into it are taken at once if they are fewer than so many steps.
 _ERROR_SHARE, _TIME_SHARE, _LAST_FACTOR = 0.93, 0.9, 2.0
