@@ -72,7 +72,8 @@ class Truth:
     def of(cls, study: Study, subject: slopes.Subject) -> Truth:
         """Noise by the difference between the halves of the passes, over squares of texels."""
         difference = 0.5 * (subject.halves[0] - subject.halves[1])
-        noise = np.sqrt(uniform_filter(np.square(difference), _EVEN))
+        squares = uniform_filter(np.square(difference), _EVEN)
+        noise = np.sqrt(np.maximum(squares, 0.0))
         fine = next(envelopes(replace(study, errors=(study.fine,)), subject))
         return cls(subject.halves.mean(axis=0), noise, fine.means)
 

@@ -11,7 +11,7 @@ import photonrelax as pr
 from photonrelax import gallery
 from photonrelax._ext.estimation import envelope as kernel
 from photonrelax._ext.estimation import envelope_grid, envelope_pieces
-from photonrelax.estimation.envelope import tracing
+from photonrelax.estimation.envelope import elements, tracing
 from photonrelax.estimation.envelope.grids import Footprints
 from photonrelax.transport import splitting
 from tests.helpers.tracing_scenes import DOWN, box, floor, slab
@@ -343,6 +343,29 @@ def test_flux_is_that_of_photons(name, parameters):
     np.testing.assert_allclose(stored + ledger.lost, ledger.emitted, rtol=1e-9)
     photons = pr.trace_photons(scene, 200_000)
     np.testing.assert_allclose(stored, photons.flux.sum(axis=0), rtol=3e-3)
+
+
+def test_tips_of_sheets_between_nodes_are_found_by_first_rays():
+    """The horns of the light inside of a ring; and faint sheets, which no photon is emitted for."""
+    scene = gallery.scene("ring")
+    photons = pr.trace_photons(scene, 100_000).flux.sum(axis=0)
+    envelope = pr.trace_envelope(scene, error=0.05, footprint=0.05)
+    ledger = envelope.ledger
+    assert envelope.rest is None
+    assert (ledger.points > 2e-3 * photons).all()
+    np.testing.assert_allclose(ledger.images + ledger.points, photons, rtol=2e-3)
+
+
+def test_places_in_elements_are_in_one_of_four_parts():
+    """Of an element that is no right triangle; the part's own weights are not negative."""
+    corners = np.array([[0, 0], [64, 16], [16, 48]])
+    weights = np.random.default_rng(2).dirichlet(np.ones(3), 200)
+    found = elements.parts_at(np.tile(corners, (200, 1, 1)), weights @ corners)
+    six = elements.six_places(corners[np.newaxis])[0]
+    parts = six[elements.PARTS[found]]
+    for (a, b, c), at in zip(parts, weights @ corners, strict=True):
+        sides = np.array([cross(q - p, at - p) for p, q in ((a, b), (b, c), (c, a))])
+        assert (sides * np.sign(cross(b - a, c - a)) >= -1e-9).all()
 
 
 @pytest.mark.parametrize("n", [1, 10, 20_000])

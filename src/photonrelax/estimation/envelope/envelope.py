@@ -98,7 +98,7 @@ class EnvelopeLedger(NamedTuple):
     images : (3,) float64
         Laid down over images.
     points : (3,) float64
-        Laid down around points, as images jump.
+        Laid down around points, as images jump, or as light that no image has was found first.
     photons : (3,) float64
         Of photons.
     lost : (3,) float64

@@ -9,19 +9,16 @@ from numpy.typing import NDArray
 
 from ..._ext.estimation.envelope_pieces import MOST, pieces
 from ..._util.validation import Floats
-from ...spatial.kdtree import KDTree
 from ...transport.splitting import Signatures
 from .borders import cut, joined
 from .elements import areas, luminances, sags, six_places
 from .refinement import Refinement
-from .sheets import Points
+from .sheets import Points, spacings
 
 # Largest mean distance of a straight piece from its image, in footprints.
 _FARTHEST = 1.0 / 3.0
 # Share of the light that may be misplaced that images may misplace; the rest is of their chords.
 OF_IMAGES = 0.6
-# Points of light that the square around each is as large as.
-_NEIGHBOURS = 8
 
 
 class Laid(NamedTuple):
@@ -77,12 +74,8 @@ def laid(refinement: Refinement, n_rays: float, n_threads: int) -> tuple[list[La
 
 
 def squares(points: Points, footprint: float) -> Laid:
-    """Squares around points, each as large as that to its eighth neighbour, or a footprint."""
-    n = len(points.position)
-    side = np.full(n, footprint)
-    if n > _NEIGHBOURS:
-        distance = KDTree(points.position).query_self(_NEIGHBOURS).distance
-        side = np.maximum(distance[:, -1] * np.sqrt(np.pi), footprint)
+    """Squares around points, of a footprint at least."""
+    side = np.maximum(points.side, footprint)
     u, v = 0.5 * square_edges(points.normal, side).transpose(1, 0, 2)
     at = points.position
     corners = np.stack([at - u - v, at + u - v, at + u + v, at - u + v], axis=1)
@@ -110,12 +103,14 @@ def _of_images(refinement: Refinement, rows: NDArray[np.bool_]) -> Points:
     area = np.repeat(areas(lattice, refinement.leaves.corners)[patches.element] / 3.0, 3)
     arrival = patches.arrival[:, 3:].ravel()
     place = six_places(refinement.leaves.corners[patches.element])[:, 3:].reshape(-1, 2)
+    position = lattice.arrivals.position[arrival]
     return Points(
-        lattice.arrivals.position[arrival],
+        position,
         lattice.arrivals.normal[arrival],
         lattice.light[arrival] * area[:, np.newaxis],
         lattice.in_unit(place),
         np.repeat(patches.sheet, 3),
+        spacings(position),
     )
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..._ext.transport.splitting import sheets
 from ..._util.validation import Floats
+from ...spatial.kdtree import KDTree
 from ...transport.aim import LUMINANCE
 from ...transport.splitting import Signatures, SplittingTracer
 from .charts import Chart
@@ -25,6 +26,8 @@ _R2 = (0.7548776662466927, 0.5698402909980532)
 # light of each that makes a sheet worth its elements: over the light that may be misplaced, and the
 # largest such share.
 _LEFT, _LEAST, _MOST_MISPLACED = 0.05, 0.2, 0.01
+# Points of light that the square around each is as large as.
+_NEIGHBOURS = 8
 # Standard errors, and share besides, by which the light of images may fall short of that explored.
 _SHORT, _SHORT_SHARE = 1.0, 0.05
 
@@ -32,7 +35,8 @@ _SHORT, _SHORT_SHARE = 1.0, 0.05
 class Points(NamedTuple):
     """Positions (n, 3), m, normals (n, 3) and fluxes (n, 3), W, of light that has no image.
 
-    `place` (n, 2) is in the unit square of the chart, `sheet` (n,) the path and surface.
+    `place` (n, 2) is in the unit square of the chart, `sheet` (n,) the path and surface, and
+    `side` (n,) that of the square which the light is laid over, m, if larger than a footprint.
     """
 
     position: Floats
@@ -40,16 +44,29 @@ class Points(NamedTuple):
     flux: Floats
     place: Floats
     sheet: Signatures
+    side: Floats
 
     @classmethod
     def none(cls) -> Points:
         """No points."""
         vectors = np.empty((0, 3))
-        return cls(vectors, vectors, vectors, np.empty((0, 2)), np.empty(0, np.uint64))
+        none = np.empty((0, 2)), np.empty(0, np.uint64), np.empty(0)
+        return cls(vectors, vectors, vectors, *none)
 
     def of(self, rows: NDArray) -> Points:
         """Those of some rows."""
         return Points(*(column[rows] for column in self))
+
+
+def spacings(position: Floats) -> Floats:
+    """Sides (n,) of squares as large as the disks to the eighth of the points around each."""
+    if len(position) <= _NEIGHBOURS:
+        extent = np.subtract(
+            position.max(axis=0, initial=-np.inf), position.min(axis=0, initial=np.inf)
+        )
+        return np.full(len(position), extent.max())
+    sides: Floats = KDTree(position).query_self(_NEIGHBOURS).distance[:, -1] * np.sqrt(np.pi)
+    return sides
 
 
 class Explored(NamedTuple):
@@ -191,7 +208,9 @@ def _explored(charts: list[Chart], tracer: SplittingTracer, n_rays: int) -> Expl
         found, signatures = tracer.explore(rays.origin, rays.direction, key, chart.emitter_id)
         light = found.throughput * rays.power[found.node] / n_rays
         place = places[found.node]
-        points[chart] = Points(found.position, found.normal, light, place, found.sheet)
+        # Among the light of all sheets, so that a faint one is not brighter than others around it.
+        side = spacings(found.position)
+        points[chart] = Points(found.position, found.normal, light, place, found.sheet, side)
         surface.append(found.object_id)
         before.append(signatures)
     sheet = np.concatenate([each.sheet for each in points.values()])
