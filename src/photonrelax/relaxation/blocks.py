@@ -191,14 +191,24 @@ class BlockRelaxation:
         if self._has_coords and np.isfinite(self._work.structure.reach_scale):
             # Where photons are of one sheet.
             expected = "reach", _GROWTH / self._work.structure.reach_scale
-        return self._group_work(number, expected, constrained=True)
+        work = self._group_work(number, expected, constrained=True)
+        return replace(work, search=replace(work.search, merges=self._merges(number)))
 
     def _search_stage(
         self, number: int, *, now: tuple[str, str, str], constrained: bool
     ) -> _GroupWork:
-        search = "nearest" if constrained else "nearest_any"
-        work = self._group_work(number, (search, 1.0), now, constrained=constrained, turns=True)
-        return replace(work, search=replace(work.search, travel="travel"))
+        expected = "nearest" if constrained else "nearest_any", 1.0
+        work = self._group_work(number, expected, now, constrained=constrained, turns=True)
+        search = replace(work.search, travel="travel", merges=self._merges(number))
+        return replace(work, search=search)
+
+    def _merges(self, number: int) -> bool:
+        """Whether some photons of a group are at the same point."""
+        tiles = self.tiles[number]
+        return self._has_coords and any(
+            self._columns.read("merged", *tiles.rows(segment)).any()
+            for segment in range(tiles.n_segments)
+        )
 
     def _group_work(
         self,
