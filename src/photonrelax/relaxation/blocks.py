@@ -56,6 +56,8 @@ from .structure import (
 _ROUNDING = 1e-15
 # Expected reach of a search, over that of the last one like it.
 _GROWTH = 1.1
+# The same of single iterations, over that again.
+_SINGLE = 2.0
 # Emitter density of photons of halos, whose range is next to nothing.
 _DENSEST = 1e300
 # Distance that photons go in an iteration, over that allowed: on surfaces they go round bends, and
@@ -200,7 +202,9 @@ class BlockRelaxation:
     def _search_stage(
         self, number: int, *, now: tuple[str, str, str], n: int, constrained: bool
     ) -> _GroupWork:
-        expected = "nearest" if constrained else "nearest_any", 1.0
+        # A single layer may be wide, and is best wide enough at once.
+        factor = 1.0 if n > 1 else _SINGLE
+        expected = "nearest" if constrained else "nearest_any", factor
         work = self._group_work(number, expected, now, constrained=constrained, turns=True)
         search = replace(work.search, travel="travel", merges=self._merges(number))
         return replace(work, search=search, n_iterations=n)
