@@ -98,10 +98,14 @@ def test_photons_without_emitter_coordinates(tmp_path):
     assert difference(photons, tmp_path, method="parameterised") < CLOSE
 
 
-def test_photons_at_the_same_point_stay_together(tmp_path):
+@pytest.mark.parametrize("apart", [0.0, 0.02])
+def test_photons_at_the_same_point_stay_together(apart, tmp_path):
+    """Even where they left the emitter at some distance from one another."""
     photons = sheets_that_meet()
     rows = np.concatenate([np.arange(len(photons)), np.arange(0, len(photons), 7)])
     photons = photons.subset(np.random.default_rng(1).permutation(rows))
+    shift = apart * np.random.default_rng(2).random((len(photons), 2))
+    photons = photons.replace(emitter_coords=photons.emitter_coords + shift)
     assert difference(photons, tmp_path, method="parameterised") < CLOSE
 
 

@@ -133,7 +133,7 @@ class _Relaxing(NamedTuple):
         structure = self.settings.of("structure")
         work = BlockWork(photons, structure, relax, scene, caster, n_threads, has_rest=has_rest)
         has_coords = "emitter_coords" in photons.columns
-        n = n_passes(relax, has_coords=has_coords, has_scene=scene is not None)
+        n = n_passes(relax, has_coords=has_coords, has_scene=scene is not None, has_rest=has_rest)
         report = Reporter(progress, "relax", len(photons) * (n + has_rest))
         relaxation = BlockRelaxation(work, workers, report)
         relaxation.detect_structure()

@@ -226,6 +226,8 @@ class BlockSearch:
         them: of trees with fewer, kernels take all for the neighbours asked for.
     travel : str or None
         Column of the distances that photons go at most between iterations; None if they stay.
+    merges : bool
+        Some photons stand for others at the same point, so that halos have all of these or none.
     """
 
     columns: ColumnFolder
@@ -235,6 +237,7 @@ class BlockSearch:
     range_radius: Floats
     k: int
     travel: str | None = None
+    merges: bool = False
 
     @cached_property
     def _boxes(self) -> Boxes:
@@ -271,7 +274,7 @@ class BlockSearch:
         halo, _ = self._halo(own, radius)
         results: Columns = {}
         while len(todo):
-            halo = self._filled(todo, halo)
+            halo = self._filled(todo, self._with_same_points(halo, todo))
             found = compute(Neighbourhood(self.columns, np.concatenate([todo, halo]), len(todo)))
             _place(results, todo - first, found.columns, len(own))
             wider = np.where(np.isinf(found.reached), self._widened(radius), found.reached)
@@ -305,6 +308,7 @@ class BlockSearch:
         rows, depth = own, np.full(len(own), n_iterations)
         for left in range(n_iterations - 1, -1, -1):
             front, _ = self._halo(front, self._radius_of(front, wider), known)
+            front = self._with_same_points(front, known)
             known = _merged(known, front)
             rows, depth = np.append(rows, front), np.append(depth, np.full(len(front), left))
         order = np.argsort(rows[len(own) :]) + len(own)
@@ -312,6 +316,14 @@ class BlockSearch:
         more = self._filled(own, rows[len(own) :])[len(rows) - len(own) :]
         rows, depth = np.append(rows, more), np.append(depth, np.zeros(len(more), np.intp))
         return Layers(self.columns, rows, len(own), depth)
+
+    def _with_same_points(self, rows: Rows, known: Rows) -> Rows:
+        """Photons, and those at the same points that are not known, if these are of interest."""
+        if not self.merges:
+            return rows
+        search = replace(self, axes=self.axes[:1], travel=None)
+        others, _ = search._halo(rows, np.zeros(len(rows)), _merged(known, rows))
+        return _merged(rows, others)
 
     def _radius_of(self, rows: Rows, wider: _Radii) -> Floats:
         """Distance (n,), from where some photons are first, in which others are in layers."""

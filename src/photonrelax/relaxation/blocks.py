@@ -56,6 +56,8 @@ from .structure import (
 _ROUNDING = 1e-15
 # Expected reach of a search, over that of the last one like it.
 _GROWTH = 1.1
+# The same of single iterations, over that again.
+_SINGLE = 2.0
 # Emitter density of photons of halos, whose range is next to nothing.
 _DENSEST = 1e300
 # Distance that photons go in an iteration, over that allowed: on surfaces they go round bends, and
@@ -95,6 +97,7 @@ class _GroupWork:
     whole: WholeGroup
     now: tuple[str, str, str] = _MOVED
     constrained: bool = True
+    n_iterations: int = 0
 
     def local_group(self, some: Neighbourhood) -> Group:
         """The group of the photons of a neighbourhood."""
@@ -112,6 +115,7 @@ class BlockRelaxation:
         self._work, self._workers, self._report = work, workers, report
         self._columns = work.photons.columns
         self._has_coords = "emitter_coords" in self._columns
+        self._n_moves = 0
         groups = work.photons.groups
         self.tiles = [GroupTiles(work.photons, number) for number in range(len(groups))]
         self._bound_all()
@@ -138,17 +142,19 @@ class BlockRelaxation:
         if self._work.scene is not None:
             self._columns.create("at", SURFACE_POSITION)
             self._pass(_surface, self._search_reach)
-        for constrained, n in zip((True, False), self._work.relax.n_iterations, strict=True):
-            if n:
-                now = self._stage(now, constrained=constrained)
+        for constrained, n in _runs(self._work.relax, has_rest=self._work.has_rest):
+            now = self._stage(now, n, constrained=constrained)
         for name, moved in zip(_MOVED, now, strict=True):
             if moved != name:
                 self._columns.rename(moved, name)
         self._columns.remove(*_TEMPORARY)
 
-    def _stage(self, before: tuple[str, str, str], *, constrained: bool) -> tuple[str, str, str]:
+    def _stage(
+        self, before: tuple[str, str, str], n: int, *, constrained: bool
+    ) -> tuple[str, str, str]:
         """Names of the columns of moved photons after a stage of iterations."""
-        number, (_, normal, at) = int(constrained), before
+        self._n_moves += 1
+        number, (_, normal, at) = self._n_moves, before
         if self._work.scene is not None:
             normal, at = f"normal-{number}", f"at-{number}"
         after = f"position-{number}", normal, at
@@ -157,19 +163,18 @@ class BlockRelaxation:
                 self._columns.like(moved, name)
         slack, went_farther = _FLAT if self._work.scene is None else _BENT, True
         while went_farther:
-            self._allow_travel(slack, constrained=constrained)
-            build = partial(self._search_stage, now=before, constrained=constrained)
+            self._allow_travel(slack, n, constrained=constrained)
+            build = partial(self._search_stage, now=before, n=n, constrained=constrained)
             went_farther = self._pass(_stage, build, after)
             slack *= _FARTHER
         for name in set(before) - set(after) - {"position"}:
             self._columns.remove(name)
         return after
 
-    def _allow_travel(self, slack: float, *, constrained: bool) -> None:
+    def _allow_travel(self, slack: float, n: int, *, constrained: bool) -> None:
         """Write how far photons may go in a stage, before the last of its iterations."""
         settings, columns = self._work.relax, self._columns
-        n_between = settings.n_iterations[0 if constrained else 1] - 1
-        steps = n_between * min(settings.largest_step, 1.0)
+        steps = (n - 1) * min(settings.largest_step, 1.0)
         for tiles in self.tiles:
             for segment in range(tiles.n_segments):
                 rows, spacings = tiles.rows(segment), np.array(steps)
@@ -191,14 +196,26 @@ class BlockRelaxation:
         if self._has_coords and np.isfinite(self._work.structure.reach_scale):
             # Where photons are of one sheet.
             expected = "reach", _GROWTH / self._work.structure.reach_scale
-        return self._group_work(number, expected, constrained=True)
+        work = self._group_work(number, expected, constrained=True)
+        return replace(work, search=replace(work.search, merges=self._merges(number)))
 
     def _search_stage(
-        self, number: int, *, now: tuple[str, str, str], constrained: bool
+        self, number: int, *, now: tuple[str, str, str], n: int, constrained: bool
     ) -> _GroupWork:
-        search = "nearest" if constrained else "nearest_any"
-        work = self._group_work(number, (search, 1.0), now, constrained=constrained, turns=True)
-        return replace(work, search=replace(work.search, travel="travel"))
+        # A single layer may be wide, and is best wide enough at once.
+        factor = 1.0 if n > 1 else _SINGLE
+        expected = "nearest" if constrained else "nearest_any", factor
+        work = self._group_work(number, expected, now, constrained=constrained, turns=True)
+        search = replace(work.search, travel="travel", merges=self._merges(number))
+        return replace(work, search=search, n_iterations=n)
+
+    def _merges(self, number: int) -> bool:
+        """Whether some photons of a group are at the same point."""
+        tiles = self.tiles[number]
+        return self._has_coords and any(
+            self._columns.read("merged", *tiles.rows(segment)).any()
+            for segment in range(tiles.n_segments)
+        )
 
     def _group_work(
         self,
@@ -275,9 +292,20 @@ _BOUND = ("position", "normal")
 _WENT_FARTHER = "went_farther"
 
 
-def n_passes(settings: RelaxSettings, *, has_coords: bool, has_scene: bool) -> int:
+def n_passes(settings: RelaxSettings, *, has_coords: bool, has_scene: bool, has_rest: bool) -> int:
     """Passes over all photons of `BlockRelaxation`."""
-    return 1 + has_coords + has_scene + sum(n > 0 for n in settings.n_iterations)
+    return 1 + has_coords + has_scene + len(_runs(settings, has_rest=has_rest))
+
+
+def _runs(settings: RelaxSettings, *, has_rest: bool) -> list[tuple[bool, int]]:
+    """Iterations that are done in one pass: whether they are constrained, and their number.
+
+    In space, without a density to rest in, nothing limits whence light may come in many of them but
+    the extent of the map: layers would have most of it.
+    """
+    first, second = settings.n_iterations
+    in_space = [(False, second)] if has_rest else second * [(False, 1)]
+    return [(constrained, n) for constrained, n in [(True, first), *in_space] if n]
 
 
 # --- tasks ----------------------------------------------------------------------------------------
@@ -376,7 +404,6 @@ _ON_SURFACES = ("position", "normal", "object_id")
 
 def _stage(given: _GroupWork, segment: int) -> Columns:
     """Positions and normals of the photons of a segment after a stage of iterations."""
-    settings = given.work.relax
     if given.group.at_rest:
         return _at_rest(given, segment)
 
@@ -385,7 +412,11 @@ def _stage(given: _GroupWork, segment: int) -> Columns:
         before = some.read(given.now[0]), some.read(given.now[1])
         relaxation = _relaxation(given, some, before)
         position, normal = relaxation.staged(
-            given.local_group(some), before, paths, constrained=given.constrained
+            given.local_group(some),
+            before,
+            paths,
+            given.n_iterations,
+            constrained=given.constrained,
         )
         columns: Columns = {"position": position[own]}
         if relaxation.projector is not None:
@@ -394,8 +425,7 @@ def _stage(given: _GroupWork, segment: int) -> Columns:
         columns[_WENT_FARTHER] = np.array([(paths.travelled > allowed).any()])
         return Iterated(columns, paths.searched)
 
-    n = settings.n_iterations[0 if given.constrained else 1]
-    return given.search.iterate(segment, n, compute)
+    return given.search.iterate(segment, given.n_iterations, compute)
 
 
 def _at_rest(given: _GroupWork, segment: int) -> Columns:

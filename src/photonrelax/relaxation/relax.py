@@ -173,9 +173,15 @@ class Relaxation:
     report: Reporter
 
     def staged(
-        self, group: Group, before: tuple[Floats, Floats], paths: _relax.Paths, *, constrained: bool
+        self,
+        group: Group,
+        before: tuple[Floats, Floats],
+        paths: _relax.Paths,
+        n: int,
+        *,
+        constrained: bool,
     ) -> tuple[Floats, Floats]:
-        """Positions and normals after a stage of iterations, whose paths are added.
+        """Positions and normals after n iterations of a stage, whose paths are added.
 
         `before` are positions and normals before it.
         """
@@ -183,7 +189,6 @@ class Relaxation:
         if self.projector is not None:
             normal = np.empty_like(normal)
         stage = _Stage(self, group, *before, constrained=constrained, paths=paths)
-        n = self.settings.n_iterations[0 if constrained else 1]
         stage.finish(n, position, normal)
         return position, normal
 
