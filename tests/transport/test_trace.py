@@ -25,11 +25,11 @@ each_kind = pytest.mark.parametrize("paths", ["caustic", "global", "all"])
 @each_scene
 @each_kind
 def test_threads_and_batches_change_no_bit(scene, paths):
-    one = pr.trace_photons(scene, 10_000, paths=paths, n_threads=1)
+    # Light may be trapped in glass of flat facets.
+    given = {"paths": paths, "max_bounces": 64}
+    one = pr.trace_photons(scene, 10_000, **given, n_threads=1)
     for n_threads, batch_size in ((2, 1), (7, 3000), (1, 5000), (2, 10**6)):
-        other = pr.trace_photons(
-            scene, 10_000, paths=paths, n_threads=n_threads, batch_size=batch_size
-        )
+        other = pr.trace_photons(scene, 10_000, **given, n_threads=n_threads, batch_size=batch_size)
         assert_same_bytes(one, other)
 
 
