@@ -86,8 +86,7 @@ def irradiance_field(
     ----------
     photons : PhotonMap, BlockedPhotons or Envelope
         Photons from `trace_photons` or from any other renderer, or what `trace_envelope` returns.
-        Those of `relax_parts` are gathered as they are, some at a time, whichever of the first
-        four methods has relaxed them; see docs/scaling.md.
+        Those of `relax_parts` are gathered as they are, by the first four methods.
     method : str
         One of:
 
@@ -102,8 +101,7 @@ def irradiance_field(
         - ``progressive``: photons as they are, split into passes (Hachisuka et al. 2008);
         - ``frequency``: the same, with radii no smaller than local frequency spectra ask for
           (FPPM); some of the photons carry such (see `photonrelax.trace_photons`);
-        - ``envelope``: light laid over the images of the emitters, without photons; `photons` is
-          an `Envelope`, or else the scene's is traced.
+        - ``envelope``: light laid over the images of emitters, of an `Envelope` or the scene's.
     scene : Scene, optional
         Keeps moved photons on their objects; see `photonrelax.relaxation.relax`. Estimates beside
         edges of its surfaces are right, and NaN, with a warning, where no surface that stores

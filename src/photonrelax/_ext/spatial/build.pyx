@@ -98,13 +98,22 @@ def median_order(
         if tied is not None and n > BLOCK:
             tied[0] = True
         return order
+    any_tied = np.zeros(1, np.uint8) if tied is None else tied
+    build_order(points, axes, scale, order, any_tied, n_threads)
+    return order
+
+
+cdef object build_order(
+    const double[:, ::1] points, const Py_ssize_t[::1] axes, const double[::1] scale,
+    Py_ssize_t[::1] order, unsigned char[::1] tied, int n_threads,
+):
+    """Write the order of more than one block of points, split on some axes."""
+    cdef Py_ssize_t n = points.shape[0]
     cdef Job job
     cdef Workers workers
     job.n_keys = <int> axes.shape[0]
     job.words = (job.n_keys + QUAD) // QUAD * QUAD
-    cdef Py_ssize_t[::1] order_view = order
     cdef int32_t[:, :, ::1] rows = np.empty((2, n, job.words), np.int32)
-    cdef unsigned char[::1] any_tied = np.zeros(1, np.uint8) if tied is None else tied
     workers.n_threads = team_size(n_threads, n, MIN_POINTS)
     cdef unsigned char[:, ::1] found = np.zeros(
         (workers.n_threads, sizeof(ThreadPartial)), np.uint8
@@ -117,15 +126,14 @@ def median_order(
     job.scale = &scale[0]
     job.rows[0] = &rows[0, 0, 0]
     job.rows[1] = &rows[1, 0, 0]
-    job.order = &order_view[0]
-    job.tied = &any_tied[0]
+    job.order = &order[0]
+    job.tied = &tied[0]
     workers.job = &job
     workers.partials = <ThreadPartial*> &found[0, 0]
     workers.watch = open_watch()
     with nogil:
         build(&workers)
     close_watch(&workers.watch)
-    return order
 
 
 cdef object check(

@@ -24,6 +24,17 @@ cdef class Samples:
     cdef Py_ssize_t side
     cdef double squared_tolerance, least_cosine
 
+    cdef object check(self):
+        """Raise ValueError if the columns do not fit one another."""
+        cdef Py_ssize_t m = self.pixel.shape[0]
+        if not (
+            m == self.object_id.shape[0] == self.position.shape[0] == self.normal.shape[0]
+            == self.footprint.shape[0]
+            and 3 == self.position.shape[1] == self.normal.shape[1] == self.footprint.shape[2]
+            and self.footprint.shape[1] == 2 and self.side > 0
+        ):
+            raise ValueError("columns of the hit points do not fit one another")
+
     cdef bint is_one_piece(self, Py_ssize_t first, Piece* piece) noexcept nogil:
         """Write the means over a pixel's samples; true if these are a grid on one surface."""
         cdef Py_ssize_t sample, n = self.side * self.side
@@ -93,14 +104,8 @@ def merge_samples(hits, Py_ssize_t side, *, double tolerance, double least_cosin
     samples.footprint = hits.footprint
     samples.side = side
     samples.squared_tolerance, samples.least_cosine = tolerance * tolerance, least_cosine
+    samples.check()
     cdef Py_ssize_t m = samples.pixel.shape[0], n = side * side
-    if not (
-        m == samples.object_id.shape[0] == samples.position.shape[0] == samples.normal.shape[0]
-        == samples.footprint.shape[0]
-        and 3 == samples.position.shape[1] == samples.normal.shape[1] == samples.footprint.shape[2]
-        and samples.footprint.shape[1] == 2 and side > 0
-    ):
-        raise ValueError("columns of the hit points do not fit one another")
     cdef double[:, ::1] position = np.empty((m, 3)), normal = np.empty((m, 3))
     cdef double[:, :, ::1] footprint = np.empty((m, 2, 3))
     cdef Py_ssize_t[::1] of_hit = np.empty(m, np.intp)

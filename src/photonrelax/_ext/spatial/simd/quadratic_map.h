@@ -8,8 +8,6 @@
 /* Pivots of normal equations below this share of their diagonal are rounding errors. */
 #define SINGULAR 1e-10
 
-INLINE f64x8 f64x8_abs(f64x8 a) { return f64x8_max(a, f64x8_sub(f64x8_set1(0.0), a)); }
-
 /* Length of vectors, of any that a double holds. */
 INLINE f64x8 planar_length(f64x8 a, f64x8 b)
 {

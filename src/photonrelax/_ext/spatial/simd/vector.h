@@ -24,4 +24,6 @@
 #include "portable.h"
 #endif
 
+INLINE f64x8 f64x8_abs(f64x8 a) { return f64x8_max(a, f64x8_sub(f64x8_set1(0.0), a)); }
+
 #endif
