@@ -1,32 +1,20 @@
 """Flux of triangles that falls on footprints, by exact overlap."""
 
 from cython.parallel cimport prange, threadid
-from libc.math cimport INFINITY, fabs, sqrt
+from libc.math cimport fabs, sqrt
 
 from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
-from ..common.vec3 cimport cross, dot
+from ..common.vec3 cimport dot
 from ..spatial.box_tree cimport FAN, BoxTree, BoxVisit, open_visit, squared_gap, step_over
-from .polygon cimport Polygon, area_of, is_line, longest_side
+from .polygon cimport (
+    Box, PlaneFrame, Polygon, area_of, is_line, longest_side, project, set_box, set_frame,
+)
 
 import numpy as np
 
 cdef enum:
     LOOK_EVERY = 256
     GRAIN = 64
-
-
-cdef struct Footprint:
-    # Centre, and rows that give coordinates in it, in [-1/2, 1/2] within.
-    double[3] centre
-    double[3] to_a
-    double[3] to_b
-    double[3] normal
-    double area
-
-
-cdef struct Box:
-    double[2] low
-    double[2] high
 
 
 cdef enum Reach:
@@ -114,14 +102,14 @@ cdef void mean_over(
     double thickness, double least_cosine, double* out,
 ) noexcept nogil:
     """Write the mean of one footprint; nodes that lie in it add their sums."""
-    cdef Footprint footprint
+    cdef PlaneFrame footprint
     cdef BoxVisit visit
     cdef double[3] low, high
     cdef double share, slack
     cdef Py_ssize_t c, row
     for c in range(sums.shape[1]):
         out[c] = 0.0
-    if not set_footprint(&footprint, point, towards, edges):
+    if not set_frame(&footprint, point, towards, edges):
         return
     slack = thickness * sqrt(footprint.area)
     for c in range(3):
@@ -152,7 +140,7 @@ cdef void mean_over(
 
 
 cdef bint holds(
-    const Footprint* footprint, const double* bounds, const double* normals, double slack,
+    const PlaneFrame* footprint, const double* bounds, const double* normals, double slack,
     double least_cosine
 ) noexcept nogil:
     """True if all triangles between bounds, with normals between others, count as a whole."""
@@ -160,13 +148,13 @@ cdef bint holds(
     cdef double least = 0.0
     cdef int c
     for c in range(3):
-        middle[c] = 0.5 * (bounds[c] + bounds[3 + c]) - footprint.centre[c]
+        middle[c] = 0.5 * (bounds[c] + bounds[3 + c]) - footprint.origin[c]
         half[c] = 0.5 * (bounds[3 + c] - bounds[c])
         least += min(normals[c] * footprint.normal[c], normals[3 + c] * footprint.normal[c])
     return (
         least > least_cosine
-        and farthest(footprint.to_a, middle, half) < 0.5
-        and farthest(footprint.to_b, middle, half) < 0.5
+        and farthest(footprint.to_x, middle, half) < 0.5
+        and farthest(footprint.to_y, middle, half) < 0.5
         and farthest(footprint.normal, middle, half) < slack
     )
 
@@ -180,50 +168,15 @@ cdef double farthest(const double* axis, const double* middle, const double* hal
     return fabs(dot(middle, axis)) + reach
 
 
-cdef bint set_footprint(
-    Footprint* out, const double* point, const double* towards, const double* edges
-) noexcept nogil:
-    """Write a footprint; false if it has no area."""
-    cdef double[3] normal
-    cdef double length
-    cdef int c
-    cross(normal, edges, edges + 3)
-    length = sqrt(dot(normal, normal))
-    if not length > 0.0:
-        return False
-    for c in range(3):
-        out.centre[c] = point[c]
-        out.normal[c] = normal[c] / length
-    out.area = length
-    # Coordinates a, b of p = a edge_a + b edge_b, by the dual basis.
-    cross(out.to_a, edges + 3, out.normal)
-    cross(out.to_b, out.normal, edges)
-    for c in range(3):
-        out.to_a[c] /= length
-        out.to_b[c] /= length
-    if dot(out.normal, towards) < 0.0:
-        for c in range(3):
-            out.normal[c] = -out.normal[c]
-    return True
-
-
 cdef double share_within(
-    const Footprint* footprint, const double* triangle, double slack
+    const PlaneFrame* footprint, const double* triangle, double slack
 ) noexcept nogil:
     """Share of a triangle that lies in a footprint, seen along the normal."""
     cdef Polygon polygon
-    cdef double[3] offset
     cdef Box box
-    cdef double whole, squared, nearest = INFINITY
-    cdef int i, c, reach, longest
-    polygon.n = 3
-    for i in range(3):
-        for c in range(3):
-            offset[c] = triangle[3 * i + c] - footprint.centre[c]
-        polygon.corner[i][0] = dot(offset, footprint.to_a)
-        polygon.corner[i][1] = dot(offset, footprint.to_b)
-        nearest = min(nearest, fabs(dot(offset, footprint.normal)))
-    if nearest > slack:
+    cdef double whole, squared
+    cdef int i, reach, longest
+    if not project(footprint, triangle, slack, &polygon):
         return 0.0
     whole, longest = area_of(&polygon), longest_side(&polygon, &squared)
     if is_line(whole, squared):
@@ -247,16 +200,6 @@ cdef double share_within(
         if polygon.n < 3:
             return 0.0
     return fabs(area_of(&polygon)) / whole
-
-
-cdef void set_box(Box* box, const Polygon* polygon) noexcept nogil:
-    """Write the bounds of a polygon."""
-    cdef int i, axis
-    for axis in range(2):
-        box.low[axis] = box.high[axis] = polygon.corner[0][axis]
-        for i in range(1, polygon.n):
-            box.low[axis] = min(box.low[axis], polygon.corner[i][axis])
-            box.high[axis] = max(box.high[axis], polygon.corner[i][axis])
 
 
 cdef int reach_of_sides(const Polygon* polygon, double turn) noexcept nogil:

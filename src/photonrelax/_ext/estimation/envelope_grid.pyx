@@ -5,14 +5,16 @@ Bands of rows are computed side by side, each with its triangles in their order.
 """
 
 from cython.parallel cimport prange, threadid
-from libc.math cimport INFINITY, fabs, floor, rint, sqrt
+from libc.math cimport fabs, floor, rint, sqrt
 from libc.stdint cimport int32_t, int64_t
 
 import numpy as np
 
 from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
-from ..common.vec3 cimport cross, dot
-from .polygon cimport Polygon, area_of, is_line, longest_side, split
+from ..common.vec3 cimport dot
+from .polygon cimport (
+    Box, PlaneFrame, Polygon, area_of, is_line, longest_side, project, set_box, set_frame, split,
+)
 
 cdef enum:
     # Rows of a band at least, and bands at most.
@@ -23,22 +25,14 @@ cdef enum:
 
 
 cdef struct Grid:
-    # Corner, and rows that give coordinates from there, in texels.
-    double[3] origin
-    double[3] to_x
-    double[3] to_y
-    double[3] normal
+    # Coordinates are in texels from a corner.
+    PlaneFrame frame
     # Largest distance from the plane, m, and least cosine between normals.
     double slack
     double least_cosine
     int nx
     int ny
     int n_channels
-
-
-cdef struct Box:
-    double[2] low
-    double[2] high
 
 
 def places(
@@ -58,7 +52,7 @@ def places(
     out : (2, r)
         Whole numbers.
     """
-    cdef Grid grid
+    cdef PlaneFrame frame
     cdef Py_ssize_t i, r = rows.shape[0]
     cdef const double* first
     cdef double[2] place
@@ -70,14 +64,14 @@ def places(
     ):
         raise ValueError("footprints and rows do not fit one another")
     first = &edges[rows[0], 0, 0]
-    if not set_grid(&grid, &points[rows[0], 0], first, &normals[rows[0], 0]):
+    if not set_frame(&frame, &points[rows[0], 0], &normals[rows[0], 0], first):
         return False
     off = off * sqrt(min(dot(first, first), dot(first + 3, first + 3)))
     for i in range(r):
         if not (
             is_equal(&normals[rows[i], 0], &normals[rows[0], 0], 3)
             and is_equal(&edges[rows[i], 0, 0], first, 6)
-            and find_place(&grid, &points[rows[i], 0], first, off, place)
+            and find_place(&frame, &points[rows[i], 0], first, off, place)
         ):
             return False
         out[0, i], out[1, i] = place[0], place[1]
@@ -93,14 +87,14 @@ cdef bint is_equal(const double* a, const double* b, int n) noexcept nogil:
 
 
 cdef bint find_place(
-    const Grid* grid, const double* point, const double* edges, double off, double* place
+    const PlaneFrame* frame, const double* point, const double* edges, double off, double* place
 ) noexcept nogil:
-    """Write the texel whose centre a point is, counted from the grid's origin; false if none."""
+    """Write the texel whose centre a point is, counted from the origin; false if none."""
     cdef double[3] offset
     cdef int c
     for c in range(3):
-        offset[c] = point[c] - grid.origin[c]
-    place[0], place[1] = rint(dot(offset, grid.to_x)), rint(dot(offset, grid.to_y))
+        offset[c] = point[c] - frame.origin[c]
+    place[0], place[1] = rint(dot(offset, frame.to_x)), rint(dot(offset, frame.to_y))
     for c in range(3):
         offset[c] -= place[0] * edges[c] + place[1] * edges[3 + c]
     return dot(offset, offset) <= off * off
@@ -135,9 +129,9 @@ def sums(
     ):
         raise ValueError("triangles, values and grid do not fit one another")
     out[:] = 0.0
-    if t == 0 or out.size == 0 or not set_grid(&grid, &origin[0], &edges[0, 0], &towards[0]):
+    if t == 0 or out.size == 0 or not set_frame(&grid.frame, &origin[0], &towards[0], &edges[0, 0]):
         return
-    grid.slack *= thickness
+    grid.slack = thickness * sqrt(grid.frame.area)
     grid.least_cosine = least_cosine
     grid.ny, grid.nx, grid.n_channels = out.shape[0], out.shape[1], out.shape[2]
     rows = max(LEAST_ROWS, -(-grid.ny // MOST_BANDS))
@@ -194,9 +188,9 @@ cdef void find_bands(
     cdef int band
     for i in range(first, end):
         reach[i, 0], reach[i, 1] = 0, -1
-        if not dot(&normals[i, 0], grid.normal) > grid.least_cosine:
+        if not dot(&normals[i, 0], grid.frame.normal) > grid.least_cosine:
             continue
-        if not project(grid, &triangles[i, 0, 0], &triangle):
+        if not project(&grid.frame, &triangles[i, 0, 0], grid.slack, &triangle):
             continue
         set_box(&box, &triangle)
         if not (
@@ -253,7 +247,7 @@ cdef void fill_band(
     cdef int64_t k
     cdef int longest
     for k in range(first, end):
-        project(grid, &triangles[ids[k], 0, 0], &triangle)
+        project(&grid.frame, &triangles[ids[k], 0, 0], grid.slack, &triangle)
         longest = longest_side(&triangle, &squared)
         area = fabs(area_of(&triangle))
         if is_line(area, squared):
@@ -263,58 +257,6 @@ cdef void fill_band(
             )
         else:
             add(grid, &triangle, 1.0 / area, low, high, &values[ids[k], 0], &out[0, 0, 0])
-
-
-cdef bint set_grid(
-    Grid* out, const double* origin, const double* edges, const double* towards
-) noexcept nogil:
-    """Write a grid, the size of its texels for its slack; false if they have no area."""
-    cdef double[3] normal
-    cdef double area
-    cdef int c
-    cross(normal, edges, edges + 3)
-    area = sqrt(dot(normal, normal))
-    if not area > 0.0:
-        return False
-    out.slack = sqrt(area)
-    for c in range(3):
-        out.origin[c] = origin[c]
-        out.normal[c] = normal[c] / area
-    # Coordinates x, y of p = x edge_x + y edge_y, by the dual basis.
-    cross(out.to_x, edges + 3, out.normal)
-    cross(out.to_y, out.normal, edges)
-    for c in range(3):
-        out.to_x[c] /= area
-        out.to_y[c] /= area
-    if dot(out.normal, towards) < 0.0:
-        for c in range(3):
-            out.normal[c] = -out.normal[c]
-    return True
-
-
-cdef bint project(const Grid* grid, const double* triangle, Polygon* out) noexcept nogil:
-    """Write the corners of a triangle in texels; false if it is not near the plane."""
-    cdef double[3] offset
-    cdef double nearest = INFINITY
-    cdef int i, c
-    out.n = 3
-    for i in range(3):
-        for c in range(3):
-            offset[c] = triangle[3 * i + c] - grid.origin[c]
-        out.corner[i][0] = dot(offset, grid.to_x)
-        out.corner[i][1] = dot(offset, grid.to_y)
-        nearest = min(nearest, fabs(dot(offset, grid.normal)))
-    return nearest <= grid.slack
-
-
-cdef void set_box(Box* box, const Polygon* polygon) noexcept nogil:
-    """Write the bounds of a polygon."""
-    cdef int i, axis
-    for axis in range(2):
-        box.low[axis] = box.high[axis] = polygon.corner[0][axis]
-        for i in range(1, polygon.n):
-            box.low[axis] = min(box.low[axis], polygon.corner[i][axis])
-            box.high[axis] = max(box.high[axis], polygon.corner[i][axis])
 
 
 cdef int cell(double coordinate, int n) noexcept nogil:

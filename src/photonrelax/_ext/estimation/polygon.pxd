@@ -1,6 +1,8 @@
 """Convex polygons of a plane, as inline functions for kernels."""
 
-from libc.math cimport fabs
+from libc.math cimport INFINITY, fabs, sqrt
+
+from ..common.vec3 cimport cross, dot
 
 
 cdef enum:
@@ -11,6 +13,72 @@ cdef enum:
 cdef struct Polygon:
     int n
     double[MOST_CORNERS][2] corner
+
+
+cdef struct Box:
+    double[2] low
+    double[2] high
+
+
+cdef struct PlaneFrame:
+    # Origin, and rows that give coordinates from there, in edges of the area that they span.
+    double[3] origin
+    double[3] to_x
+    double[3] to_y
+    double[3] normal
+    double area
+
+
+cdef inline bint set_frame(
+    PlaneFrame* out, const double* origin, const double* towards, const double* edges
+) noexcept nogil:
+    """Write the frame of two edges, its normal on the side of a vector; false without an area."""
+    cdef double[3] normal
+    cdef int c
+    cross(normal, edges, edges + 3)
+    out.area = sqrt(dot(normal, normal))
+    if not out.area > 0.0:
+        return False
+    for c in range(3):
+        out.origin[c] = origin[c]
+        out.normal[c] = normal[c] / out.area
+    # Coordinates x, y of p = x edge_x + y edge_y, by the dual basis.
+    cross(out.to_x, edges + 3, out.normal)
+    cross(out.to_y, out.normal, edges)
+    for c in range(3):
+        out.to_x[c] /= out.area
+        out.to_y[c] /= out.area
+    if dot(out.normal, towards) < 0.0:
+        for c in range(3):
+            out.normal[c] = -out.normal[c]
+    return True
+
+
+cdef inline bint project(
+    const PlaneFrame* frame, const double* triangle, double slack, Polygon* out
+) noexcept nogil:
+    """Write the corners of a triangle in a frame; false if none is near its plane."""
+    cdef double[3] offset
+    cdef double nearest = INFINITY
+    cdef int i, c
+    out.n = 3
+    for i in range(3):
+        for c in range(3):
+            offset[c] = triangle[3 * i + c] - frame.origin[c]
+        out.corner[i][0] = dot(offset, frame.to_x)
+        out.corner[i][1] = dot(offset, frame.to_y)
+        nearest = min(nearest, fabs(dot(offset, frame.normal)))
+    return nearest <= slack
+
+
+cdef inline void set_box(Box* box, const Polygon* polygon) noexcept nogil:
+    """Write the bounds of a polygon."""
+    cdef int i, axis
+    for axis in range(2):
+        box.low[axis] = box.high[axis] = polygon.corner[0][axis]
+        for i in range(1, polygon.n):
+            box.low[axis] = min(box.low[axis], polygon.corner[i][axis])
+            box.high[axis] = max(box.high[axis], polygon.corner[i][axis])
 
 
 cdef inline double squared_length(const double* a, const double* b) noexcept nogil:
