@@ -76,6 +76,7 @@ def test_trees_know_of_points_at_one_position_that_differ_a_little_on_range_axes
         assert pr.KDTree(points, n_metric=2).kernel.may_coincide
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("photons", [random, curved, on_a_line, of_two_emitters])
 @pytest.mark.parametrize("method", EVERY_METHOD)
 def test_parts_of_photons_are_whole_photons(photons, method):
@@ -115,6 +116,7 @@ def test_some_photons_in_parts_are_whole_photons():
     )
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("cells", [2000, 256, 64, 32])
 @pytest.mark.parametrize("method", EVERY_METHOD)
 def test_rounded_positions_leave_uniform_light_as_it_is(cells, method):

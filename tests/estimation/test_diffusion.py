@@ -159,6 +159,7 @@ def test_without_edges_it_is_the_standard_estimate_of_fixed_bandwidth(method):
 # --- fields that are known ---------------------------------------------------------------------
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("kind", ["random", "halton"])
 def test_a_uniform_field_returns_its_own_value(method, kind, interior):
@@ -170,6 +171,7 @@ def test_a_uniform_field_returns_its_own_value(method, kind, interior):
         assert field(points, normals).mean() == pytest.approx(inside, rel=5e-3)
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("method", METHODS)
 def test_a_linear_field_is_kept(method):
     """E = 2x over the unit square; means of strips."""

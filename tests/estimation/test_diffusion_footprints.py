@@ -142,7 +142,7 @@ def tensors(n=200, seed=0):
         yield sides, turn @ np.diag([1.0, across]) @ turn.T
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 def test_so_few_nodes_suffice():
     """Along the first side, within 5e-5 of the peak."""
     # Kernels are the same on both sides of their middle.
@@ -153,7 +153,7 @@ def test_so_few_nodes_suffice():
         np.testing.assert_allclose(found, exact, atol=5e-5 * exact.max())
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 def test_every_kernel_integrates_to_one():
     """Within 0.4 %: that of an oblique parallelogram is taken for that of a rectangle."""
     ticks = np.linspace(-2.2, 2.2, 221)
@@ -200,7 +200,7 @@ def test_footprints_that_shrink_have_the_estimate_of_a_gaussian_at_the_point():
 # --- fields that are known ---------------------------------------------------------------------
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("kind", ["random", "halton"])
 def test_a_uniform_field_returns_its_own_value(method, kind):
@@ -213,6 +213,7 @@ def test_a_uniform_field_returns_its_own_value(method, kind):
             assert means.mean() == pytest.approx(1.0, abs=5e-3)
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("texels", [30, 150])
 def test_energy_is_kept(method, texels):
@@ -226,6 +227,7 @@ def test_energy_is_kept(method, texels):
     assert means.mean() == pytest.approx(photons.flux[:, 0].sum(), rel=0.01)
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 4])
 def test_edges_stay_as_sharp_as_pixels(angle):
     """Pixels on the edge of half a plane of light, in any direction, have the share lit of them."""

@@ -10,7 +10,7 @@ from tests.helpers.diffusion_maps import FIXED, LOCAL, half_lit
 from tests.helpers.photon_maps import flat_map, plane
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("isotropic", [False, True])
 @pytest.mark.parametrize(
     "settings",
@@ -38,7 +38,7 @@ def test_every_kernel_integrates_to_one(settings, isotropic):
     np.testing.assert_allclose(ones[wide], 1.0, rtol=0.02)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("isotropic", [False, True])
 def test_the_longest_and_the_smallest_kernels_integrate_to_one(isotropic):
     """Along an edge, on a lattice so fine that ten of its points lie on the short half-axis."""

@@ -105,6 +105,7 @@ def test_colour_is_even_and_luminance_as_without_dispersion(dispersed, plain):
     np.testing.assert_allclose(coloured.mean(axis=0), white.mean(axis=0), rtol=5e-3)
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_estimates_light_of_many_wavelengths(method, dispersed, plain):
     coloured, white = (irradiance(photons, method) for photons in (dispersed, plain))

@@ -208,7 +208,7 @@ def assert_uniform(found, interior="middle", n=N_MAPS * N_TEXELS):
         assert deviation < 1.1 * noise + 3.0 * noise / np.sqrt(n), name
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("k", [8, 50])
 def test_uniform_light_on_a_square(k):
     """At points, and over texels of a tenth of a photon, of a few, and of many."""
@@ -392,7 +392,7 @@ def test_uniform_light_in_passes():
 # Diffusion
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("method", ["diffusion", "isotropic-diffusion"])
 def test_uniform_light_by_diffusion(method):
     """At points, over footprints smaller than kernels, and over wider ones, up to an edge."""

@@ -92,6 +92,7 @@ def test_error_falls_with_rays_and_is_told():
     assert all(error < 2.0 * estimate for error, estimate in zip(errors, told, strict=True))
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize(("n_threads", "batch"), [(2, 8192), (7, 1000)])
 def test_threads_and_batches_do_not_matter(monkeypatch, n_threads, batch):
     scene = gallery.scene("sphere", subdivisions=3)
@@ -255,6 +256,7 @@ def pr_tree(triangles):
     return BoxTree(triangles.min(axis=1), triangles.max(axis=1)).kernel
 
 
+@pytest.mark.kernels_run_elsewhere
 def test_pictures_have_the_error_as_a_layer():
     scene = gallery.scene("ring")
     scene = replace(scene, camera=replace(scene.camera, width=24, height=24))
@@ -331,6 +333,7 @@ def test_a_small_sun_is_several_parallel_lights():
     assert error < 0.6 * difference
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize(
     ("name", "parameters"),
     [("ring", {}), ("sphere", {"subdivisions": 4}), ("ripples", {"resolution": 128})],

@@ -10,6 +10,7 @@ def test_light_towards_a_focus_is_exact_to_a_ten_thousandth():
     assert error < 1e-4
 
 
+@pytest.mark.kernels_run_elsewhere
 def test_the_nephroid_is_exact_to_a_ten_thousandth():
     """Away from its fold and its borders."""
     error, envelope = nephroid().error(n_rays=150_000)

@@ -383,7 +383,7 @@ def uniform_maps():
     }
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize(("kind", "side"), [("random", 1.0), ("halton", 1.0), ("relaxed", 0.5)])
 @pytest.mark.parametrize("k", [8, 15, 50])
 def test_a_uniform_field_returns_its_own_value(kind, side, k, uniform_maps):

@@ -196,7 +196,7 @@ def reflector():
     return on, bench.errors(on, 1_000_000, "halton", range(1), passes=32, share=0.02)[0]
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 def test_smooth_light_of_the_reflector_is_less_noisy_than_progressive(reflector):
     """`python -m bench frequency` measures it at length."""
     on, squared = reflector
@@ -207,6 +207,7 @@ def test_smooth_light_of_the_reflector_is_less_noisy_than_progressive(reflector)
     assert frequency < progressive / 1.5
 
 
+@pytest.mark.kernels_run_elsewhere
 def test_errors_are_significantly_higher_nowhere(reflector):
     """In blocks of 0.15 m, edges and folds among them."""
     on, squared = reflector

@@ -30,7 +30,7 @@ def coloured():
     return SimpleNamespace(scene=scene, field=field, found=found, exact=exact, points=points, k=k)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 def test_noise_is_that_of_k_photons(coloured):
     inside = np.abs(coloured.points[:, :2]).max(axis=1) < 0.8
     found, exact = coloured.found[inside], coloured.exact[inside]
@@ -38,6 +38,7 @@ def test_noise_is_that_of_k_photons(coloured):
     assert np.abs(found - exact).sum() / exact.sum() <= 1.1 / np.sqrt(coloured.k)
 
 
+@pytest.mark.kernels_run_elsewhere
 def test_bias_is_small_beside_walls_and_in_corners(coloured):
     far = np.sort(np.abs(coloured.points[:, :2]), axis=1)
     for part, most in ((far[:, 1] > 0.85, 0.03), (far[:, 0] > 0.85, 0.06)):
@@ -53,7 +54,7 @@ def outermost(along):
     return np.concatenate([points, points[:, [1, 0, 2]]])
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 def test_bias_is_small_in_the_outer_fortieth(coloured):
     """Means over three maps, beside walls and in corners; radiosity extrapolated."""
     fields = [coloured.field]
@@ -73,7 +74,7 @@ def test_bias_is_small_in_the_outer_fortieth(coloured):
         assert abs(found / (exact + (exact - rough) / 3.0) - 1.0) <= most
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("albedo", [0.5, 0.9, 0.95])
 def test_furnace(albedo):
     """In a closed ball of albedo a, E = Φ / (4πR²(1 - a)), of which a share of a is indirect."""

@@ -94,6 +94,7 @@ def lit_squares():
     return maps
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("kind", ["random", "halton"])
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("method", NAMES)
@@ -125,7 +126,7 @@ def gain(method, kind, n, **how):
     return (found.mean(axis=0) * 1.5**2 / photons.flux.sum(axis=0) - 1.0)[0]
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("kind", ["random", "halton"])
 @pytest.mark.parametrize("method", NAMES)
 def test_energy_is_kept_where_kernels_are_small_beside_the_light(method, kind):
@@ -133,7 +134,7 @@ def test_energy_is_kept_where_kernels_are_small_beside_the_light(method, kind):
     assert gain(method, kind, 80_000) == pytest.approx(0.0, abs=0.01)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize(
     ("method", "kind", "gains"),
     [

@@ -61,7 +61,7 @@ def uniform_maps():
     }
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("kind", ["random", "halton", "relaxed"])
 @pytest.mark.parametrize("k", [15, 50])

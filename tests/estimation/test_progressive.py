@@ -105,6 +105,7 @@ PASSES = 2 ** np.arange(2, 8)
 WAVE = 2.0 * np.pi * 4.0
 
 
+@pytest.mark.kernels_run_elsewhere
 def test_discs_shrink_and_noise_and_bias_fall_as_theory_says():
     """R² ~ i^(α - 1), bias ~ R², N ~ i^α, variance ~ i^-α: slopes over passes 4 to 128.
 

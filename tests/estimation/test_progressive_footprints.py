@@ -84,7 +84,7 @@ def test_photons_that_coincide_are_counted_one_by_one():
 SIZES = [0.1, 0.6, 2.5, 10.0, 100.0]
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("kind", ["random", "halton"])
 def test_a_uniform_field_returns_its_own_value(kind):
     """Over 0.1 … 100 photons of the map, of which passes have an eighth."""
@@ -99,6 +99,7 @@ def test_a_uniform_field_returns_its_own_value(kind):
     assert (np.abs(means.mean(axis=0) - 1.0) < 2e-3 + 3 * error).all()
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("texels", [40, 150, 500])
 def test_a_partition_of_the_plane_has_the_whole_flux(texels):
     xy = unit_square(100_000, "random")

@@ -132,7 +132,7 @@ def numbers(refinement, photons, points):
     return np.array([chosen(refinement, row**2, flux) for row in distance])
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("refinement", REFINEMENTS)
 def test_uniform_light_uses_nearly_all_photons(refinement):
     """And keeps its mean: what is chosen is chosen by chance, 0.9 % low at most (measured)."""
@@ -182,7 +182,7 @@ def test_means_over_footprints_are_of_the_numbers_chosen_at_their_points(
         np.testing.assert_allclose(spaced[i], expected, rtol=1e-9)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("kind", ["random", "halton"])
 @pytest.mark.parametrize("refinement", REFINEMENTS)
 def test_uniform_light_has_its_own_value_over_footprints(refinement, kind):

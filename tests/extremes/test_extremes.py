@@ -35,6 +35,7 @@ def test_photons_at_one_point_have_no_radius(method):
         pr.irradiance_field(photons, method=method)
 
 
+@pytest.mark.kernels_run_elsewhere
 @each(scene_cases.FIELD_CASES)
 @pytest.mark.parametrize("method", METHODS)
 def test_light_below_a_plate(case, method):

@@ -82,7 +82,7 @@ CASES = {
 }
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("case", CASES)
 def test_relaxed_maps_are_no_worse(case):
     photons, irradiance = CASES[case]
@@ -96,6 +96,7 @@ def test_relaxed_maps_are_no_worse(case):
         assert mean[method] == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("n_lamps", [12, 1000, N])
 @pytest.mark.parametrize("method", RELAXING)
 def test_a_light_of_many_lamps_is_relaxed_as_that_of_one(n_lamps, method):

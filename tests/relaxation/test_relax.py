@@ -55,7 +55,7 @@ def test_neither_flux_nor_input_changes():
     assert after.well_spaced
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize(
     ("kind", "before", "after"), [("random", 0.32, 0.12), ("halton", 0.08, 0.03)]
 )

@@ -17,7 +17,7 @@ def relaxed(photons, rest, *, n_threads=1, scene=None, **settings):
     return pr.relax(photons, found, chosen, rest=rest, scene=scene, n_threads=n_threads)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("kind", ["halton", "random"])
 @pytest.mark.parametrize("name", MAPS)
 def test_slopes_do_not_flow_away(name, kind):
@@ -105,6 +105,7 @@ def test_moves_in_space_are_limited_by_the_spacing_of_all_sheets():
     assert gone.max() > 0.0
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("kind", ["halton", "random"])
 @pytest.mark.parametrize("n_iterations", [(5, 5), (14, 14)])
 def test_facets_are_never_worse_than_unrelaxed(kind, n_iterations):

@@ -175,7 +175,7 @@ def force_over_coords(coords, k=16):
     return np.linalg.norm(force, axis=1) / radius[:, 0]
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("kind", ["halton", "random"])
 def test_limits_follow_the_noise(kind):
     """Seven times the median force over the emitter coordinates, at most half the radius."""

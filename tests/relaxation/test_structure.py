@@ -14,7 +14,7 @@ def uniform_disc(rng, n_sets, k):
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize(("k", "tolerances"), [(100, (5e-4, 3e-4)), (50, (5e-4, 3e-4))])
 def test_second_eigenvalue_of_uniform_discs(k, tolerances):
     """SJ13 Fig. 7a: mean 0.2219 and deviation 0.0188 at k = 100."""

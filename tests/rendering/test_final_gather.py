@@ -43,7 +43,7 @@ def rendered(objects=(), camera=CAMERA, **options):
     return pr.render(scene, components=("indirect",), **options).layers["indirect"]
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 def test_noise_of_a_smooth_wall_is_at_most_a_quarter(exact):
     found, gathered = (rendered(final_gather=n, n_global=100_000) for n in (0, 16))
     noise, less = (np.sqrt(np.mean((block_means(each) - exact) ** 2)) for each in (found, gathered))
@@ -51,7 +51,7 @@ def test_noise_of_a_smooth_wall_is_at_most_a_quarter(exact):
     np.testing.assert_allclose(block_means(gathered), exact, rtol=0.03)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 def test_corners_and_glass_are_as_without_it():
     """Where much is near, and rays meet glass and a mirror: means of the whole image agree."""
     objects = [

@@ -109,7 +109,7 @@ def test_the_table_has_a_line_a_component():
     assert "5,000 photons" in table
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 def test_costs_scale_with_photons_and_pixels():
     """Counts are exact up to what the sequence leaves of a share; times are positive."""
     scene = pr.Scene([enclosure(0.5), glass_ball()], [LAMP], replace(CAMERA, width=200))

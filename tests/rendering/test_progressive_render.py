@@ -219,7 +219,7 @@ def test_progress_counts_passes(ring):
     assert seen == [("passes", 1, 2), ("passes", 2, 2)]
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("stochastic", [False, True])
 def test_memory_does_not_grow_with_passes(ring, stochastic):
     """Garbage of a pass, which is collected at some time, is not counted."""

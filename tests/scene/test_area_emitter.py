@@ -109,7 +109,7 @@ def test_photons_bring_the_irradiance_of_direct_light():
     assert photons.emitter_density.min() > 0.0
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("shape", [PANEL, pr.Sphere((0, 0, 2), 0.3)], ids=["panel", "sphere"])
 @pytest.mark.parametrize("gap", [0.5, 3.0])
 def test_photons_aimed_at_casters_are_those_of_the_whole_surface(shape, gap):

@@ -243,7 +243,7 @@ def test_a_camera_sees_the_sharp_edges_of_a_mirror():
 LENS = PlanoConvex()
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("merge", [False, True])
 @pytest.mark.parametrize("closer", [0.0, 1.0, 3.0])
 def test_a_lens_of_an_stl_file_focuses_like_exact_rays(closer, merge):

@@ -62,7 +62,7 @@ def test_a_sky_by_the_cosine_lights_a_plate_with_two_thirds_pi():
     np.testing.assert_allclose(found, 2 * np.pi / 3 * COLOUR, rtol=5e-3)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("towards", [(1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0), (0, 0, -1)])
 def test_a_disk_in_the_sky_is_where_its_texels_say(towards):
     """Of radius 20°, a plate that faces it gets π sin² of that; one that faces away nothing."""

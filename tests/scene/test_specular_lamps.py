@@ -59,7 +59,7 @@ def test_a_lamp_is_seen_once_in_another_mirror(material):
     np.testing.assert_allclose(seen[8, 8], 0.8 * RADIANCE, rtol=1e-6)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 def test_direct_light_and_photons_are_those_of_a_black_lamp(material):
     """Where nothing sends light back to the lamp, its material does not matter."""
     at = np.array([[0.0, 0, 0], [1.5, 0, 0]]), np.tile([0.0, 0, 1], (2, 1))
@@ -113,6 +113,7 @@ def test_all_light_of_a_furnace_is_counted_once():
     assert incident == pytest.approx(expected, rel=0.01)
 
 
+@pytest.mark.kernels_run_elsewhere
 def test_spectra_relaxing_and_final_gathers_know_specular_lamps(material):
     sun = pr.CollimatedEmitter((0.3, 0, -1))
     scene = pr.Scene([floor()], [sun, lamp(material)], CAMERA)

@@ -78,7 +78,7 @@ def two_mirrors(gap):
     return [floor(), *(pr.SceneObject(each, pr.Mirror()) for each in balls)]
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("gap", [0.25, 0.9, 1.3])
 @pytest.mark.parametrize("sampler", ["halton", "random"])
 def test_photons_aimed_at_casters_meet_them_as_those_of_the_whole_cone(gap, sampler):

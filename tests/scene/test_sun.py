@@ -25,7 +25,7 @@ def direct(scene, position, n, **samples):
     return direct_irradiance(scene, RayCaster(scene.objects), position, up, samples=light)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("angle", [1e-4, 0.266, 5.0, 60.0])
 def test_a_plate_that_faces_the_sun_gets_its_irradiance(angle):
     plate = pr.SceneObject(sheet(5.0), pr.Diffuse(0.0))
@@ -84,7 +84,7 @@ def _ring(angle):
     return pr.Scene(ring.objects, [light], ring.camera)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 def test_the_ring_under_a_sun_of_a_degree():
     """Relative L1 over cells of the floor within the ring, against ten times as many photons."""
     cells, half = 48, 1.05
@@ -118,7 +118,7 @@ def test_photons_of_a_sun_are_not_well_spaced_and_have_no_map(tmp_path):
     assert np.isinf(rest.limit).all()
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("angle", [2.0, 12.0])
 @pytest.mark.parametrize("gap", [0.25, 1.0])
 def test_casters_that_lie_apart_are_aimed_at_by_themselves(angle, gap):
@@ -157,7 +157,7 @@ def behind_an_edge(angle):
     return pr.Scene([floor(20.0), pr.SceneObject(roof, pr.Diffuse(0.0))], [sun(angle)])
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("angle", [0.266, 1.0, 20.0])
 def test_the_penumbra_behind_an_edge_is_the_closed_form(angle):
     x = np.linspace(-1.3, 1.3, 31) * np.tan(np.radians(angle))

@@ -74,7 +74,7 @@ def test_footprints_without_an_area_are_points():
         np.testing.assert_allclose(texture.means(uv, edges), expected, rtol=1e-6)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("shape", [(1024, 1024), (900, 1201)])
 def test_large_footprints_are_means_of_blocks(shape):
     """Within 0.1 % of the mean of all texels, of noise of the contrast of texels."""
@@ -146,6 +146,7 @@ def orthographic(height, pixels=8):
     )  # fmt: skip
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize(("height", "repeats"), [(0.02, 1), (0.5, 1), (6.0, 1), (6.0, 40)])
 def test_a_textured_floor_shows_the_mean_over_each_pixel(height, repeats):
     """Near, and so far that a pixel covers thousands of texels."""
@@ -219,7 +220,7 @@ def test_digests_tell_textures_apart():
     assert digest(pr.Texture(NOISE[::-1])) != one
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 def test_a_large_texture_costs_no_more_than_its_own_bytes():
     image = np.random.default_rng(1).integers(0, 256, (4096, 4096, 3), dtype=np.uint8)
     image.setflags(write=False)

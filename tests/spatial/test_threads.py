@@ -97,6 +97,7 @@ def estimate_of(method):
     return estimate(FIELDS[method])
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 @pytest.mark.parametrize("method", ["standard", "diffusion", "progressive"])
 def test_forked_children_evaluate_fields_of_their_parent(method):
@@ -201,6 +202,7 @@ def alarm():
     signal.signal(signal.SIGALRM, before)
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("name", LONG)
 def test_signals_are_heard_while_kernels_run(name, large, large_tree, alarm):
     sent = alarm(0.4)

@@ -44,6 +44,7 @@ APART = {
 }
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("name", APART)
 @pytest.mark.parametrize("material", [pr.Dielectric(1.5), pr.Mirror()], ids=["glass", "mirror"])
 def test_two_balls_far_apart_bring_what_each_brings_alone(name, material):
@@ -197,6 +198,7 @@ def test_each_region_keeps_the_order_of_halton_points():
 OVERLAPPING = [ball(0, z=1), ball(0.6, z=4), ball(3.0, z=2), ball(100)]
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("emitter", [DOWN, lamp(1.0, 0.0, 9.0)], ids=["parallel", "point"])
 def test_threads_and_batches_do_not_change_the_map(emitter):
     lit = scene(*OVERLAPPING, emitters=[emitter])

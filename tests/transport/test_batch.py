@@ -38,6 +38,7 @@ def contents(batch):
     )
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("paths", ["caustic", "all"])
 def test_a_spawned_process_traces_the_same_bytes(paths):
     context = context_of(SCENES["tinted glass, mirror, three emitters"], paths, 0.3)

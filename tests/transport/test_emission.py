@@ -92,7 +92,7 @@ def all_directions(emitter, n, rng):
     return rays
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize(
     "emitter",
     [pr.PointEmitter(near(0.0, 1.0, 1.0)), at(0.0, 1.0), at(0.6, 1.5), at(1.0, 2.0)],

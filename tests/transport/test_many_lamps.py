@@ -110,6 +110,7 @@ def test_the_mean_over_samples_is_the_sum_over_lamps(kind, rng):
     assert ((exact > 0.0) | (found == 0.0).all(axis=0)).all()
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("kind", [points, cosine_lobes, spots, beams])
 def test_noise_is_less_than_that_of_independent_samples_by_power(kind, rng):
     """Of which the closed form is (Σ f²/p - F²)/n, for lamps of light f and probability p."""

@@ -156,7 +156,7 @@ def from_above(points, half=2.4):
     return (points.object_id == 0) & (np.maximum(abs(x), abs(y)) < half) & (points.normal[:, 2] > 0)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @each_nesting
 def test_photons_are_refracted_and_absorbed_layer_by_layer(name):
     objects, layers = LAYERED[name]
@@ -356,6 +356,7 @@ POINT = pr.PointEmitter([0, 0, 0], 5.0)
 EMITTERS = [POINT, pr.LambertianEmitter([0, 0, 0], [0.3, 0.2, 1.0], 5.0)]
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("emitter", EMITTERS)
 @pytest.mark.parametrize("name", LAMPS)
 def test_lamps_know_the_media_that_they_are_in(name, emitter):

@@ -183,7 +183,7 @@ def test_photons_go_by_the_medium_at_every_point(name, eye):
     assert photons.ledger.imbalance < 1e-9
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @each_nesting
 def test_flux_through_overlaps_is_that_of_all_paths(name):
     """Means over photons against sums over paths of the shares that arrive."""

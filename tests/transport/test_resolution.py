@@ -53,6 +53,7 @@ def stored(half, caster, emitter, rotation=LEVEL, shift=0.0):
     return photons.flux[near, 0].sum(), np.median(distance[near])
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("caster", CASTERS)
 @pytest.mark.parametrize("half", [1e3, 1e6])
 @pytest.mark.parametrize("source", ["sun", "lamp"])
@@ -64,6 +65,7 @@ def test_light_does_not_depend_on_how_far_the_floor_reaches(caster, half, source
     )
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("shift", [0.0, 1e4])
 @pytest.mark.parametrize("height", [0.0, 0.3])
 def test_nor_does_that_of_lamps_over_or_on_tilted_floors(shift, height):
@@ -72,6 +74,7 @@ def test_nor_does_that_of_lamps_over_or_on_tilted_floors(shift, height):
     np.testing.assert_allclose(wide, small, rtol=2e-3)
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("caster", CASTERS)
 @pytest.mark.parametrize("half", [1e3, 1e5, 1e6])
 @pytest.mark.parametrize("shift", [0.0, 1e4])

@@ -80,6 +80,7 @@ def test_the_ledger_counts_what_is_stored_on_other_objects(scene):
     assert photons.on_sensor.any()
 
 
+@pytest.mark.kernels_run_elsewhere
 @each_scene
 @each_kind
 def test_threads_and_batches_change_no_bit(scene, paths):
@@ -183,7 +184,7 @@ def pool(*depths, absorption):
     return pr.Scene([bottom, body, *(plane(-depth, 0.9) for depth in depths)], [DOWN])
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("sampler", ["halton", "random"])
 def test_flux_in_absorbing_water_follows_beer_lambert(sampler):
     n, absorption, depths = 200_000, 0.2, (0.5, 1.0, 2.0, 4.0, 8.0)
@@ -301,7 +302,7 @@ def test_spectra_are_those_of_photons_on_other_objects():
     np.testing.assert_array_equal(photons.spectrum[~photons.on_sensor], expected.spectrum)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("method", ["standard", "parameterised", "frequency"])
 def test_images_are_the_same_with_sensors(method):
     """From above, through glass and beside it; some sensors shade the floor from the camera."""
@@ -320,6 +321,7 @@ def test_images_are_the_same_with_sensors(method):
             np.testing.assert_array_equal(image.layers[name], layer, err_msg=name)
 
 
+@pytest.mark.kernels_run_elsewhere
 def test_progressive_images_are_the_same_with_sensors():
     camera = pr.Camera((0.3, -4.0, 2.5), (0, 0, 0.5), width=24, height=16)
     scene = pr.Scene(SCENES["glass ball"].objects, [DOWN], camera)
@@ -331,6 +333,7 @@ def test_progressive_images_are_the_same_with_sensors():
         np.testing.assert_array_equal(other.layers[name], layer, err_msg=name)
 
 
+@pytest.mark.kernels_run_elsewhere
 def test_photons_relax_on_their_sensor_alone():
     """A flat sensor close above the floor, and a curved one through both."""
     dome = trimesh.creation.icosphere(4, 1.5)
@@ -356,6 +359,7 @@ def test_photons_relax_on_their_sensor_alone():
     np.testing.assert_array_equal(relaxed.subset(~photons.on_sensor).position, expected.position)
 
 
+@pytest.mark.kernels_run_elsewhere
 def test_many_emitters_relax_on_their_sensor_alone():
     """Some lamps have a tree of their own, some share one, and some are pooled."""
     rng = np.random.default_rng(0)
@@ -413,7 +417,7 @@ def test_batches_can_be_traced_elsewhere():
     assert np.isin(here["object_id"], scene.sensors).any()
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 def test_shares_of_the_light_around_the_focus_of_a_lens():
     """A plano-convex lens from an STL file, and planes across its caustic."""
     lens, depths = PlanoConvex(), (190.0, 193.7, 195.0, 196.5, 198.0)

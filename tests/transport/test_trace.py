@@ -85,7 +85,7 @@ def test_a_map_grows_when_a_later_emitter_stores_more_than_the_first():
     assert_same_bytes(whole, grown)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("n_threads", [1, 2])
 @pytest.mark.parametrize(
     ("name", "paths"), [("glass ball", "caustic"), ("glass and mirror in an enclosure", "all")]

@@ -83,7 +83,7 @@ def test_furnace_irradiance_is_even_on_all_walls():
     np.testing.assert_allclose(walls, 10.0 / 6.0, rtol=0.03)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("angle", [0.0, 50.0, 75.0])
 @pytest.mark.parametrize(("ior", "absorption"), [(1.5, 0.0), (2.4, (0.0, 10.0, 40.0)), (1.0, 0.0)])
 def test_light_through_a_slab_is_e0_times_t(angle, ior, absorption):

@@ -42,6 +42,7 @@ PATHS = {
 }
 
 
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("point", [False, True])
 def test_operators_predict_where_neighbouring_rays_land(path, point):
@@ -91,7 +92,7 @@ def bundle_at(region, places):
     return _Bundle(region, region.origin + region.start_distance * direction, direction)
 
 
-@pytest.mark.many_photons
+@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("paths", ["caustic", "all"])
 @pytest.mark.parametrize("name", SCENES)
 def test_spectra_depend_on_no_thread_and_no_batch_and_change_no_photon(name, paths):
@@ -157,6 +158,7 @@ def test_plates_are_seen_that_are_as_narrow_as_two_thirds_of_their_distance():
     assert (allowed(photons.subset(beside)) < 0.33 * distance[beside]).all()
 
 
+@pytest.mark.kernels_run_elsewhere
 def test_kernels_stay_off_the_edge_of_total_reflection():
     """A lamp in glass, mirrored by its upper face; a plate below, in the glass."""
     glass = pr.SceneObject(box([20.0, 20.0, 2.0]), pr.Dielectric(1.5))
