@@ -392,7 +392,6 @@ def test_uniform_light_in_passes():
 # Diffusion
 
 
-@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize("method", ["diffusion", "isotropic-diffusion"])
 def test_uniform_light_by_diffusion(method):
     """At points, over footprints smaller than kernels, and over wider ones, up to an edge."""

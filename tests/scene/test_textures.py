@@ -146,7 +146,6 @@ def orthographic(height, pixels=8):
     )  # fmt: skip
 
 
-@pytest.mark.kernels_run_elsewhere
 @pytest.mark.parametrize(("height", "repeats"), [(0.02, 1), (0.5, 1), (6.0, 1), (6.0, 40)])
 def test_a_textured_floor_shows_the_mean_over_each_pixel(height, repeats):
     """Near, and so far that a pixel covers thousands of texels."""

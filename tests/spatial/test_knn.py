@@ -91,6 +91,7 @@ def test_every_number_of_points(path, n):
             assert_nearest(points, k, rows=some_rows(rng, n), queries=queries)
 
 
+@pytest.mark.kernels_run_elsewhere
 @on_each_path
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("d", [3, 5, 6])
@@ -230,6 +231,7 @@ def test_density_that_jumps_from_batch_to_batch(path, k):
         assert_nearest(points, k, queries=points[some_rows(rng, len(points), 300)])
 
 
+@pytest.mark.kernels_run_elsewhere
 @on_each_path
 def test_many_at_one_place_and_few_far_from_it(path):
     rng = np.random.default_rng(2)

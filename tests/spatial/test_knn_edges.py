@@ -119,6 +119,7 @@ def test_points_all_about_as_far_away(path, search):
         assert_same(found, nearest(points, queries, k, points.shape[1]))
 
 
+@pytest.mark.kernels_run_elsewhere
 @on_each_path
 @settings(max_examples=60, deadline=None)
 @given(
@@ -155,6 +156,7 @@ def test_as_many_axes_as_floats_serve_for_and_more(path, n_metric, d):
 # Lists
 
 
+@pytest.mark.kernels_run_elsewhere
 @on_each_path
 @pytest.mark.parametrize(("k", "n"), [(1, 4000), (5, 4000), (60, 4000), (800, 2000)])
 def test_what_is_left_out_of_many_candidates_stays_out(path, k, n):

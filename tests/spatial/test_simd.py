@@ -174,6 +174,7 @@ def test_paths_give_the_same_bits(path, portable):
         assert differing(bits(photons), expected) == []
 
 
+@pytest.mark.kernels_run_elsewhere
 @on_each_path
 @pytest.mark.parametrize("n_threads", [1, 7])
 def test_numbers_of_threads_and_of_rows_at_a_time_give_the_same_bits(
