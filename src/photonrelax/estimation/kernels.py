@@ -49,7 +49,7 @@ def well_spaced_mean(k: Number, kernel: str) -> Number:
     It is one for independent photons and any kernel. Evenly spaced photons number k − 1/2, not
     k − 1, within the distance to the k-th, and are missing from its rim. The constants lie between
     those fitted to uniform fields of Halton and of relaxed photons, which they bring to within
-    0.3 % of the value for k of 15 and more.
+    0.5 % of the value for k of 15 and more.
     """
     factor, exponent = WELL_SPACED_BIAS[kernel]
     return 1.0 - factor * k**exponent

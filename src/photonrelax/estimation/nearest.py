@@ -47,7 +47,7 @@ class GatherSettings:
     kernel : {"epanechnikov", "cone", "constant", "gaussian"}
         Profile of estimates at points; those over footprints have the Gaussian's. Each is
         normalised so that a uniform field returns its own value; from well-spaced photons within
-        0.3 % for k of 15 and more.
+        0.5 % for k of 15 and more.
     gather_radius : float, optional
         Largest distance, m, from which photons are gathered. Where it holds fewer than k it is the
         bandwidth, so that black regions stay black. Photons at the same point that face the same
