@@ -5,7 +5,7 @@ A batch can be traced in any thread or process: a `TraceContext` is pickled by i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -24,8 +24,8 @@ from .media import NestingFaults, media_at_emitters
 from .raycast import RayCaster
 from .sensors import sensor_casters, store_crossings
 
-Job = tuple[int, range]
-"""A region of an emission plan and the indices of some of its photons."""
+Job = tuple[tuple[int, range], ...]
+"""Regions of an emission plan, and the indices of some of the photons of each."""
 # Faces of a scene from which on rays near to one another in sequence save more time than it takes
 # to put them so.
 _MANY_FACES = 30_000
@@ -43,14 +43,14 @@ class TraceSettings:
 
 @dataclass(frozen=True, eq=False)
 class BatchLedger:
-    """Outcomes of some paths of one region.
+    """Outcomes of some paths, by blocks of those of one region.
 
-    `energy` (blocks, outcomes, 3) is relative to the flux of a photon; `ends` (outcomes,) and
-    `n_met_specular` count paths, `faults` the rays that the nesting of dielectrics contradicts
-    (`warn_of_faults`).
+    `region_id` is that of each block. `energy` (blocks, outcomes, 3) is relative to the flux of a
+    photon; `ends` (blocks, outcomes) and `n_met_specular` count paths, `faults` the rays that the
+    nesting of dielectrics contradicts (`warn_of_faults`).
     """
 
-    region_id: int
+    region_id: NDArray[np.intp]
     n_paths: int
     energy: Floats
     ends: NDArray[np.int64]
@@ -60,26 +60,33 @@ class BatchLedger:
 
 @dataclass(frozen=True, eq=False)
 class TracedBatch:
-    """Photons deposited by some paths of one region.
+    """Photons deposited by some paths.
 
     Attributes
     ----------
+    region_id : (n_regions,) intp
+        The regions that the paths are of.
     deposits : (n,) structured
         In the order of events; `photonrelax._ext.transport.deposits.DEPOSIT`.
     emitter_coords, emitter_density : (n_paths, 3), (n_paths,) float64
         Of the paths, by `path` of the deposits.
+    source : (n_paths,) int32
+        Number of each path's region among `region_id`.
     ledger : BatchLedger
         Outcomes of the paths.
-    spectrum_photons : (m,) int64
-        The photons that are to get spectra, by their indices among the candidates.
+    spectrum_regions, spectrum_photons : (m,) intp, (m,) int64
+        The photons that are to get spectra: their regions, and indices among the candidates.
     spectrum_rows : (m,) intp
         Their rows among the deposits in the order of the paths.
     """
 
+    region_id: NDArray[np.intp]
     deposits: NDArray[np.void]
     emitter_coords: Floats
     emitter_density: Floats
+    source: NDArray[np.int32]
     ledger: BatchLedger
+    spectrum_regions: NDArray[np.intp]
     spectrum_photons: NDArray[np.int64]
     spectrum_rows: NDArray[np.intp]
 
@@ -141,22 +148,24 @@ class TraceContext:
     def start(
         self,
         paths: _kernel.Paths,
-        region_id: int,
-        candidates: NDArray[np.int64],
+        region_id: NDArray[np.intp],
+        candidates: Sequence[NDArray[np.int64]],
         *,
         in_order: bool = False,
     ) -> tuple[Floats, NDArray[np.int64]]:
-        """Emit candidates (n,) of a region into paths, which fill the arrays returned.
+        """Emit candidates of each of some regions into paths, which fill the arrays returned.
 
-        These are flux (blocks, outcomes, 3) and number (outcomes,) of the ends of paths. Live rays
-        stay `in_order` of the candidates, or may follow a curve over the emitter.
+        These are flux (blocks, outcomes, 3) and number (blocks, outcomes) of the ends of paths.
+        Live rays stay `in_order` of the candidates, or may follow a curve over the emitters.
         """
-        energy = np.zeros((-(-len(candidates) // _kernel.LEDGER_BLOCK), len(PATH_OUTCOMES), 3))
-        ends = np.zeros(len(PATH_OUTCOMES), dtype=np.int64)
+        counts = np.array([len(each) for each in candidates])
+        shape = int(_n_blocks(counts).sum()), len(PATH_OUTCOMES)
+        energy, ends = np.zeros((*shape, 3)), np.zeros(shape, dtype=np.int64)
         paths.start(
-            self.emissions[region_id],
-            candidates,
-            media=self.media[self.plan.aimed[region_id].emitter_id],
+            [self.emissions[region] for region in region_id.tolist()],
+            counts,
+            np.concatenate(candidates),
+            media=self.media[self.plan.emitter_ids[region_id]],
             luminance=LUMINANCE * self.flux[region_id],
             ledger=energy,
             ends=ends,
@@ -173,10 +182,43 @@ class TraceContext:
         return partial(TraceContext, caster=self.caster), parts
 
 
+def batch_capacity(most: int, plan: EmissionPlan) -> int:
+    """Paths of a batch, so many at most rounded up to whole blocks of the ledger."""
+    most = min(most, int(plan.counts.sum()))
+    return -(-most // _kernel.LEDGER_BLOCK) * _kernel.LEDGER_BLOCK
+
+
+def batch_jobs(plan: EmissionPlan, photons: range, size: int) -> Iterator[Job]:
+    """Some photons of all regions in order, in jobs of up to `size` of them.
+
+    Jobs end after whole blocks of the ledger of a region, or after its last photon.
+    """
+    job: list[tuple[int, range]] = []
+    room = size
+    for region_id, mine in plan.parts(photons):
+        while len(mine):
+            # The rest of the region, or the whole blocks there is room for.
+            n = len(mine) if len(mine) <= room else room - room % _kernel.LEDGER_BLOCK
+            if n:
+                job.append((region_id, mine[:n]))
+                mine, room = mine[n:], room - n
+            if len(mine) or room == 0:
+                yield tuple(job)
+                job, room = [], size
+    if job:
+        yield tuple(job)
+
+
+def _n_blocks(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Blocks of the ledger of so many photons of regions."""
+    return -(-counts // _kernel.LEDGER_BLOCK)
+
+
 def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
-    """Trace some photons of one region to the ends of their paths."""
-    region_id, photons = job
-    candidates = context.plan.candidates_of(region_id, photons)
+    """Trace some photons of some regions to the ends of their paths."""
+    region_id = np.array([region for region, _ in job], dtype=np.intp)
+    candidates = [context.plan.candidates_of(region, photons) for region, photons in job]
+    counts = np.array([len(photons) for _, photons in job])
     paths = context.acquire_paths()
     energy, ends = context.start(paths, region_id, candidates)
     while paths.n_live or paths.disperse():
@@ -186,11 +228,14 @@ def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
         paths.advance(found)
     deposits, coords, density = paths.take_deposits()
     ledger = BatchLedger(
-        region_id, len(photons), energy, ends, paths.n_met_specular, paths.faults.take()
+        np.repeat(region_id, _n_blocks(counts)),
+        *(len(density), energy, ends, paths.n_met_specular, paths.faults.take()),
     )
     context.release_paths(paths)
+    source = np.repeat(np.arange(len(job), dtype=np.int32), counts)
     path, rows = _spectrum_rows(context, region_id, candidates, deposits)
-    return TracedBatch(deposits, coords, density, ledger, candidates[path], rows)
+    spectra = region_id[source[path]], np.concatenate(candidates)[path], rows
+    return TracedBatch(region_id, deposits, coords, density, source, ledger, *spectra)
 
 
 def trace_batches(context: TraceContext, jobs: Sequence[Job]) -> list[TracedBatch]:
@@ -200,8 +245,8 @@ def trace_batches(context: TraceContext, jobs: Sequence[Job]) -> list[TracedBatc
 
 def _spectrum_rows(
     context: TraceContext,
-    region_id: int,
-    candidates: NDArray[np.int64],
+    region_id: NDArray[np.intp],
+    candidates: Sequence[NDArray[np.int64]],
     deposits: NDArray[np.void],
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Paths of a batch whose first deposits on surfaces are to get spectra, and their rows.
@@ -211,11 +256,14 @@ def _spectrum_rows(
     share = context.settings.frequency_share
     if share == 0.0:
         return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
-    selected = np.empty(len(candidates), dtype=np.uint8)
-    context.emissions[region_id].spectrum_photons(candidates, selected, share)
+    chosen = [
+        context.emissions[region].spectrum_photons(mine, share)
+        for region, mine in zip(region_id.tolist(), candidates, strict=True)
+    ]
+    selected = np.concatenate(chosen)
     order = np.argsort(deposits["path"], kind="stable")
     on_surface = ~np.isin(deposits["object_id"][order], context.scene.sensors)
     rows = np.flatnonzero(on_surface)
     path, first = np.unique(deposits["path"][order[rows]], return_index=True)
-    chosen = selected[path] > 0
-    return path[chosen].astype(np.intp), rows[first[chosen]]
+    is_chosen = selected[path] > 0
+    return path[is_chosen].astype(np.intp), rows[first[is_chosen]]

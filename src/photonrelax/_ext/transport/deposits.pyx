@@ -55,11 +55,13 @@ cdef class Columns:
 
     def write(
         self, const Deposit[::1] deposits, const double[:, ::1] coords, const double[::1] density,
-        *, Py_ssize_t first, const double[::1] flux, int emitter_id,
+        const int32_t[::1] source, *, Py_ssize_t first, const double[:, ::1] flux,
+        const int32_t[::1] emitter_id,
     ):
-        """Fill the rows from `first` with photons of `flux`; deposits of a path keep their order.
+        """Fill the rows from `first` with photons; deposits of a path keep their order.
 
-        `coords` and `density` have a row for each path.
+        `coords`, `density` and `source` have a row for each path, `flux` and `emitter_id` one for
+        each source.
         """
         cdef Py_ssize_t i, n = deposits.shape[0]
         cdef int32_t[::1] row = np.zeros(density.shape[0], np.int32)
@@ -67,19 +69,22 @@ cdef class Columns:
         if first < 0 or self.position.shape[0] < first + n:
             raise ValueError(f"columns should have rows {first} to {first + n}")
         if not (
-            coords.shape[0] == density.shape[0] and flux.shape[0] == 3
+            coords.shape[0] == density.shape[0] == source.shape[0] and flux.shape[1] == 3
+            and flux.shape[0] == emitter_id.shape[0] and np.min(source, initial=0) >= 0
+            and np.max(source, initial=-1) < flux.shape[0]
             and coords.shape[1] >= self.emitter_coords.shape[1]
         ):
-            raise ValueError("coords, density and flux do not fit the columns")
+            raise ValueError("coords, density, source and flux do not fit the columns")
         with nogil:
             first_rows(row, deposits)
             for i in range(n):
                 path = deposits[i].path
                 self.fill(
-                    first + row[path], &deposits[i], &coords[path, 0], density[path], &flux[0]
+                    first + row[path], &deposits[i], &coords[path, 0], density[path],
+                    &flux[source[path], 0],
                 )
+                self.emitter_id[first + row[path]] = emitter_id[source[path]]
                 row[path] += 1
-            self.emitter_id[first : first + n] = emitter_id
 
     cdef void fill(
         self, Py_ssize_t row, const Deposit* deposit, const double* coords, double density,

@@ -42,8 +42,8 @@ cdef enum:
     GLOBAL = 1
 
 
-# Photons whose energies are summed in one row of the ledger. Batches hold whole blocks, so the sums
-# do not depend on the batches.
+# Photons of a region whose energies are summed in one row of the ledger. Batches hold whole blocks,
+# so the sums do not depend on the batches.
 cdef enum:
     PER_BLOCK = 1024
 
@@ -106,10 +106,10 @@ cdef uint32_t spread_bits(uint32_t cell) noexcept nogil:
 
 @cython.final
 cdef class Paths(LiveRays):
-    """State of a batch of up to `size` paths of one emitter; reused for one batch after another.
+    """State of a batch of up to `size` paths; reused for one batch after another.
 
-    Live rays are packed at the front. Ledger rows belong to blocks of `LEDGER_BLOCK` photons,
-    counted from the emitter's first.
+    Live rays are packed at the front. Ledger rows belong to blocks of `LEDGER_BLOCK` photons of one
+    region, counted from its first in the batch.
     """
 
     cdef unsigned char[::1] memory, loss_memory
@@ -120,22 +120,24 @@ cdef class Paths(LiveRays):
     # Row of the first loss of each path in a pass; empty while rays are in the order of paths.
     cdef int32_t[::1] first_loss
     cdef Deposits deposits
+    # By block, and the block of each path.
     cdef double[:, :, ::1] ledger
-    cdef int64_t[::1] ends
-    cdef double[3] luminance
+    cdef int64_t[:, ::1] ends
+    cdef double[:, ::1] luminance
+    cdef int32_t[::1] block
     # Centre and radius.
     cdef double[4] guide
     cdef int path_filter, max_bounces
     cdef readonly Py_ssize_t size
     # Rays to be dispersed, each into `n_wavelengths`, whose colours (nodes, 3) are tabulated; the
-    # photons of the paths, and their emission.
+    # photons of the paths, and the emission of each block.
     cdef unsigned char[::1] white_memory
     cdef WhiteRay* white
     cdef Py_ssize_t n_white
     cdef int n_wavelengths
     cdef const double[:, ::1] colours
     cdef const int64_t[::1] photons
-    cdef Emission emission
+    cdef list emissions
     cdef readonly int64_t n_met_specular
 
     def __init__(
@@ -165,35 +167,43 @@ cdef class Paths(LiveRays):
         self.path_filter, self.max_bounces = path_filter, max_bounces
 
     def start(
-        self, Emission emission, const int64_t[::1] photons, *, const double[::1] luminance,
-        double[:, :, ::1] ledger, int64_t[::1] ends, uint64_t media=0, bint along_curve=False,
+        self, emissions, const int64_t[::1] counts, const int64_t[::1] photons, *,
+        const uint64_t[::1] media, const double[:, ::1] luminance, double[:, :, ::1] ledger,
+        int64_t[:, ::1] ends, bint along_curve=False,
     ):
-        """Start paths with the primal rays of photons, given by their indices, within media.
+        """Start paths with the primal rays of photons, given by their indices.
 
-        Rays are in the order of the photons, or `along_curve` in Morton order of their emitter
-        coordinates.
+        Of each emission there are some, which follow one another, within a stack of media and of a
+        luminance. Rays are in the order of the photons, or `along_curve` in Morton order of their
+        emitter coordinates.
         """
-        cdef Py_ssize_t i, c, n = photons.shape[0]
+        cdef Py_ssize_t i, k, n_blocks, n = photons.shape[0]
         if n > self.size:
             raise ValueError(f"photons should be at most {self.size}, but are {n}")
+        blocks = -(-np.asarray(counts) // PER_BLOCK)
+        n_blocks = blocks.sum()
         if not (
-            luminance.shape[0] == ledger.shape[2] == 3
-            and ledger.shape[0] * PER_BLOCK >= n
-            and ledger.shape[1] == ends.shape[0] == N_OUTCOMES
+            len(emissions) == counts.shape[0] == media.shape[0] == luminance.shape[0]
+            and np.sum(counts) == n and np.min(counts, initial=0) >= 0
+            and luminance.shape[1] == ledger.shape[2] == 3
+            and ledger.shape[0] == ends.shape[0] == n_blocks
+            and ledger.shape[1] == ends.shape[1] == N_OUTCOMES
         ):
-            raise ValueError("luminance, ledger and ends do not fit the photons")
+            raise ValueError("emissions, media, luminance, ledger and ends do not fit the photons")
         self.ledger, self.ends = ledger, ends
+        self.luminance = np.repeat(luminance, blocks, axis=0)
+        self.emissions = list(np.repeat(np.array(emissions, object), blocks))
+        self.block = np.empty(n, np.int32)
         self.n_met_specular = self.n_white = 0
-        self.emission, self.photons = emission, photons
+        self.photons = photons
         self.faults.take()
         self.deposits = Deposits(n)
-        for c in range(3):
-            self.luminance[c] = luminance[c]
         self.finite = True
-        with nogil:
-            for i in range(n):
-                self.emit(emission, i, photons[i])
-                self.ray[i].media = media
+        i = n_blocks = 0
+        for k in range(counts.shape[0]):
+            self.emit_some(emissions[k], i, counts[k], n_blocks, media[k])
+            i += counts[k]
+            n_blocks += blocks[k]
         self.n_losses = 0
         self.first_loss = np.empty(0, np.int32)
         if along_curve:
@@ -213,14 +223,19 @@ cdef class Paths(LiveRays):
         """
         cdef Py_ssize_t i, row
         cdef int order
-        cdef double turn
+        cdef double[::1] turn = np.empty(self.n_white)
+        cdef int32_t path
+        cdef Emission emission
+        for i in range(self.n_white):
+            path = self.white[i].ray.path
+            emission = self.emissions[self.block[path]]
+            turn[i] = emission.turn(self.photons[path])
         self.n_live = self.n_white * self.n_wavelengths
         with nogil:
             for i in range(self.n_white):
-                turn = self.emission.turn(self.photons[self.white[i].ray.path])
                 for order in range(self.n_wavelengths):
                     row = i * self.n_wavelengths + order
-                    self.resume(row, &self.white[i], order, (order + turn) / self.n_wavelengths)
+                    self.resume(row, &self.white[i], order, (order + turn[i]) / self.n_wavelengths)
                 self.lose_colour(i)
             self.settle()
         self.n_white = 0
@@ -384,8 +399,21 @@ cdef class Paths(LiveRays):
         self.deposit(&event)
         return True
 
+    cdef emit_some(
+        self, Emission emission, Py_ssize_t first, Py_ssize_t n, Py_ssize_t first_block,
+        uint64_t media,
+    ):
+        """Emit n photons of one emission, from the first on."""
+        cdef Py_ssize_t i
+        with nogil:
+            for i in range(first, first + n):
+                self.block[i] = <int32_t>(first_block + (i - first) // PER_BLOCK)
+                self.emit(emission, i, self.photons[i])
+                self.ray[i].media = media
+
     cdef void emit(self, Emission emission, Py_ssize_t path, uint64_t index) noexcept nogil:
         cdef Ray* ray = &self.ray[path]
+        cdef const double* luminance = &self.luminance[self.block[path], 0]
         cdef int c
         ray.path = <int32_t>path
         ray.key = emission.key(index)
@@ -396,7 +424,7 @@ cdef class Paths(LiveRays):
         ray.signature = 0
         for c in range(3):
             # Channels in which the emitter is black stay out of every product.
-            ray.throughput[c] = 1.0 if self.luminance[c] > 0.0 else 0.0
+            ray.throughput[c] = 1.0 if luminance[c] > 0.0 else 0.0
         if emission.is_coloured:
             emission.colour(ray.throughput, index)
         self.deposits.coords[path, 2] = 0.0
@@ -632,11 +660,12 @@ cdef class Paths(LiveRays):
         Otherwise false. Survivors keep their luminance: all photons of an emitter carry the same.
         """
         cdef Ray* ray = event.ray
+        cdef const double* luminance = &self.luminance[self.block[ray.path], 0]
         cdef double before = 0.0, after = 0.0
         cdef int c
         for c in range(3):
-            before += self.luminance[c] * ray.throughput[c]
-            after += self.luminance[c] * ray.throughput[c] * factor[c]
+            before += luminance[c] * ray.throughput[c]
+            after += luminance[c] * ray.throughput[c] * factor[c]
         if random(event, number) * before >= after:
             return False
         for c in range(3):
@@ -648,7 +677,7 @@ cdef class Paths(LiveRays):
         cdef double[3] lost
         copy(lost, ray.throughput)
         self.add_colour(lost, ray.wavelength)
-        self.ends[outcome] += ray.order == 0
+        self.ends[self.block[ray.path], outcome] += ray.order == 0
         self.lose(ray.path, outcome, lost)
         return False
 
@@ -670,11 +699,13 @@ cdef class Paths(LiveRays):
         cdef Py_ssize_t i
         cdef int c
         cdef const Loss* loss = self.loss
+        cdef double* total
         if self.first_loss.shape[0]:
             loss = self.losses_by_path()
         for i in range(self.n_losses):
+            total = &self.ledger[self.block[loss[i].path], loss[i].outcome, 0]
             for c in range(3):
-                self.ledger[loss[i].path // PER_BLOCK, loss[i].outcome, c] += loss[i].amount[c]
+                total[c] += loss[i].amount[c]
         self.n_losses = 0
 
     cdef const Loss* losses_by_path(self) noexcept nogil:
