@@ -171,9 +171,13 @@ def _shells_of(
     scene: Scene, n_emitted: int, settings: TraceSettings, caster: RayCaster
 ) -> _Shells | None:
     """Shells around the specular objects if they make the variance much less; found once."""
-    aimed, guide = nested_aim(scene), scene.targets.around_casters
-    n_paths = _n_paths(n_emitted, max(len(aimed), 1))
-    if guide is None or not n_paths:
+    guide = scene.targets.around_casters
+    # Emitters have a region each at least, and many have very many.
+    if guide is None or not _n_paths(n_emitted, len(scene.emitters)):
+        return None
+    aimed = nested_aim(scene)
+    n_paths = _n_paths(n_emitted, len(aimed))
+    if not n_paths:
         return None
     known = _shells.setdefault(scene, {})
     key = settings, n_paths
