@@ -34,7 +34,7 @@ def contents(batch):
         ledger.energy.tobytes(),
         ledger.ends.tobytes(),
         (ledger.region_id.tobytes(), ledger.n_paths, ledger.n_met_specular),
-        batch.source.tobytes(),
+        batch.counts.tobytes(),
         batch.spectrum_regions.tobytes(),
         batch.spectrum_photons.tobytes(),
         batch.spectrum_rows.tobytes(),

@@ -56,7 +56,7 @@ def test_paths_want_a_row_of_the_ledger_for_each_block(context):
 
 def test_crossings_are_of_live_rays(context):
     paths = context.acquire_paths()
-    context.start(paths, np.array([0]), [np.arange(N)])
+    context.start(paths, np.array([0]), np.array([N]), np.arange(N))
     found, hits = context.caster.find_paths(paths), empty_intersections(N)
     with pytest.raises(ValueError, match="do not fit one another"):
         paths.cross(found, np.arange(N - 1), hits)
@@ -97,10 +97,10 @@ def test_columns_have_as_many_rows_of_the_same_widths(odd):
         columns(**odd)
 
 
-SOURCES = {
+REGIONS = {
     "coords": np.ones((2, 3)),
     "density": np.ones(2),
-    "source": np.zeros(2, np.int32),
+    "counts": np.array([2]),
     "flux": np.ones((1, 3)),
     "emitter_id": np.zeros(1, np.int32),
 }
@@ -111,18 +111,18 @@ SOURCES = {
     [
         *({"coords": np.ones(shape)} for shape in ((1, 3), (2, 2))),
         *({"flux": np.ones(shape)} for shape in ((1, 2), (2, 3))),
-        *({"source": np.array(numbers, np.int32)} for numbers in ([0], [0, 1], [-1, 0])),
+        *({"counts": np.array(numbers)} for numbers in ([1], [1, 1], [3, -1])),
     ],
 )
-def test_deposits_want_coordinates_density_and_source_of_each_path(odd):
+def test_deposits_want_coordinates_density_and_region_of_each_path(odd):
     with pytest.raises(ValueError, match="do not fit the columns"):
-        columns().write(np.zeros(N, DEPOSIT), **SOURCES | odd, first=0)
+        columns().write(np.zeros(N, DEPOSIT), **REGIONS | odd, first=0)
 
 
 @pytest.mark.parametrize("first", [-1, 1])
 def test_deposits_want_rows_of_the_columns(first):
     with pytest.raises(ValueError, match="should have rows"):
-        columns().write(np.zeros(N, DEPOSIT), **SOURCES, first=first)
+        columns().write(np.zeros(N, DEPOSIT), **REGIONS, first=first)
 
 
 @pytest.mark.parametrize(

@@ -156,7 +156,8 @@ def _probe(scene: Scene, settings: TraceSettings, n_paths: int, caster: RayCaste
     plan = plan_emission(scene, np.where(shines, n_paths, 0).tolist(), settings.paths)
     paths, stored, squares = np.zeros((3, n_emitters))
     for batch in _traced(_context(scene, plan, settings, caster)):
-        deposits, emitter = batch.deposits, plan.emitter_ids[batch.region_id][batch.source]
+        deposits = batch.deposits
+        emitter = np.repeat(plan.emitter_ids[batch.region_id], batch.counts)
         # The wavelengths of a path bring its light together.
         share = np.where(deposits["wavelength"] > 0.0, 1.0 / N_WAVELENGTHS, 1.0)
         of_path = np.bincount(deposits["path"], share, minlength=len(emitter))
@@ -211,7 +212,7 @@ def _stored_light(context: TraceContext) -> tuple[Floats, Floats]:
     total, square = np.zeros((2, n_regions))
     luminance = LUMINANCE * context.flux
     for batch in _traced(context):
-        deposits, region_id = batch.deposits, batch.region_id[batch.source]
+        deposits, region_id = batch.deposits, np.repeat(batch.region_id, batch.counts)
         own = luminance[region_id[deposits["path"]]]
         light = (deposits["throughput"] * own).sum(axis=1) / own.sum(axis=1)
         of_path = np.bincount(deposits["path"], light, minlength=len(region_id))

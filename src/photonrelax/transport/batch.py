@@ -64,14 +64,12 @@ class TracedBatch:
 
     Attributes
     ----------
-    region_id : (n_regions,) intp
-        The regions that the paths are of.
+    region_id, counts : (n_regions,) intp, int64
+        The regions that the paths are of, and the number of paths of each in sequence.
     deposits : (n,) structured
         In the order of events; `photonrelax._ext.transport.deposits.DEPOSIT`.
     emitter_coords, emitter_density : (n_paths, 3), (n_paths,) float64
         Of the paths, by `path` of the deposits.
-    source : (n_paths,) int32
-        Number of each path's region among `region_id`.
     ledger : BatchLedger
         Outcomes of the paths.
     spectrum_regions, spectrum_photons : (m,) intp, (m,) int64
@@ -81,10 +79,10 @@ class TracedBatch:
     """
 
     region_id: NDArray[np.intp]
+    counts: NDArray[np.int64]
     deposits: NDArray[np.void]
     emitter_coords: Floats
     emitter_density: Floats
-    source: NDArray[np.int32]
     ledger: BatchLedger
     spectrum_regions: NDArray[np.intp]
     spectrum_photons: NDArray[np.int64]
@@ -149,22 +147,22 @@ class TraceContext:
         self,
         paths: _kernel.Paths,
         region_id: NDArray[np.intp],
-        candidates: Sequence[NDArray[np.int64]],
+        counts: NDArray[np.int64],
+        candidates: NDArray[np.int64],
         *,
         in_order: bool = False,
     ) -> tuple[Floats, NDArray[np.int64]]:
-        """Emit candidates of each of some regions into paths, which fill the arrays returned.
+        """Emit candidates, so many of each of some regions, into paths; these fill what returns.
 
-        These are flux (blocks, outcomes, 3) and number (blocks, outcomes) of the ends of paths.
+        That is flux (blocks, outcomes, 3) and number (blocks, outcomes) of the ends of paths.
         Live rays stay `in_order` of the candidates, or may follow a curve over the emitters.
         """
-        counts = np.array([len(each) for each in candidates])
         shape = int(_n_blocks(counts).sum()), len(PATH_OUTCOMES)
         energy, ends = np.zeros((*shape, 3)), np.zeros(shape, dtype=np.int64)
         paths.start(
             [self.emissions[region] for region in region_id.tolist()],
             counts,
-            np.concatenate(candidates),
+            candidates,
             media=self.media[self.plan.emitter_ids[region_id]],
             luminance=LUMINANCE * self.flux[region_id],
             ledger=energy,
@@ -217,10 +215,11 @@ def _n_blocks(counts: NDArray[np.int64]) -> NDArray[np.int64]:
 def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
     """Trace some photons of some regions to the ends of their paths."""
     region_id = np.array([region for region, _ in job], dtype=np.intp)
-    candidates = [context.plan.candidates_of(region, photons) for region, photons in job]
     counts = np.array([len(photons) for _, photons in job])
+    parts = [context.plan.candidates_of(*part) for part in job]
+    candidates = parts[0] if len(parts) == 1 else np.concatenate(parts)
     paths = context.acquire_paths()
-    energy, ends = context.start(paths, region_id, candidates)
+    energy, ends = context.start(paths, region_id, counts, candidates)
     while paths.n_live or paths.disperse():
         found = context.caster.find_paths(paths)
         if context.sensors:
@@ -232,10 +231,8 @@ def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
         *(len(density), energy, ends, paths.n_met_specular, paths.faults.take()),
     )
     context.release_paths(paths)
-    source = np.repeat(np.arange(len(job), dtype=np.int32), counts)
-    path, rows = _spectrum_rows(context, region_id, candidates, deposits)
-    spectra = region_id[source[path]], np.concatenate(candidates)[path], rows
-    return TracedBatch(region_id, deposits, coords, density, source, ledger, *spectra)
+    spectra = _spectra(context, region_id, counts, candidates, deposits)
+    return TracedBatch(region_id, counts, deposits, coords, density, ledger, *spectra)
 
 
 def trace_batches(context: TraceContext, jobs: Sequence[Job]) -> list[TracedBatch]:
@@ -243,27 +240,30 @@ def trace_batches(context: TraceContext, jobs: Sequence[Job]) -> list[TracedBatc
     return [trace_batch(context, job) for job in jobs]
 
 
-def _spectrum_rows(
+def _spectra(
     context: TraceContext,
     region_id: NDArray[np.intp],
-    candidates: Sequence[NDArray[np.int64]],
+    counts: NDArray[np.int64],
+    candidates: NDArray[np.int64],
     deposits: NDArray[np.void],
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Paths of a batch whose first deposits on surfaces are to get spectra, and their rows.
+) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.intp]]:
+    """Regions, candidates and rows of first deposits on surfaces that are to get spectra.
 
     Deposits on sensors get none: paths are replayed up to the surface.
     """
     share = context.settings.frequency_share
     if share == 0.0:
-        return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
+        none = np.empty(0, dtype=np.intp)
+        return none, none, none
+    stops = np.cumsum(counts)
     chosen = [
         context.emissions[region].spectrum_photons(mine, share)
-        for region, mine in zip(region_id.tolist(), candidates, strict=True)
+        for region, mine in zip(region_id.tolist(), np.split(candidates, stops[:-1]), strict=True)
     ]
-    selected = np.concatenate(chosen)
     order = np.argsort(deposits["path"], kind="stable")
     on_surface = ~np.isin(deposits["object_id"][order], context.scene.sensors)
     rows = np.flatnonzero(on_surface)
     path, first = np.unique(deposits["path"][order[rows]], return_index=True)
-    is_chosen = selected[path] > 0
-    return path[is_chosen].astype(np.intp), rows[first[is_chosen]]
+    is_chosen = np.concatenate(chosen)[path] > 0
+    path, rows = path[is_chosen], rows[first[is_chosen]]
+    return region_id[np.searchsorted(stops, path, side="right")], candidates[path], rows

@@ -366,7 +366,7 @@ class _Columns:
             batch.deposits,
             batch.emitter_coords,
             batch.emitter_density,
-            batch.source,
+            batch.counts,
             first=first,
             flux=self._flux[batch.region_id],
             emitter_id=self._emitter_ids[batch.region_id],

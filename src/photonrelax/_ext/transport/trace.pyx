@@ -117,7 +117,8 @@ cdef class Paths(LiveRays):
     cdef Ray* spare
     cdef Loss* loss
     cdef Py_ssize_t n_losses, n_rays
-    # Row of the first loss of each path in a pass; empty while rays are in the order of paths.
+    # Rays are in the order of paths; else the row of the first loss of each path in a pass.
+    cdef bint in_order
     cdef int32_t[::1] first_loss
     cdef Deposits deposits
     # By block, and the block of each path.
@@ -163,6 +164,7 @@ cdef class Paths(LiveRays):
         self.loss = <Loss*> &self.loss_memory[0]
         self.origins = self.origin_array = np.empty((n_rays, 3), np.float32)
         self.directions = self.direction_array = np.empty((n_rays, 3), np.float32)
+        self.block = np.empty(size, np.int32)
         self.deposits = Deposits(0)
         self.path_filter, self.max_bounces = path_filter, max_bounces
 
@@ -177,41 +179,45 @@ cdef class Paths(LiveRays):
         luminance. Rays are in the order of the photons, or `along_curve` in Morton order of their
         emitter coordinates.
         """
-        cdef Py_ssize_t i, k, n_blocks, n = photons.shape[0]
+        cdef Py_ssize_t i, k, end, n = photons.shape[0]
+        cdef int64_t n_blocks = 0, n_given = 0, least = 0
+        cdef int32_t block = 0
         if n > self.size:
             raise ValueError(f"photons should be at most {self.size}, but are {n}")
-        blocks = -(-np.asarray(counts) // PER_BLOCK)
-        n_blocks = blocks.sum()
+        for k in range(counts.shape[0]):
+            n_blocks += (counts[k] + PER_BLOCK - 1) // PER_BLOCK
+            n_given += counts[k]
+            least = min(least, counts[k])
         if not (
             len(emissions) == counts.shape[0] == media.shape[0] == luminance.shape[0]
-            and np.sum(counts) == n and np.min(counts, initial=0) >= 0
+            and n_given == n and least == 0
             and luminance.shape[1] == ledger.shape[2] == 3
             and ledger.shape[0] == ends.shape[0] == n_blocks
             and ledger.shape[1] == ends.shape[1] == N_OUTCOMES
         ):
             raise ValueError("emissions, media, luminance, ledger and ends do not fit the photons")
         self.ledger, self.ends = ledger, ends
-        self.luminance = np.repeat(luminance, blocks, axis=0)
-        self.emissions = list(np.repeat(np.array(emissions, object), blocks))
-        self.block = np.empty(n, np.int32)
+        self.luminance = np.empty((n_blocks, 3))
+        self.emissions = []
         self.n_met_specular = self.n_white = 0
         self.photons = photons
         self.faults.take()
         self.deposits = Deposits(n)
         self.finite = True
-        i = n_blocks = 0
-        for k in range(counts.shape[0]):
-            self.emit_some(emissions[k], i, counts[k], n_blocks, media[k])
-            i += counts[k]
-            n_blocks += blocks[k]
         self.n_losses = 0
-        self.first_loss = np.empty(0, np.int32)
+        self.in_order = not along_curve
+        i = 0
+        for k in range(counts.shape[0]):
+            end = i + counts[k]
+            while i < end:
+                self.emissions.append(emissions[k])
+                self.luminance[block, :] = luminance[k]
+                self.emit_block(emissions[k], block, i, min(i + PER_BLOCK, end), media[k])
+                i = min(i + PER_BLOCK, end)
+                block += 1
         if along_curve:
             self.first_loss = np.empty(n + 1, np.int32)
             self.follow_curve(n)
-        with nogil:
-            for i in range(n):
-                self.to_embree(i, self.ray[i].origin, self.ray[i].direction, NULL)
         self.n_live = n
         self.check_finite()
 
@@ -399,22 +405,35 @@ cdef class Paths(LiveRays):
         self.deposit(&event)
         return True
 
-    cdef emit_some(
-        self, Emission emission, Py_ssize_t first, Py_ssize_t n, Py_ssize_t first_block,
-        uint64_t media,
+    cdef emit_block(
+        self, Emission emission, int32_t block, Py_ssize_t first, Py_ssize_t end, uint64_t media
     ):
-        """Emit n photons of one emission, from the first on."""
+        """Emit the photons of a block from the first on."""
+        cdef const int64_t[::1] photons = self.photons
+        cdef double[3] throughput
         cdef Py_ssize_t i
-        with nogil:
-            for i in range(first, first + n):
-                self.block[i] = <int32_t>(first_block + (i - first) // PER_BLOCK)
-                self.emit(emission, i, self.photons[i])
-                self.ray[i].media = media
-
-    cdef void emit(self, Emission emission, Py_ssize_t path, uint64_t index) noexcept nogil:
-        cdef Ray* ray = &self.ray[path]
-        cdef const double* luminance = &self.luminance[self.block[path], 0]
         cdef int c
+        for c in range(3):
+            # Channels in which the emitter is black stay out of every product.
+            throughput[c] = 1.0 if self.luminance[block, c] > 0.0 else 0.0
+        self.block[first:end] = block
+        with nogil:
+            for i in range(first, end):
+                self.emit(emission, i, photons[i], throughput)
+                self.ray[i].media = media
+            # While the rays are in the cache.
+            if self.in_order:
+                self.all_to_embree(first, end)
+
+    cdef void all_to_embree(self, Py_ssize_t first, Py_ssize_t end) noexcept nogil:
+        cdef Py_ssize_t i
+        for i in range(first, end):
+            self.to_embree(i, self.ray[i].origin, self.ray[i].direction, NULL)
+
+    cdef void emit(
+        self, Emission emission, Py_ssize_t path, uint64_t index, const double* throughput
+    ) noexcept nogil:
+        cdef Ray* ray = &self.ray[path]
         ray.path = <int32_t>path
         ray.key = emission.key(index)
         ray.path_length = emission.region.start_distance
@@ -422,9 +441,7 @@ cdef class Paths(LiveRays):
         ray.wavelength = 0.0
         ray.is_resumed = False
         ray.signature = 0
-        for c in range(3):
-            # Channels in which the emitter is black stay out of every product.
-            ray.throughput[c] = 1.0 if luminance[c] > 0.0 else 0.0
+        copy(ray.throughput, throughput)
         if emission.is_coloured:
             emission.colour(ray.throughput, index)
         self.deposits.coords[path, 2] = 0.0
@@ -433,7 +450,7 @@ cdef class Paths(LiveRays):
         )
 
     cdef follow_curve(self, Py_ssize_t n):
-        """Put the rays in Morton order of the cells of their emitter coordinates."""
+        """Put the rays in Morton order of the cells of their emitter coordinates, for embree."""
         cdef const double[:, ::1] coords = self.deposits.coords
         cdef int32_t[::1] code = np.empty(n, np.int32)
         cdef int32_t[::1] first = np.zeros(N_CODES + 1, np.int32)
@@ -448,7 +465,8 @@ cdef class Paths(LiveRays):
             for i in range(n):
                 ordered[first[code[i]]] = self.ray[i]
                 first[code[i]] += 1
-        self.ray, self.spare = self.spare, self.ray
+            self.ray, self.spare = self.spare, self.ray
+            self.all_to_embree(0, n)
 
     def advance(self, EmbreeHits found):
         """Process the hit of every live ray; return the number of rays still live."""
@@ -689,23 +707,31 @@ cdef class Paths(LiveRays):
                 flux[c] *= at_wavelength(&self.colours[0, c], 3, wavelength)
 
     cdef void lose(self, int32_t path, int outcome, const double* amount) noexcept nogil:
-        cdef Loss* loss = &self.loss[self.n_losses]
+        """Add to the ledger, or keep a loss for that, so that losses are in the order of paths."""
+        cdef Loss* loss
+        if self.in_order:
+            self.book(path, outcome, amount)
+            return
+        loss = &self.loss[self.n_losses]
         self.n_losses += 1
         loss.path, loss.outcome = path, outcome
         copy(loss.amount, amount)
 
-    cdef void settle(self) noexcept nogil:
-        """Add the losses of a pass to the ledger, in the order of the paths."""
-        cdef Py_ssize_t i
+    cdef void book(self, int32_t path, int outcome, const double* amount) noexcept nogil:
+        cdef double* total = &self.ledger[self.block[path], outcome, 0]
         cdef int c
-        cdef const Loss* loss = self.loss
-        cdef double* total
-        if self.first_loss.shape[0]:
-            loss = self.losses_by_path()
+        for c in range(3):
+            total[c] += amount[c]
+
+    cdef void settle(self) noexcept nogil:
+        """Add the losses kept in a pass to the ledger, in the order of the paths."""
+        cdef Py_ssize_t i
+        cdef const Loss* loss
+        if self.in_order:
+            return
+        loss = self.losses_by_path()
         for i in range(self.n_losses):
-            total = &self.ledger[self.block[loss[i].path], loss[i].outcome, 0]
-            for c in range(3):
-                total[c] += loss[i].amount[c]
+            self.book(loss[i].path, loss[i].outcome, loss[i].amount)
         self.n_losses = 0
 
     cdef const Loss* losses_by_path(self) noexcept nogil:

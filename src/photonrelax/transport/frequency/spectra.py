@@ -122,7 +122,8 @@ class SpectrumTracer:
     ) -> tuple[PathEvents, Floats, Floats]:
         """Trace photons again; return their events and their primal rays, two of (n, 3)."""
         steps: list[_Step] = []
-        self._context.start(self._paths, np.array([region_id]), [photons], in_order=True)
+        region, counts = np.array([region_id]), np.array([len(photons)])
+        self._context.start(self._paths, region, counts, photons, in_order=True)
         _, origin, direction = self._paths.live_rays()
         while self._paths.n_live:
             steps.append(self._step())
