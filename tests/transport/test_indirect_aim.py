@@ -80,7 +80,7 @@ def test_guided_light_in_a_closed_room_is_that_of_its_furnace():
     context = TraceContext(room, plan, TraceSettings("global", 10_000, 0.0), N)
     stored, squares, lost = np.zeros(3)
     for region_id, n in enumerate(plan.counts.tolist()):
-        batch = trace_batch(context, (region_id, range(n)))
+        batch = trace_batch(context, ((region_id, range(n)),))
         flux = plan.flux_per_photon[region_id, 0]
         light = flux * np.bincount(
             batch.deposits["path"], batch.deposits["throughput"][:, 0], minlength=n

@@ -21,26 +21,42 @@ def context():
     return TraceContext(scene, plan_emission(scene, 100), settings, N)
 
 
-@pytest.mark.parametrize("odd", [{"luminance": (2,)}, {"ledger": (1, 4, 3)}, {"ends": (4,)}])
+def started(context, n, **odd):
+    """Start n photons of two regions, given arrays of odd shapes."""
+    shapes = {"luminance": (2, 3), "ledger": (2, 5, 3), "ends": (2, 5), "media": (2,)} | odd
+    types = {"ends": np.int64, "media": np.uint64}
+    arrays = {name: np.ones(shape, types.get(name, float)) for name, shape in shapes.items()}
+    counts = arrays.pop("counts", np.ones(2)).astype(np.int64) * (n // 2)
+    context.acquire_paths().start([context.emissions[0]] * 2, counts, np.arange(n), **arrays)
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        *({"luminance": shape} for shape in ((2, 2), (1, 3))),
+        *({"ledger": shape} for shape in ((2, 4, 3), (1, 5, 3))),
+        *({"ends": shape} for shape in ((2, 4), (1, 5))),
+        {"media": (1,)},
+        {"counts": (1,)},
+    ],
+)
 def test_paths_want_a_ledger_of_all_outcomes(context, odd):
-    shapes = {"luminance": (3,), "ledger": (1, 5, 3), "ends": (5,)} | odd
-    arrays = {name: np.ones(shape) for name, shape in shapes.items()}
-    arrays["ends"] = np.zeros(shapes["ends"], np.int64)
+    started(context, N)
     with pytest.raises(ValueError, match="do not fit the photons"):
-        context.acquire_paths().start(context.emissions[0], np.arange(N), **arrays)
+        started(context, N, **odd)
 
 
 def test_paths_want_a_row_of_the_ledger_for_each_block(context):
-    long = TraceContext(context.scene, context.plan, context.settings, trace.LEDGER_BLOCK + 1)
-    ledger, ends = np.zeros((1, 5, 3)), np.zeros(5, np.int64)
-    how = {"luminance": np.ones(3), "ledger": ledger, "ends": ends}
+    n = 2 * trace.LEDGER_BLOCK + 2
+    long = TraceContext(context.scene, context.plan, context.settings, n)
+    started(long, n, ledger=(4, 5, 3), ends=(4, 5))
     with pytest.raises(ValueError, match="do not fit the photons"):
-        long.acquire_paths().start(long.emissions[0], np.arange(trace.LEDGER_BLOCK + 1), **how)
+        started(long, n, ledger=(3, 5, 3), ends=(4, 5))
 
 
 def test_crossings_are_of_live_rays(context):
     paths = context.acquire_paths()
-    context.start(paths, 0, np.arange(N))
+    context.start(paths, np.array([0]), np.array([N]), np.arange(N))
     found, hits = context.caster.find_paths(paths), empty_intersections(N)
     with pytest.raises(ValueError, match="do not fit one another"):
         paths.cross(found, np.arange(N - 1), hits)
@@ -81,19 +97,32 @@ def test_columns_have_as_many_rows_of_the_same_widths(odd):
         columns(**odd)
 
 
-@pytest.mark.parametrize("odd", [{"coords": (1, 3)}, {"coords": (2, 2)}, {"flux": 2}])
-def test_deposits_want_coordinates_and_density_of_each_path(odd):
-    shapes = {"coords": (2, 3), "density": 2, "flux": 3} | odd
-    given = {name: np.ones(shape) for name, shape in shapes.items()}
+REGIONS = {
+    "coords": np.ones((2, 3)),
+    "density": np.ones(2),
+    "counts": np.array([2]),
+    "flux": np.ones((1, 3)),
+    "emitter_id": np.zeros(1, np.int32),
+}
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        *({"coords": np.ones(shape)} for shape in ((1, 3), (2, 2))),
+        *({"flux": np.ones(shape)} for shape in ((1, 2), (2, 3))),
+        *({"counts": np.array(numbers)} for numbers in ([1], [1, 1], [3, -1])),
+    ],
+)
+def test_deposits_want_coordinates_density_and_region_of_each_path(odd):
     with pytest.raises(ValueError, match="do not fit the columns"):
-        columns().write(np.zeros(N, DEPOSIT), **given, first=0, emitter_id=0)
+        columns().write(np.zeros(N, DEPOSIT), **REGIONS | odd, first=0)
 
 
 @pytest.mark.parametrize("first", [-1, 1])
 def test_deposits_want_rows_of_the_columns(first):
-    given = {"coords": np.ones((2, 3)), "density": np.ones(2), "flux": np.ones(3)}
     with pytest.raises(ValueError, match="should have rows"):
-        columns().write(np.zeros(N, DEPOSIT), **given, first=first, emitter_id=0)
+        columns().write(np.zeros(N, DEPOSIT), **REGIONS, first=first)
 
 
 @pytest.mark.parametrize(

@@ -412,7 +412,8 @@ def test_batches_can_be_traced_elsewhere():
     plan = plan_emission(scene, 2000)
     context = TraceContext(scene, plan, TraceSettings("caustic", 32, 0.0), 2048)
     copy = pickle.loads(pickle.dumps(context))
-    here, there = (trace_batch(each, (0, range(2000))).deposits for each in (context, copy))
+    job = ((0, range(2000)),)
+    here, there = (trace_batch(each, job).deposits for each in (context, copy))
     np.testing.assert_array_equal(here, there)
     assert np.isin(here["object_id"], scene.sensors).any()
 

@@ -70,18 +70,19 @@ class LampTable:
     def of(cls, emitters: Iterable[Emitter]) -> LampTable:
         """The lamps among some emitters; those that are black are left out."""
         lamps = [(i, emitter.lamp) for i, emitter in enumerate(emitters)]
-        rows = [(i, lamp) for i, lamp in lamps if lamp is not None and np.any(lamp.intensity)]
+        rows = [(i, lamp) for i, lamp in lamps if lamp is not None]
         columns = {
             name: np.array([getattr(lamp, name) for _, lamp in rows], dtype=np.float64)
             for name in ("intensity", "position", "axis")
         }
-        return cls(
+        table = cls(
             np.array([i for i, _ in rows], dtype=np.intp),
             np.array([lamp.kind for _, lamp in rows], dtype=np.uint8),
             **{name: column.reshape(-1, 3) for name, column in columns.items()},
             inner=np.array([lamp.inner for _, lamp in rows], dtype=np.float64),
             outer=np.array([lamp.outer for _, lamp in rows], dtype=np.float64),
         )
+        return table[np.flatnonzero(table.intensity.any(axis=1))]
 
     @property
     def brightness(self) -> Floats:

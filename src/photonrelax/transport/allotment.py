@@ -16,7 +16,7 @@ with x_r the light of a path of region r that is stored, relative to that emitte
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -28,13 +28,22 @@ from ..scene.dispersion import N_WAVELENGTHS
 from ..scene.emission_region import Sphere
 from ..scene.scene import Scene
 from ..scene.sky_map import LUMINANCE
-from .batch import TraceContext, TraceSettings, trace_batch
+from .batch import (
+    TraceContext,
+    TracedBatch,
+    TraceSettings,
+    batch_capacity,
+    batch_jobs,
+    trace_batch,
+)
 from .emission import AimedRegion, EmissionPlan, nested_aim, plan_emission, plan_through
 from .raycast import RayCaster
 
 # Paths of each emitter that are traced for it, at most and at least, and the share of all photons
 # that they are together at most: more emitters are not told apart.
 _MOST, _LEAST, _SHARE = 1024, 32, 8
+# Paths that are traced together, at most.
+_BATCH = 16384
 # Standard errors by which shares differ.
 _DIFFERENT = 3.0
 # Relative variance with shells over that without them, up to which they are worth it.
@@ -145,17 +154,16 @@ def _probe(scene: Scene, settings: TraceSettings, n_paths: int, caster: RayCaste
     first = plan_emission(scene, n_paths * n_emitters, settings.paths)
     shines = np.bincount(first.emitter_ids, first.counts, minlength=n_emitters) > 0
     plan = plan_emission(scene, np.where(shines, n_paths, 0).tolist(), settings.paths)
-    context = TraceContext(scene, plan, settings, n_paths, caster=caster)
     paths, stored, squares = np.zeros((3, n_emitters))
-    for region_id, n in enumerate(plan.counts.tolist()):
-        emitter = plan.emitter_ids[region_id]
-        deposits = trace_batch(context, (region_id, range(n))).deposits
+    for batch in _traced(_context(scene, plan, settings, caster)):
+        deposits = batch.deposits
+        emitter = np.repeat(plan.emitter_ids[batch.region_id], batch.counts)
         # The wavelengths of a path bring its light together.
         share = np.where(deposits["wavelength"] > 0.0, 1.0 / N_WAVELENGTHS, 1.0)
-        of_path = np.bincount(deposits["path"], share, minlength=n)
-        paths[emitter] += n
-        stored[emitter] += of_path.sum()
-        squares[emitter] += np.square(of_path).sum()
+        of_path = np.bincount(deposits["path"], share, minlength=len(emitter))
+        paths += np.bincount(emitter, minlength=n_emitters)
+        stored += np.bincount(emitter, of_path, minlength=n_emitters)
+        squares += np.bincount(emitter, np.square(of_path), minlength=n_emitters)
     paths = np.maximum(paths, 1.0)
     return _Probe(plan.flux @ LUMINANCE, stored / paths, (squares + 1.0) / paths**2)
 
@@ -164,15 +172,19 @@ def _shells_of(
     scene: Scene, n_emitted: int, settings: TraceSettings, caster: RayCaster
 ) -> _Shells | None:
     """Shells around the specular objects if they make the variance much less; found once."""
-    aimed, guide = nested_aim(scene), scene.targets.around_casters
-    n_paths = _n_paths(n_emitted, max(len(aimed), 1))
-    if guide is None or not n_paths:
+    guide = scene.targets.around_casters
+    # Emitters have a region each at least, and many have very many.
+    if guide is None or not _n_paths(n_emitted, len(scene.emitters)):
+        return None
+    aimed = nested_aim(scene)
+    n_paths = _n_paths(n_emitted, len(aimed))
+    if not n_paths:
         return None
     known = _shells.setdefault(scene, {})
     key = settings, n_paths
     if key not in known:
         plan = plan_through(aimed, n_paths * len(aimed), guide=guide)
-        context = TraceContext(scene, plan, settings, n_paths, caster=caster)
+        context = _context(scene, plan, settings, caster)
         sent, (mean, square) = plan.region_flux @ LUMINANCE, _stored_light(context)
         relative = _relative(aimed, square, 0.5 / n_paths)
         without = _relative_variance(_probe(scene, settings, n_paths, caster))
@@ -196,15 +208,30 @@ def _relative(aimed: tuple[AimedRegion, ...], square: Floats, least: float) -> F
 
 def _stored_light(context: TraceContext) -> tuple[Floats, Floats]:
     """Mean over the paths of each region of light stored over that emitted, and of its square."""
-    mean, square = np.zeros((2, len(context.plan.aimed)))
-    for region_id in np.flatnonzero(context.plan.counts).tolist():
-        n = int(context.plan.counts[region_id])
-        deposits = trace_batch(context, (region_id, range(n))).deposits
-        luminance = LUMINANCE * context.flux[region_id]
-        light = deposits["throughput"] @ luminance / luminance.sum()
-        of_path = np.bincount(deposits["path"], light, minlength=n)
-        mean[region_id], square[region_id] = of_path.mean(), np.square(of_path).mean()
-    return mean, square
+    plan, n_regions = context.plan, len(context.plan.aimed)
+    total, square = np.zeros((2, n_regions))
+    luminance = LUMINANCE * context.flux
+    for batch in _traced(context):
+        deposits, region_id = batch.deposits, np.repeat(batch.region_id, batch.counts)
+        own = luminance[region_id[deposits["path"]]]
+        light = (deposits["throughput"] * own).sum(axis=1) / own.sum(axis=1)
+        of_path = np.bincount(deposits["path"], light, minlength=len(region_id))
+        total += np.bincount(region_id, of_path, minlength=n_regions)
+        square += np.bincount(region_id, np.square(of_path), minlength=n_regions)
+    counts = np.maximum(plan.counts, 1)
+    return total / counts, square / counts
+
+
+def _context(
+    scene: Scene, plan: EmissionPlan, settings: TraceSettings, caster: RayCaster
+) -> TraceContext:
+    return TraceContext(scene, plan, settings, batch_capacity(_BATCH, plan), caster=caster)
+
+
+def _traced(context: TraceContext) -> Iterator[TracedBatch]:
+    """Batches of all photons that are planned."""
+    photons = range(int(context.plan.counts.sum()))
+    return (trace_batch(context, job) for job in batch_jobs(context.plan, photons, context.size))
 
 
 def _relative_variance(probe: _Probe) -> float:

@@ -5,7 +5,7 @@ A batch can be traced in any thread or process: a `TraceContext` is pickled by i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -24,8 +24,8 @@ from .media import NestingFaults, media_at_emitters
 from .raycast import RayCaster
 from .sensors import sensor_casters, store_crossings
 
-Job = tuple[int, range]
-"""A region of an emission plan and the indices of some of its photons."""
+Job = tuple[tuple[int, range], ...]
+"""Regions of an emission plan, and the indices of some of the photons of each."""
 # Faces of a scene from which on rays near to one another in sequence save more time than it takes
 # to put them so.
 _MANY_FACES = 30_000
@@ -43,14 +43,14 @@ class TraceSettings:
 
 @dataclass(frozen=True, eq=False)
 class BatchLedger:
-    """Outcomes of some paths of one region.
+    """Outcomes of some paths, by blocks of those of one region.
 
-    `energy` (blocks, outcomes, 3) is relative to the flux of a photon; `ends` (outcomes,) and
-    `n_met_specular` count paths, `faults` the rays that the nesting of dielectrics contradicts
-    (`warn_of_faults`).
+    `region_id` is that of each block. `energy` (blocks, outcomes, 3) is relative to the flux of a
+    photon; `ends` (blocks, outcomes) and `n_met_specular` count paths, `faults` the rays that the
+    nesting of dielectrics contradicts (`warn_of_faults`).
     """
 
-    region_id: int
+    region_id: NDArray[np.intp]
     n_paths: int
     energy: Floats
     ends: NDArray[np.int64]
@@ -60,26 +60,31 @@ class BatchLedger:
 
 @dataclass(frozen=True, eq=False)
 class TracedBatch:
-    """Photons deposited by some paths of one region.
+    """Photons deposited by some paths.
 
     Attributes
     ----------
+    region_id, counts : (n_regions,) intp, int64
+        The regions that the paths are of, and the number of paths of each in sequence.
     deposits : (n,) structured
         In the order of events; `photonrelax._ext.transport.deposits.DEPOSIT`.
     emitter_coords, emitter_density : (n_paths, 3), (n_paths,) float64
         Of the paths, by `path` of the deposits.
     ledger : BatchLedger
         Outcomes of the paths.
-    spectrum_photons : (m,) int64
-        The photons that are to get spectra, by their indices among the candidates.
+    spectrum_regions, spectrum_photons : (m,) intp, (m,) int64
+        The photons that are to get spectra: their regions, and indices among the candidates.
     spectrum_rows : (m,) intp
         Their rows among the deposits in the order of the paths.
     """
 
+    region_id: NDArray[np.intp]
+    counts: NDArray[np.int64]
     deposits: NDArray[np.void]
     emitter_coords: Floats
     emitter_density: Floats
     ledger: BatchLedger
+    spectrum_regions: NDArray[np.intp]
     spectrum_photons: NDArray[np.int64]
     spectrum_rows: NDArray[np.intp]
 
@@ -141,22 +146,24 @@ class TraceContext:
     def start(
         self,
         paths: _kernel.Paths,
-        region_id: int,
+        region_id: NDArray[np.intp],
+        counts: NDArray[np.int64],
         candidates: NDArray[np.int64],
         *,
         in_order: bool = False,
     ) -> tuple[Floats, NDArray[np.int64]]:
-        """Emit candidates (n,) of a region into paths, which fill the arrays returned.
+        """Emit candidates, so many of each of some regions, into paths; these fill what returns.
 
-        These are flux (blocks, outcomes, 3) and number (outcomes,) of the ends of paths. Live rays
-        stay `in_order` of the candidates, or may follow a curve over the emitter.
+        That is flux (blocks, outcomes, 3) and number (blocks, outcomes) of the ends of paths.
+        Live rays stay `in_order` of the candidates, or may follow a curve over the emitters.
         """
-        energy = np.zeros((-(-len(candidates) // _kernel.LEDGER_BLOCK), len(PATH_OUTCOMES), 3))
-        ends = np.zeros(len(PATH_OUTCOMES), dtype=np.int64)
+        shape = int(_n_blocks(counts).sum()), len(PATH_OUTCOMES)
+        energy, ends = np.zeros((*shape, 3)), np.zeros(shape, dtype=np.int64)
         paths.start(
-            self.emissions[region_id],
+            [self.emissions[region] for region in region_id.tolist()],
+            counts,
             candidates,
-            media=self.media[self.plan.aimed[region_id].emitter_id],
+            media=self.media[self.plan.emitter_ids[region_id]],
             luminance=LUMINANCE * self.flux[region_id],
             ledger=energy,
             ends=ends,
@@ -173,12 +180,46 @@ class TraceContext:
         return partial(TraceContext, caster=self.caster), parts
 
 
+def batch_capacity(most: int, plan: EmissionPlan) -> int:
+    """Paths of a batch, so many at most rounded up to whole blocks of the ledger."""
+    most = min(most, int(plan.counts.sum()))
+    return -(-most // _kernel.LEDGER_BLOCK) * _kernel.LEDGER_BLOCK
+
+
+def batch_jobs(plan: EmissionPlan, photons: range, size: int) -> Iterator[Job]:
+    """Some photons of all regions in order, in jobs of up to `size` of them.
+
+    Jobs end after whole blocks of the ledger of a region, or after its last photon.
+    """
+    job: list[tuple[int, range]] = []
+    room = size
+    for region_id, mine in plan.parts(photons):
+        while len(mine):
+            # The rest of the region, or the whole blocks there is room for.
+            n = len(mine) if len(mine) <= room else room - room % _kernel.LEDGER_BLOCK
+            if n:
+                job.append((region_id, mine[:n]))
+                mine, room = mine[n:], room - n
+            if len(mine) or room == 0:
+                yield tuple(job)
+                job, room = [], size
+    if job:
+        yield tuple(job)
+
+
+def _n_blocks(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Blocks of the ledger of so many photons of regions."""
+    return -(-counts // _kernel.LEDGER_BLOCK)
+
+
 def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
-    """Trace some photons of one region to the ends of their paths."""
-    region_id, photons = job
-    candidates = context.plan.candidates_of(region_id, photons)
+    """Trace some photons of some regions to the ends of their paths."""
+    region_id = np.array([region for region, _ in job], dtype=np.intp)
+    counts = np.array([len(photons) for _, photons in job])
+    parts = [context.plan.candidates_of(*part) for part in job]
+    candidates = parts[0] if len(parts) == 1 else np.concatenate(parts)
     paths = context.acquire_paths()
-    energy, ends = context.start(paths, region_id, candidates)
+    energy, ends = context.start(paths, region_id, counts, candidates)
     while paths.n_live or paths.disperse():
         found = context.caster.find_paths(paths)
         if context.sensors:
@@ -186,11 +227,12 @@ def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
         paths.advance(found)
     deposits, coords, density = paths.take_deposits()
     ledger = BatchLedger(
-        region_id, len(photons), energy, ends, paths.n_met_specular, paths.faults.take()
+        np.repeat(region_id, _n_blocks(counts)),
+        *(len(density), energy, ends, paths.n_met_specular, paths.faults.take()),
     )
     context.release_paths(paths)
-    path, rows = _spectrum_rows(context, region_id, candidates, deposits)
-    return TracedBatch(deposits, coords, density, ledger, candidates[path], rows)
+    spectra = _spectra(context, region_id, counts, candidates, deposits)
+    return TracedBatch(region_id, counts, deposits, coords, density, ledger, *spectra)
 
 
 def trace_batches(context: TraceContext, jobs: Sequence[Job]) -> list[TracedBatch]:
@@ -198,24 +240,30 @@ def trace_batches(context: TraceContext, jobs: Sequence[Job]) -> list[TracedBatc
     return [trace_batch(context, job) for job in jobs]
 
 
-def _spectrum_rows(
+def _spectra(
     context: TraceContext,
-    region_id: int,
+    region_id: NDArray[np.intp],
+    counts: NDArray[np.int64],
     candidates: NDArray[np.int64],
     deposits: NDArray[np.void],
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Paths of a batch whose first deposits on surfaces are to get spectra, and their rows.
+) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.intp]]:
+    """Regions, candidates and rows of first deposits on surfaces that are to get spectra.
 
     Deposits on sensors get none: paths are replayed up to the surface.
     """
     share = context.settings.frequency_share
     if share == 0.0:
-        return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
-    selected = np.empty(len(candidates), dtype=np.uint8)
-    context.emissions[region_id].spectrum_photons(candidates, selected, share)
+        none = np.empty(0, dtype=np.intp)
+        return none, none, none
+    stops = np.cumsum(counts)
+    chosen = [
+        context.emissions[region].spectrum_photons(mine, share)
+        for region, mine in zip(region_id.tolist(), np.split(candidates, stops[:-1]), strict=True)
+    ]
     order = np.argsort(deposits["path"], kind="stable")
     on_surface = ~np.isin(deposits["object_id"][order], context.scene.sensors)
     rows = np.flatnonzero(on_surface)
     path, first = np.unique(deposits["path"][order[rows]], return_index=True)
-    chosen = selected[path] > 0
-    return path[chosen].astype(np.intp), rows[first[chosen]]
+    is_chosen = np.concatenate(chosen)[path] > 0
+    path, rows = path[is_chosen], rows[first[is_chosen]]
+    return region_id[np.searchsorted(stops, path, side="right")], candidates[path], rows

@@ -151,14 +151,12 @@ class EmissionPlan:
 
     def parts(self, photons: range) -> list[tuple[int, range]]:
         """Regions, and their photons, among some photons of all regions in order."""
-        stops = np.cumsum(self.counts).tolist()
-        found = []
-        for region_id, (n, stop) in enumerate(zip(self.counts.tolist(), stops, strict=True)):
-            first = stop - n
-            mine = range(max(photons.start - first, 0), min(photons.stop - first, n))
-            if len(mine):
-                found.append((region_id, mine))
-        return found
+        first = np.cumsum(self.counts) - self.counts
+        starts = np.maximum(photons.start - first, 0)
+        stops = np.minimum(photons.stop - first, self.counts)
+        rows = np.flatnonzero(starts < stops)
+        ranges = map(range, starts[rows].tolist(), stops[rows].tolist())
+        return list(zip(rows.tolist(), ranges, strict=True))
 
     def flux_of(self, photons: range) -> Floats:
         """W that each emitter sends out with some photons of all regions, (n_emitters, 3)."""
@@ -328,29 +326,20 @@ def _planned(
     check_choice(sampler, "sampler", SAMPLERS)
     draw = partial(_emission, n_candidates=0, seed=check_seed(seed), sampler=sampler)
     # Whole regions are not sampled for it: there may be many emitters.
-    shares = [draw(each).share(_N_PILOT) if each.is_thinned else 1.0 for each in aimed]
-    weights = [luminance(each.region) * share for each, share in zip(aimed, shares, strict=True)]
-    given = zip(aimed, numbers(np.array(weights)).tolist(), shares, strict=True)
-    found = [_drawn(*each, draw) for each in given]
-    starts, counts, candidates, colours = zip(*found, strict=True)
-    columns = np.array(counts), np.array(candidates), np.array(colours)
-    return EmissionPlan(aimed, starts, *columns, seed, sampler)
-
-
-def _drawn(
-    each: AimedRegion, n: int, share: float, draw: Callable[[AimedRegion], _kernel.Emission]
-) -> tuple[Sequence[int], int, int, Sequence[float]]:
-    """Candidates that are photons 0, 1024, …, photons, candidates, and the mean colour of photons.
-
-    `share` is about that of photons among candidates.
-    """
-    if not (each.is_thinned or each.region.sky):
-        return (), n, n, (1.0, 1.0, 1.0)
-    emission, starts, n_candidates = draw(each), (), n
-    if each.is_thinned:
-        limit = min(int(_MAX_TRIES * n / share), 2**62)
-        starts, n, n_candidates = emission.photons(n, _STARTS_EVERY, limit)
-    return starts, n, n_candidates, emission.mean_colour(n_candidates)
+    thinned = [i for i, each in enumerate(aimed) if each.is_thinned]
+    shares = np.ones(len(aimed))
+    shares[thinned] = [draw(aimed[i]).share(_N_PILOT) for i in thinned]
+    counts = numbers(shares * [luminance(each.region) for each in aimed])
+    candidates, colours = counts.copy(), np.ones((len(aimed), 3))
+    starts: list[Sequence[int]] = [()] * len(aimed)
+    for i in thinned:
+        limit = min(int(_MAX_TRIES * int(counts[i]) / shares[i]), 2**62)
+        found = draw(aimed[i]).photons(counts[i], _STARTS_EVERY, limit)
+        starts[i], counts[i], candidates[i] = found
+    for i, each in enumerate(aimed):
+        if each.region.sky:
+            colours[i] = draw(each).mean_colour(candidates[i])
+    return EmissionPlan(aimed, tuple(starts), counts, candidates, colours, seed, sampler)
 
 
 def emit(

@@ -24,7 +24,6 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
-from itertools import groupby
 from math import fsum
 
 import numpy as np
@@ -49,11 +48,13 @@ from .batch import (
     TraceContext,
     TracedBatch,
     TraceSettings,
+    batch_capacity,
+    batch_jobs,
     trace_batch,
     trace_batches,
 )
 from .emission import PATHS, EmissionPlan, checked_numbers, emit
-from .frequency.spectra import ReplayBatch, SpectrumTracer, batches_by_region
+from .frequency.spectra import SpectrumTracer, batches_by_region
 from .media import warn_of_faults
 from .raycast import RayCaster
 
@@ -153,7 +154,8 @@ def trace_photons(
     traced = _checked_photons(photons, int(np.sum(numbers)))
     _check_memory(scene, len(traced), settings, caster, threads)
     plan = allotted_plan(scene, numbers, settings, seed=seed, sampler=sampler, caster=caster)
-    context = TraceContext(scene, plan, settings, _batch_capacity(batch_size, plan), caster=caster)
+    size = batch_capacity(count(batch_size, "batch_size", high=_MAX_BATCH), plan)
+    context = TraceContext(scene, plan, settings, size, caster=caster)
     return _trace_all(context, traced, threads, progress, checked_executor(executor))
 
 
@@ -178,12 +180,6 @@ def _checked_photons(photons: range | None, n_emitted: int) -> range:
             f"photons should be some of {range(n_emitted)} in steps of 1, but is {photons}"
         )
     return photons
-
-
-def _batch_capacity(batch_size: int, plan: EmissionPlan) -> int:
-    """Paths of a batch, whole blocks of the ledger."""
-    most = min(count(batch_size, "batch_size", high=_MAX_BATCH), int(plan.counts.max()))
-    return -(-most // _kernel.LEDGER_BLOCK) * _kernel.LEDGER_BLOCK
 
 
 def check_photons_fit(scene: Scene, n_emitted: int, caster: RayCaster | None = None) -> None:
@@ -270,7 +266,7 @@ def _trace_all(
         ledgers.append(batch.ledger)
         if settings.frequency_share:
             rows = first + batch.spectrum_rows
-            selected.append(ReplayBatch(batch.ledger.region_id, batch.spectrum_photons, rows))
+            selected.append((batch.spectrum_regions, batch.spectrum_photons, rows))
         report.advance(batch.ledger.n_paths)
         # The deposits are freed before the next batch is traced.
         del batch
@@ -287,7 +283,7 @@ def _batches(
     context: TraceContext, traced: range, n_threads: int, executor: Executor | None
 ) -> Iterator[TracedBatch]:
     """All batches in order, traced by threads of this process or by an executor."""
-    jobs = _jobs(context.plan, traced, context.size)
+    jobs = batch_jobs(context.plan, traced, context.size)
     if executor is None:
         with thread_executor(n_threads) as threads:
             work = partial(trace_batch, context)
@@ -328,7 +324,7 @@ def _checked_settings(
 
 def _spectra(
     context: TraceContext,
-    selected: list[ReplayBatch],
+    selected: list[tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.intp]]],
     n_stored: int,
     n_threads: int,
     progress: Progress | None,
@@ -336,8 +332,9 @@ def _spectra(
     """Return the column of spectra, NaN for photons that were not selected."""
     tracer = SpectrumTracer(context, n_threads)
     out = np.full((n_stored, 3), np.nan)
-    report = Reporter(progress, "spectra", sum(len(some.rows) for some in selected))
-    for some in batches_by_region(selected):
+    region_id, photons, rows = (np.concatenate(column) for column in zip(*selected, strict=True))
+    report = Reporter(progress, "spectra", len(rows))
+    for some in batches_by_region(region_id, photons, rows):
         out[some.rows] = tracer.spectra(some)
         report.advance(len(some.rows))
     return out
@@ -352,7 +349,8 @@ class _Columns:
         self._widths = _WIDTHS | {"emitter_coords": coords_width}
         self._dtypes = _DTYPES | ({"wavelength": np.float64} if has_wavelengths else {})
         self._arrays = self._empty(0)
-        self._flux, self._emitter_ids = plan.flux_per_photon, plan.emitter_ids
+        self._flux = plan.flux_per_photon
+        self._emitter_ids = plan.emitter_ids.astype(np.int32)
         self._n_planned = n_planned
         self._n_traced = 0
         self._n_stored = 0
@@ -364,14 +362,14 @@ class _Columns:
         if self._n_stored > len(self._arrays["position"]):
             expected = self._n_stored * self._n_planned / self._n_traced
             self._resize(int(_CAPACITY_MARGIN * expected) + 1)
-        region_id = batch.ledger.region_id
         Columns(**self._arrays).write(
             batch.deposits,
             batch.emitter_coords,
             batch.emitter_density,
+            batch.counts,
             first=first,
-            flux=self._flux[region_id],
-            emitter_id=self._emitter_ids[region_id],
+            flux=self._flux[batch.region_id],
+            emitter_id=self._emitter_ids[batch.region_id],
         )
         return first
 
@@ -397,12 +395,6 @@ class _Columns:
         widths = self._widths
         shapes = {name: (n, widths[name]) if name in widths else (n,) for name in self._dtypes}
         return {name: np.empty(shapes[name], dtype) for name, dtype in self._dtypes.items()}
-
-
-def _jobs(plan: EmissionPlan, traced: range, size: int) -> Iterator[Job]:
-    for region_id, photons in plan.parts(traced):
-        for start in range(photons.start, photons.stop, size):
-            yield region_id, range(start, min(start + size, photons.stop))
 
 
 def _photon_map(
@@ -433,23 +425,31 @@ def _photon_map(
 
 def _ledger(plan: EmissionPlan, emitted: Floats, ledgers: list[BatchLedger]) -> EnergyLedger:
     """The outcomes of all batches, which are in the order of their regions, by emitter."""
-    flux, emitter_ids = plan.flux_per_photon, plan.emitter_ids
-    n_emitters, n_outcomes = len(emitted), len(PATH_OUTCOMES)
-    totals = np.zeros((n_outcomes, n_emitters, 3))
-    ends = np.zeros((n_outcomes, n_emitters), dtype=np.int64)
-    for region_id, batches in groupby(ledgers, lambda batch: batch.region_id):
-        mine, emitter_id = list(batches), emitter_ids[region_id]
-        blocks = np.concatenate([batch.energy for batch in mine]).reshape(-1, n_outcomes * 3)
-        # Most regions of many emitters have one block.
-        sums = blocks[0] if len(blocks) == 1 else [fsum(column) for column in blocks.T]
-        energy = np.reshape(sums, (n_outcomes, 3))
-        totals[:, emitter_id] += energy * flux[region_id]
-        ends[:, emitter_id] += np.sum([batch.ends for batch in mine], axis=0)
+    shape = len(emitted), len(PATH_OUTCOMES)
+    totals, ends = np.zeros((*shape, 3)), np.zeros(shape, dtype=np.int64)
+    block_region = np.concatenate([batch.region_id for batch in ledgers])
+    region_id, first = np.unique(block_region, return_index=True)
+    energy = _region_sums(np.concatenate([batch.energy for batch in ledgers]), first)
+    flux = plan.flux_per_photon[region_id][:, np.newaxis]
+    np.add.at(totals, plan.emitter_ids[region_id], energy * flux)
+    of_blocks = np.concatenate([batch.ends for batch in ledgers])
+    np.add.at(ends, plan.emitter_ids[block_region], of_blocks)
     return EnergyLedger(
         emitted=emitted,
-        **dict(zip(PATH_OUTCOMES, totals, strict=True)),
-        ends=dict(zip(PATH_OUTCOMES, ends, strict=True)),
+        **dict(zip(PATH_OUTCOMES, totals.swapaxes(0, 1), strict=True)),
+        ends=dict(zip(PATH_OUTCOMES, ends.T, strict=True)),
     )
+
+
+def _region_sums(energy: Floats, first: NDArray[np.intp]) -> Floats:
+    """Sums (regions, outcomes, 3) of blocks, exactly rounded, given the first of each region."""
+    sums = energy[first]
+    counts = np.diff(first, append=len(energy))
+    # Most regions of many emitters have one block.
+    for i in np.flatnonzero(counts > 1).tolist():
+        columns = energy[first[i] : first[i] + counts[i]].reshape(counts[i], -1).T
+        sums[i] = np.reshape([fsum(column) for column in columns], sums[i].shape)
+    return sums
 
 
 def _nothing_stored(context: TraceContext, ledger: EnergyLedger, ledgers: list[BatchLedger]) -> str:

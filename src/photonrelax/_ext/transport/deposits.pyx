@@ -55,31 +55,36 @@ cdef class Columns:
 
     def write(
         self, const Deposit[::1] deposits, const double[:, ::1] coords, const double[::1] density,
-        *, Py_ssize_t first, const double[::1] flux, int emitter_id,
+        const int64_t[::1] counts, *, Py_ssize_t first, const double[:, ::1] flux,
+        const int32_t[::1] emitter_id,
     ):
-        """Fill the rows from `first` with photons of `flux`; deposits of a path keep their order.
+        """Fill the rows from `first` with photons; deposits of a path keep their order.
 
-        `coords` and `density` have a row for each path.
+        `coords` and `density` have a row for each path. Paths of a region follow one another:
+        `counts`, `flux` and `emitter_id` have a row for each region.
         """
         cdef Py_ssize_t i, n = deposits.shape[0]
         cdef int32_t[::1] row = np.zeros(density.shape[0], np.int32)
+        cdef int32_t[::1] region = np.empty(density.shape[0], np.int32)
         cdef int32_t path
         if first < 0 or self.position.shape[0] < first + n:
             raise ValueError(f"columns should have rows {first} to {first + n}")
         if not (
-            coords.shape[0] == density.shape[0] and flux.shape[0] == 3
+            coords.shape[0] == density.shape[0] and numbers_in_parts(region, counts)
+            and counts.shape[0] == flux.shape[0] == emitter_id.shape[0] and flux.shape[1] == 3
             and coords.shape[1] >= self.emitter_coords.shape[1]
         ):
-            raise ValueError("coords, density and flux do not fit the columns")
+            raise ValueError("coords, density, counts and flux do not fit the columns")
         with nogil:
             first_rows(row, deposits)
             for i in range(n):
                 path = deposits[i].path
                 self.fill(
-                    first + row[path], &deposits[i], &coords[path, 0], density[path], &flux[0]
+                    first + row[path], &deposits[i], &coords[path, 0], density[path],
+                    &flux[region[path], 0],
                 )
+                self.emitter_id[first + row[path]] = emitter_id[region[path]]
                 row[path] += 1
-            self.emitter_id[first : first + n] = emitter_id
 
     cdef void fill(
         self, Py_ssize_t row, const Deposit* deposit, const double* coords, double density,
@@ -100,6 +105,17 @@ cdef class Columns:
         if self.wavelength is not None:
             self.wavelength[row] = deposit.wavelength
         self.object_id[row] = deposit.object_id
+
+
+cdef bint numbers_in_parts(int32_t[::1] number, const int64_t[::1] counts) noexcept nogil:
+    """Write the number of its part for each row; false if counts of parts are not of all rows."""
+    cdef Py_ssize_t k, row = 0
+    for k in range(counts.shape[0]):
+        if not 0 <= counts[k] <= number.shape[0] - row:
+            return False
+        number[row : row + counts[k]] = <int32_t>k
+        row += counts[k]
+    return row == number.shape[0]
 
 
 cdef void first_rows(int32_t[::1] row, const Deposit[::1] deposits) noexcept nogil:

@@ -383,13 +383,13 @@ cdef class Emission:
         """Return the key of the random numbers of a photon."""
         return hash_key(self.seed, self.stream, index)
 
-    def spectrum_photons(self, const int64_t[::1] candidates, uint8_t[::1] out, double share):
-        """Select a share of the photons, each by its index among the candidates alone."""
+    def spectrum_photons(self, const int64_t[::1] candidates, double share):
+        """Mask (n,) of a share of the photons, each by its index among the candidates alone."""
         cdef Py_ssize_t i
-        if out.shape[0] != candidates.shape[0]:
-            raise ValueError("the selection does not fit the candidates")
+        cdef uint8_t[::1] out = np.empty(candidates.shape[0], np.uint8)
         for i in range(out.shape[0]):
             out[i] = uniform(self.key(candidates[i]), OF_SELECTION) < share
+        return out.base
 
     def share(self, Py_ssize_t n):
         """Share of photons among the first n candidates; at least that of half a photon."""

@@ -42,8 +42,8 @@ cdef enum:
     GLOBAL = 1
 
 
-# Photons whose energies are summed in one row of the ledger. Batches hold whole blocks, so the sums
-# do not depend on the batches.
+# Photons of a region whose energies are summed in one row of the ledger. Batches hold whole blocks,
+# so the sums do not depend on the batches.
 cdef enum:
     PER_BLOCK = 1024
 
@@ -106,10 +106,10 @@ cdef uint32_t spread_bits(uint32_t cell) noexcept nogil:
 
 @cython.final
 cdef class Paths(LiveRays):
-    """State of a batch of up to `size` paths of one emitter; reused for one batch after another.
+    """State of a batch of up to `size` paths; reused for one batch after another.
 
-    Live rays are packed at the front. Ledger rows belong to blocks of `LEDGER_BLOCK` photons,
-    counted from the emitter's first.
+    Live rays are packed at the front. Ledger rows belong to blocks of `LEDGER_BLOCK` photons of one
+    region, counted from its first in the batch.
     """
 
     cdef unsigned char[::1] memory, loss_memory
@@ -117,25 +117,28 @@ cdef class Paths(LiveRays):
     cdef Ray* spare
     cdef Loss* loss
     cdef Py_ssize_t n_losses, n_rays
-    # Row of the first loss of each path in a pass; empty while rays are in the order of paths.
+    # Rays are in the order of paths; else the row of the first loss of each path in a pass.
+    cdef bint in_order
     cdef int32_t[::1] first_loss
     cdef Deposits deposits
+    # By block, and the block of each path.
     cdef double[:, :, ::1] ledger
-    cdef int64_t[::1] ends
-    cdef double[3] luminance
+    cdef int64_t[:, ::1] ends
+    cdef double[:, ::1] luminance
+    cdef int32_t[::1] block
     # Centre and radius.
     cdef double[4] guide
     cdef int path_filter, max_bounces
     cdef readonly Py_ssize_t size
     # Rays to be dispersed, each into `n_wavelengths`, whose colours (nodes, 3) are tabulated; the
-    # photons of the paths, and their emission.
+    # photons of the paths, and the emission of each block.
     cdef unsigned char[::1] white_memory
     cdef WhiteRay* white
     cdef Py_ssize_t n_white
     cdef int n_wavelengths
     cdef const double[:, ::1] colours
     cdef const int64_t[::1] photons
-    cdef Emission emission
+    cdef list emissions
     cdef readonly int64_t n_met_specular
 
     def __init__(
@@ -161,47 +164,60 @@ cdef class Paths(LiveRays):
         self.loss = <Loss*> &self.loss_memory[0]
         self.origins = self.origin_array = np.empty((n_rays, 3), np.float32)
         self.directions = self.direction_array = np.empty((n_rays, 3), np.float32)
+        self.block = np.empty(size, np.int32)
         self.deposits = Deposits(0)
         self.path_filter, self.max_bounces = path_filter, max_bounces
 
     def start(
-        self, Emission emission, const int64_t[::1] photons, *, const double[::1] luminance,
-        double[:, :, ::1] ledger, int64_t[::1] ends, uint64_t media=0, bint along_curve=False,
+        self, emissions, const int64_t[::1] counts, const int64_t[::1] photons, *,
+        const uint64_t[::1] media, const double[:, ::1] luminance, double[:, :, ::1] ledger,
+        int64_t[:, ::1] ends, bint along_curve=False,
     ):
-        """Start paths with the primal rays of photons, given by their indices, within media.
+        """Start paths with the primal rays of photons, given by their indices.
 
-        Rays are in the order of the photons, or `along_curve` in Morton order of their emitter
-        coordinates.
+        Of each emission there are some, which follow one another, within a stack of media and of a
+        luminance. Rays are in the order of the photons, or `along_curve` in Morton order of their
+        emitter coordinates.
         """
-        cdef Py_ssize_t i, c, n = photons.shape[0]
+        cdef Py_ssize_t i, k, end, n = photons.shape[0]
+        cdef int64_t n_blocks = 0, n_given = 0, least = 0
+        cdef int32_t block = 0
         if n > self.size:
             raise ValueError(f"photons should be at most {self.size}, but are {n}")
+        for k in range(counts.shape[0]):
+            n_blocks += (counts[k] + PER_BLOCK - 1) // PER_BLOCK
+            n_given += counts[k]
+            least = min(least, counts[k])
         if not (
-            luminance.shape[0] == ledger.shape[2] == 3
-            and ledger.shape[0] * PER_BLOCK >= n
-            and ledger.shape[1] == ends.shape[0] == N_OUTCOMES
+            len(emissions) == counts.shape[0] == media.shape[0] == luminance.shape[0]
+            and n_given == n and least == 0
+            and luminance.shape[1] == ledger.shape[2] == 3
+            and ledger.shape[0] == ends.shape[0] == n_blocks
+            and ledger.shape[1] == ends.shape[1] == N_OUTCOMES
         ):
-            raise ValueError("luminance, ledger and ends do not fit the photons")
+            raise ValueError("emissions, media, luminance, ledger and ends do not fit the photons")
         self.ledger, self.ends = ledger, ends
+        self.luminance = np.empty((n_blocks, 3))
+        self.emissions = []
         self.n_met_specular = self.n_white = 0
-        self.emission, self.photons = emission, photons
+        self.photons = photons
         self.faults.take()
         self.deposits = Deposits(n)
-        for c in range(3):
-            self.luminance[c] = luminance[c]
         self.finite = True
-        with nogil:
-            for i in range(n):
-                self.emit(emission, i, photons[i])
-                self.ray[i].media = media
         self.n_losses = 0
-        self.first_loss = np.empty(0, np.int32)
+        self.in_order = not along_curve
+        i = 0
+        for k in range(counts.shape[0]):
+            end = i + counts[k]
+            while i < end:
+                self.emissions.append(emissions[k])
+                self.luminance[block, :] = luminance[k]
+                self.emit_block(emissions[k], block, i, min(i + PER_BLOCK, end), media[k])
+                i = min(i + PER_BLOCK, end)
+                block += 1
         if along_curve:
             self.first_loss = np.empty(n + 1, np.int32)
             self.follow_curve(n)
-        with nogil:
-            for i in range(n):
-                self.to_embree(i, self.ray[i].origin, self.ray[i].direction, NULL)
         self.n_live = n
         self.check_finite()
 
@@ -213,14 +229,19 @@ cdef class Paths(LiveRays):
         """
         cdef Py_ssize_t i, row
         cdef int order
-        cdef double turn
+        cdef double[::1] turn = np.empty(self.n_white)
+        cdef int32_t path
+        cdef Emission emission
+        for i in range(self.n_white):
+            path = self.white[i].ray.path
+            emission = self.emissions[self.block[path]]
+            turn[i] = emission.turn(self.photons[path])
         self.n_live = self.n_white * self.n_wavelengths
         with nogil:
             for i in range(self.n_white):
-                turn = self.emission.turn(self.photons[self.white[i].ray.path])
                 for order in range(self.n_wavelengths):
                     row = i * self.n_wavelengths + order
-                    self.resume(row, &self.white[i], order, (order + turn) / self.n_wavelengths)
+                    self.resume(row, &self.white[i], order, (order + turn[i]) / self.n_wavelengths)
                 self.lose_colour(i)
             self.settle()
         self.n_white = 0
@@ -384,9 +405,35 @@ cdef class Paths(LiveRays):
         self.deposit(&event)
         return True
 
-    cdef void emit(self, Emission emission, Py_ssize_t path, uint64_t index) noexcept nogil:
-        cdef Ray* ray = &self.ray[path]
+    cdef emit_block(
+        self, Emission emission, int32_t block, Py_ssize_t first, Py_ssize_t end, uint64_t media
+    ):
+        """Emit the photons of a block from the first on."""
+        cdef const int64_t[::1] photons = self.photons
+        cdef double[3] throughput
+        cdef Py_ssize_t i
         cdef int c
+        for c in range(3):
+            # Channels in which the emitter is black stay out of every product.
+            throughput[c] = 1.0 if self.luminance[block, c] > 0.0 else 0.0
+        self.block[first:end] = block
+        with nogil:
+            for i in range(first, end):
+                self.emit(emission, i, photons[i], throughput)
+                self.ray[i].media = media
+            # While the rays are in the cache.
+            if self.in_order:
+                self.all_to_embree(first, end)
+
+    cdef void all_to_embree(self, Py_ssize_t first, Py_ssize_t end) noexcept nogil:
+        cdef Py_ssize_t i
+        for i in range(first, end):
+            self.to_embree(i, self.ray[i].origin, self.ray[i].direction, NULL)
+
+    cdef void emit(
+        self, Emission emission, Py_ssize_t path, uint64_t index, const double* throughput
+    ) noexcept nogil:
+        cdef Ray* ray = &self.ray[path]
         ray.path = <int32_t>path
         ray.key = emission.key(index)
         ray.path_length = emission.region.start_distance
@@ -394,9 +441,7 @@ cdef class Paths(LiveRays):
         ray.wavelength = 0.0
         ray.is_resumed = False
         ray.signature = 0
-        for c in range(3):
-            # Channels in which the emitter is black stay out of every product.
-            ray.throughput[c] = 1.0 if self.luminance[c] > 0.0 else 0.0
+        copy(ray.throughput, throughput)
         if emission.is_coloured:
             emission.colour(ray.throughput, index)
         self.deposits.coords[path, 2] = 0.0
@@ -405,7 +450,7 @@ cdef class Paths(LiveRays):
         )
 
     cdef follow_curve(self, Py_ssize_t n):
-        """Put the rays in Morton order of the cells of their emitter coordinates."""
+        """Put the rays in Morton order of the cells of their emitter coordinates, for embree."""
         cdef const double[:, ::1] coords = self.deposits.coords
         cdef int32_t[::1] code = np.empty(n, np.int32)
         cdef int32_t[::1] first = np.zeros(N_CODES + 1, np.int32)
@@ -420,7 +465,8 @@ cdef class Paths(LiveRays):
             for i in range(n):
                 ordered[first[code[i]]] = self.ray[i]
                 first[code[i]] += 1
-        self.ray, self.spare = self.spare, self.ray
+            self.ray, self.spare = self.spare, self.ray
+            self.all_to_embree(0, n)
 
     def advance(self, EmbreeHits found):
         """Process the hit of every live ray; return the number of rays still live."""
@@ -632,11 +678,12 @@ cdef class Paths(LiveRays):
         Otherwise false. Survivors keep their luminance: all photons of an emitter carry the same.
         """
         cdef Ray* ray = event.ray
+        cdef const double* luminance = &self.luminance[self.block[ray.path], 0]
         cdef double before = 0.0, after = 0.0
         cdef int c
         for c in range(3):
-            before += self.luminance[c] * ray.throughput[c]
-            after += self.luminance[c] * ray.throughput[c] * factor[c]
+            before += luminance[c] * ray.throughput[c]
+            after += luminance[c] * ray.throughput[c] * factor[c]
         if random(event, number) * before >= after:
             return False
         for c in range(3):
@@ -648,7 +695,7 @@ cdef class Paths(LiveRays):
         cdef double[3] lost
         copy(lost, ray.throughput)
         self.add_colour(lost, ray.wavelength)
-        self.ends[outcome] += ray.order == 0
+        self.ends[self.block[ray.path], outcome] += ray.order == 0
         self.lose(ray.path, outcome, lost)
         return False
 
@@ -660,21 +707,31 @@ cdef class Paths(LiveRays):
                 flux[c] *= at_wavelength(&self.colours[0, c], 3, wavelength)
 
     cdef void lose(self, int32_t path, int outcome, const double* amount) noexcept nogil:
-        cdef Loss* loss = &self.loss[self.n_losses]
+        """Add to the ledger, or keep a loss for that, so that losses are in the order of paths."""
+        cdef Loss* loss
+        if self.in_order:
+            self.book(path, outcome, amount)
+            return
+        loss = &self.loss[self.n_losses]
         self.n_losses += 1
         loss.path, loss.outcome = path, outcome
         copy(loss.amount, amount)
 
-    cdef void settle(self) noexcept nogil:
-        """Add the losses of a pass to the ledger, in the order of the paths."""
-        cdef Py_ssize_t i
+    cdef void book(self, int32_t path, int outcome, const double* amount) noexcept nogil:
+        cdef double* total = &self.ledger[self.block[path], outcome, 0]
         cdef int c
-        cdef const Loss* loss = self.loss
-        if self.first_loss.shape[0]:
-            loss = self.losses_by_path()
+        for c in range(3):
+            total[c] += amount[c]
+
+    cdef void settle(self) noexcept nogil:
+        """Add the losses kept in a pass to the ledger, in the order of the paths."""
+        cdef Py_ssize_t i
+        cdef const Loss* loss
+        if self.in_order:
+            return
+        loss = self.losses_by_path()
         for i in range(self.n_losses):
-            for c in range(3):
-                self.ledger[loss[i].path // PER_BLOCK, loss[i].outcome, c] += loss[i].amount[c]
+            self.book(loss[i].path, loss[i].outcome, loss[i].amount)
         self.n_losses = 0
 
     cdef const Loss* losses_by_path(self) noexcept nogil:

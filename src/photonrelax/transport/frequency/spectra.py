@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,19 +70,15 @@ class ReplayBatch:
     rows: NDArray[np.intp]
 
 
-def batches_by_region(batches: list[ReplayBatch]) -> Iterator[ReplayBatch]:
-    """Regroup photons into batches of up to `BATCH_SIZE` of one region, in order."""
-    for region_id, of_region in groupby(sorted(batches, key=_region_of), key=_region_of):
-        mine = list(of_region)
-        photons = np.concatenate([batch.photons for batch in mine])
-        rows = np.concatenate([batch.rows for batch in mine])
-        for first in range(0, len(rows), BATCH_SIZE):
-            part = slice(first, first + BATCH_SIZE)
-            yield ReplayBatch(region_id, photons[part], rows[part])
-
-
-def _region_of(batch: ReplayBatch) -> int:
-    return batch.region_id
+def batches_by_region(
+    region_id: NDArray[np.intp], photons: NDArray[np.int64], rows: NDArray[np.intp]
+) -> Iterator[ReplayBatch]:
+    """Divide photons (m,), sorted by their regions, into batches of up to `BATCH_SIZE` of one."""
+    starts = np.flatnonzero(np.diff(region_id, prepend=-1))
+    for start, stop in zip(starts, [*starts[1:], len(rows)], strict=True):
+        for first in range(start, stop, BATCH_SIZE):
+            part = slice(first, min(first + BATCH_SIZE, stop))
+            yield ReplayBatch(int(region_id[first]), photons[part], rows[part])
 
 
 class SpectrumTracer:
@@ -127,7 +122,8 @@ class SpectrumTracer:
     ) -> tuple[PathEvents, Floats, Floats]:
         """Trace photons again; return their events and their primal rays, two of (n, 3)."""
         steps: list[_Step] = []
-        self._context.start(self._paths, region_id, photons, in_order=True)
+        region, counts = np.array([region_id]), np.array([len(photons)])
+        self._context.start(self._paths, region, counts, photons, in_order=True)
         _, origin, direction = self._paths.live_rays()
         while self._paths.n_live:
             steps.append(self._step())
