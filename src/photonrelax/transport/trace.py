@@ -153,6 +153,8 @@ def trace_photons(
     traced = _checked_photons(photons, int(np.sum(numbers)))
     _check_memory(scene, len(traced), settings, caster, threads)
     plan = allotted_plan(scene, numbers, settings, seed=seed, sampler=sampler, caster=caster)
+    # A region of which hardly any is its own may have fewer photons than were asked of it.
+    traced = traced[: max(int(plan.counts.sum()) - traced.start, 0)]
     context = TraceContext(scene, plan, settings, _batch_capacity(batch_size, plan), caster=caster)
     return _trace_all(context, traced, threads, progress, checked_executor(executor))
 
