@@ -8,6 +8,7 @@ python -m bench blocks            relaxing by blocks on disk compared with one p
 python -m bench table1            SJ13's Table I compared with the paper's own figures
 python -m bench memory            bytes a photon takes in each stage
 python -m bench lamps             times and noise of a room with one lamp, and with many
+python -m bench figure3           SJ13's Fig. 2 and 3: overlapping sets, constrained and relaxed
 python -m bench figure7           SJ13's Fig. 7: λ₂ of uniform photons, and the constraint
 python -m bench figure9           SJ13's Fig. 9: rings at three numbers of photons, and a reference
 python -m bench progressive       convergence of progressive photon mapping to analytic irradiance
@@ -58,6 +59,7 @@ from bench.studies import (
     equal_error,
     error_times,
     extremes,
+    figure3,
     figure7,
     figure9,
     flicker,
@@ -90,6 +92,7 @@ _COMMANDS = {
     "blocks": blocks,
     "lamps": many_lamps,
     "table1": table1,
+    "figure3": figure3,
     "figure7": figure7,
     "figure9": figure9,
     "memory": memory,

@@ -15,6 +15,7 @@ from bench.studies import (
     dispersion,
     envelope,
     equal_error,
+    figure3,
     figure7,
     frequency,
     initial_radius,
@@ -356,6 +357,16 @@ def test_lines_kept_at_a_noise_that_is_not_reached_are_not_made_up():
     assert shapes.line_at_equal_noise(found, 0.04) == pytest.approx(0.3)
     assert shapes.line_at_equal_noise(found, 0.01) is None
     assert shapes.line_at_equal_noise(found, 0.09) is None
+
+
+def test_figure_3_has_sets_whose_borders_hold_only_where_sets_are_told_apart():
+    sets = figure3.Sets(4000, n_iterations=3)
+    outside, within_other, away = sets.constraints(sets.structure)
+    assert min(outside, within_other) > away + 0.5
+    assert sets.constraints(sets.gradient)[1] < within_other - 0.3
+    assert sets.outside(sets.photons) == 0.0
+    assert sets.outside(sets.by_gradient) > 2 * sets.outside(sets.together)
+    assert sets.unevenness(sets.together) < 0.6 * sets.unevenness(sets.within_sets)
 
 
 def test_figure_7_has_the_distance_of_the_eigenvalues_from_a_gaussian(tmp_path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,21 +76,41 @@ def _patch(scene: pr.Scene, patch: tuple[Any, ...]) -> Patch:
     return Patch(number, low - thickness, high + thickness, float(sides.prod()), normal)
 
 
-def found(name: str, n: int, n_global: int, cells: int, seed: int) -> Floats:
-    """Irradiance by patch, component and channel, W/m², as a render finds it."""
+class Found(NamedTuple):
+    """Irradiance by patch, component and channel, W/m², as a render finds it.
+
+    `photons` has photons that are counted on the patches in place of estimates from them.
+    """
+
+    render: Floats
+    photons: Floats
+
+
+def found(name: str, n: int, n_global: int, cells: int, seed: int) -> Found:
+    """Irradiance of all patches of a scene."""
     scene = gallery.scene(name)
     caster = RayCaster(scene.objects)
-    caustic = pr.irradiance_field(pr.trace_photons(scene, n, seed=seed), scene=scene)
+    photons = pr.trace_photons(scene, n, seed=seed)
     everything = pr.trace_photons(scene, n_global, seed=seed, paths="global")
-    indirect = IndirectField(everything, scene=scene)
+    fields = pr.irradiance_field(photons, scene=scene), IndirectField(everything, scene=scene)
     out = []
-    for _, axis, side, low, high in SCENES[name][1].values():
+    for patch in SCENES[name][1].values():
+        _, axis, side, low, high = patch
         points, edges = _grid(axis, np.array(low), np.array(high), cells)
         normals = np.tile(side * np.eye(3)[axis], (len(points), 1))
-        direct = direct_irradiance(scene, caster, points, normals)
-        fields = [field(points, normals, footprint=edges) for field in (caustic, indirect)]
-        out.append([each.mean(axis=0) for each in (direct, *fields)])
-    return np.array(out)
+        direct = direct_irradiance(scene, caster, points, normals).mean(axis=0)
+        estimates = [field(points, normals, footprint=edges).mean(axis=0) for field in fields]
+        counts = [_counted(each, _patch(scene, patch)) for each in (photons, everything)]
+        out.append([[direct, *estimates], [direct, *counts]])
+    return Found(*np.array(out).swapaxes(0, 1))
+
+
+def _counted(photons: pr.PhotonMap, patch: Patch) -> Floats:
+    """Irradiance (3,) of a patch by the photons there."""
+    there = (photons.object_id == patch.object_id) & (photons.wi @ patch.normal > 0.0)
+    there &= ((photons.position >= patch.low) & (photons.position <= patch.high)).all(axis=1)
+    irradiance: Floats = photons.flux[there].sum(axis=0) / patch.area
+    return irradiance
 
 
 def _grid(axis: int, low: Floats, high: Floats, cells: int) -> tuple[Floats, Floats]:
@@ -105,17 +125,23 @@ def _grid(axis: int, low: Floats, high: Floats, cells: int) -> tuple[Floats, Flo
     return points.reshape(-1, 3), np.tile(edges, (cells * cells, 1, 1))
 
 
-def rows(name: str, options: argparse.Namespace) -> Iterator[list[str]]:
-    """Rows of the table of a scene: a patch each."""
+def compared(name: str, options: argparse.Namespace) -> tuple[Floats, Found]:
+    """Particles by batch, and what renders find by seed."""
     counted = tracer(name).irradiance(options.particles, options.batches, options.seed)
     numbers = options.photons, options.n_global or options.photons, options.cells
     seeds = range(options.seed, options.seed + options.renders)
-    estimated = np.array([found(name, *numbers, seed) for seed in seeds])
+    each = [found(name, *numbers, seed) for seed in seeds]
+    return counted, Found(*(np.array(column) for column in zip(*each, strict=True)))
+
+
+def rows(name: str, options: argparse.Namespace) -> Iterator[list[str]]:
+    """Rows of the table of a scene: a patch each."""
+    counted, found = compared(name, options)
     mean = counted.mean(axis=0)
-    doubts = [_doubt(each.sum(axis=2)) for each in (counted, estimated)]
+    doubts = [_doubt(each.sum(axis=2)) for each in (counted, found.render)]
     for number, patch in enumerate(SCENES[name][1]):
         total = mean[number].sum(axis=0)
-        error = estimated.mean(axis=0)[number].sum(axis=0) / total - 1.0
+        error = found.render.mean(axis=0)[number].sum(axis=0) / total - 1.0
         yield [
             name,
             patch,
@@ -124,6 +150,26 @@ def rows(name: str, options: argparse.Namespace) -> Iterator[list[str]]:
             *(_percent(doubt[number] / total, ".2f") for doubt in doubts),
             _percent(error, "+.2f"),
         ]
+
+
+def rows_by_component(name: str, options: argparse.Namespace) -> Iterator[list[str]]:
+    """Rows of the table of a scene: a component on a patch each, over all light there."""
+    counted, found = compared(name, options)
+    mean, doubt = counted.mean(axis=0), _doubt(counted)
+    of_photons = _doubt(found.photons)
+    for number, patch in enumerate(SCENES[name][1]):
+        total = mean[number].sum(axis=0)
+        for i, component in enumerate(COMPONENTS):
+            place = number, i
+            errors = [(each.mean(axis=0)[place] - mean[place]) / total for each in found]
+            yield [
+                name,
+                patch,
+                component,
+                _percent(mean[place] / total, ".1f"),
+                *(_percent(each[place] / total, ".2f") for each in (doubt, of_photons)),
+                *(_percent(error, "+.2f") for error in reversed(errors)),
+            ]
 
 
 def _doubt(values: Floats) -> Floats:
@@ -147,11 +193,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--renders", type=int, default=4)
     parser.add_argument("--cells", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--by-component", action="store_true", help="with photons counted too")
 
 
 def run(options: argparse.Namespace) -> None:
     """Print a table of each scene."""
     titles = ["scene", "patch", *COMPONENTS, "irradiance, W/m²"]
     titles += ["doubt, %", "of renders, %", "renders less it, %"]
+    table = rows
+    if options.by_component:
+        titles = ["scene", "patch", "component", "share, %", "doubt, %", "of photons, %"]
+        titles += ["photons less it, %", "renders less it, %"]
+        table = rows_by_component
     for name in options.scenes.split(","):
-        print(f"{markdown_table(titles, rows(name, options))}\n", flush=True)
+        print(f"{markdown_table(titles, table(name, options))}\n", flush=True)

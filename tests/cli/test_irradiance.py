@@ -115,6 +115,34 @@ def test_a_size_maps_a_square_around_the_middle_of_the_light(field):
     assert grid.shape == (16, 16)
 
 
+def test_a_square_that_would_leave_the_object_is_moved_or_cut(field):
+    scene = gallery.scene("ring")
+    corners = scene.objects[0].mesh.vertices[:, :2]
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    off_centre = field.photons.position[:, 0] > 0.9 * field.photons.position[:, 0].max()
+    at_the_edge = field.photons.subset(off_centre)
+    for size, side in ((high[0] - 0.1, high[0] - 0.1), (100.0, high[0] - low[0])):
+        grid = ObjectMap(field, scene, "floor", 16, size=size, photons=at_the_edge).grid
+        np.testing.assert_allclose(grid.u, [side, 0, 0])
+        found = np.array([grid.origin + grid.v, grid.origin + grid.u])[:, :2]
+        assert (found >= low - 1e-12).all()
+        assert (found <= high + 1e-12).all()
+
+
+def test_texels_off_a_round_object_are_dark():
+    """A disc in uniform light, in its square."""
+    disc = pr.SceneObject(pr.Disk((0, 0, 0), (0, 0, 1), 1.0).mesh(), pr.Diffuse(0.5), "disc")
+    scene = pr.Scene([disc], [pr.CollimatedEmitter((0, 0, -1), 2.0)])
+    photons = pr.trace_photons(scene, 20_000, paths="all")
+    field = pr.irradiance_field(photons, scene=scene, method="standard")
+    found = ObjectMap(field, scene, "disc", 40)
+    middle = (np.arange(40) + 0.5) / 20 - 1
+    distance = np.hypot(*np.meshgrid(middle, middle))
+    assert (found.irradiance[distance > 1.2] == 0.0).all()
+    np.testing.assert_allclose(found.irradiance[distance < 0.8].mean(), 2.0, rtol=0.02)
+    assert np.isfinite(found.image.layers["radiance"]).all()
+
+
 def test_objects_go_by_name_or_number(field):
     scene = gallery.scene("ring")
     by_number = ObjectMap(field, scene, "0", 8)

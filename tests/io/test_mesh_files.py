@@ -113,6 +113,12 @@ def test_obj_files_have_the_materials_of_their_mtl(obj):
         assert f"Paint  {held}" in table
 
 
+def test_an_object_without_a_name_has_that_of_its_file(tmp_path):
+    path = tmp_path / "chip.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    assert loaded(path, material="diffuse").objects[0].name == "chip"
+
+
 @pytest.mark.filterwarnings("ignore:.*holds what a scene cannot")
 def test_a_material_that_is_given_is_that_of_all_parts(obj):
     scene = loaded(obj, material="mirror")

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+import trimesh
 
 import photonrelax as pr
 from photonrelax.photons.parts import MANIFEST
@@ -112,3 +113,24 @@ def test_columns_pass_the_checks_of_maps(folder):
     np.save(path, position)
     with pytest.raises(ValueError, match="part-000000 is not a part of a photon map: position"):
         pr.PhotonParts.open(folder).photon_map()
+
+
+def test_fewer_photons_than_asked_are_a_whole_emission_too(tmp_path):
+    """Of a ball that another hides but for a sliver, no photon is found."""
+    floor = trimesh.creation.box((9, 9, 0.1))
+    balls = [
+        trimesh.creation.icosphere(subdivisions=2, radius=radius).apply_translation(centre)
+        for radius, centre in ((1.0, (0, 0, 2)), (0.3, (0.795, 0, 0.6)))
+    ]
+    objects = [pr.SceneObject(ball, pr.Dielectric(1.5), smooth=True) for ball in balls]
+    scene = pr.Scene(
+        [pr.SceneObject(floor, pr.Diffuse(0.5)), *objects], [pr.PointEmitter((0.6, 0, 8), 1.0)]
+    )
+    whole = pr.trace_photons(scene, 400)
+    assert whole.n_emitted < 400
+    assert whole.emitted_ranges is None
+    for _ in range(2):
+        # The second time all parts are there.
+        parts = pr.trace_parts(scene, 400, tmp_path / "parts", chunk=300)
+        assert parts.is_whole
+        np.testing.assert_array_equal(parts.photon_map().position, whole.position)

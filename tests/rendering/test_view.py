@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import photonrelax as pr
+from photonrelax import gallery
 from photonrelax.rendering import view as view_module
 from photonrelax.rendering.layers import fixed_layers
-from photonrelax.rendering.view import View
+from photonrelax.rendering.view import View, resized
 
 
 @pytest.fixture
@@ -80,3 +81,10 @@ def test_samples_elsewhere_are_traced_anew(ring):
     np.testing.assert_array_equal(
         corner.hits.position, View(ring).band(rows, (0.1, 0.1)).hits.position
     )
+
+
+def test_a_scene_without_a_camera_is_resized_to_nothing_else():
+    scene = replace(gallery.scene("ring"), camera=None)
+    assert resized(scene, None, None) is scene
+    with pytest.raises(ValueError, match="camera to be resized"):
+        resized(scene, 40, None)

@@ -13,7 +13,7 @@ from .._util.validation import positive
 from .photon_pattern import PhotonPattern
 from .stencil import Disc, Parallelogram, Stencil
 
-_SET_A, _SET_B = Disc((0.40, 0.58), 0.30), Parallelogram((0.34, 0.12), (0.54, 0.12), (-0.06, 0.44))
+SETS = (Disc((0.40, 0.58), 0.30), Parallelogram((0.34, 0.12), (0.54, 0.12), (-0.06, 0.44)))
 # Of each set, over that of both together.
 _SHARES = np.array([0.64, 0.36])
 # Emitter coordinates of the second set less its positions, m: the windows are apart.
@@ -42,5 +42,5 @@ def two_sets(
         If an argument is of a wrong type.
     """
     lit = positive(irradiance, "irradiance") * _SHARES
-    stencil = Stencil((_SET_A, _SET_B), lit, np.array([(0.0, 0.0), _APART]))
+    stencil = Stencil(SETS, lit, np.array([(0.0, 0.0), _APART]))
     return stencil.pattern("two-sets", n, sampler, seed)

@@ -119,7 +119,8 @@ class _Obj:
         vertices = np.array(self._positions, dtype=np.float64)[position[first]]
         normals = np.array(self._normals, dtype=np.float64)[normal[first]] if has_normals else None
         coordinates = np.array(self._uvs, dtype=np.float64)[uv[first]] if has_uv else None
-        name = "/".join(each for each in (group.object_name, group.material_name) if each)
+        names = (group.object_name, group.material_name)
+        name = "/".join(each for each in names if each) or self._path.stem
         faces = corner.reshape(-1, 3)
         return Part(name, vertices, faces, normals, material, radiance, coordinates)
 

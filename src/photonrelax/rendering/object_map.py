@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from functools import cached_property
@@ -39,7 +40,8 @@ class ObjectMap:
     n_texels : int
         Texels along the longer side.
     size : float, optional
-        Side of a square around the middle of the light on the object, m, in place of all of it.
+        Side of a square around the middle of the light on the object, m, in place of all of it;
+        moved, and cut if it is larger, so that it is within the rectangle.
     photons : PhotonMap, optional
         Photons of the scene, which tell the lit side and encircled flux; by default the field's.
     executor : concurrent.futures.Executor, optional
@@ -90,7 +92,9 @@ class ObjectMap:
         low, high = (vertices @ sides.T).min(axis=0), (vertices @ sides.T).max(axis=0)
         if size is not None and len(self._there):
             middle = np.average(photons.position[self._there], axis=0, weights=flux) @ sides.T
-            low, high = middle - size / 2.0, middle + size / 2.0
+            half = np.minimum(size, high - low) / 2.0
+            middle = np.clip(middle, low + half, high - half)
+            low, high = middle - half, middle + half
         nx, ny = np.maximum(np.rint((high - low) / (high - low).max() * n_texels), 1).astype(int)
         origin = low @ sides + (vertices[0] @ normal) * normal
         u, v = (high - low)[:, np.newaxis] * sides
@@ -98,13 +102,17 @@ class ObjectMap:
 
     @cached_property
     def irradiance(self) -> Floats:
-        """Means over the texels (ny, nx, 3), row 0 on top, W/m²."""
+        """Means over the texels (ny, nx, 3), row 0 on top, W/m²; 0 off the object."""
         grid = self.grid
-        return irradiance_map(
-            *(self._field, grid.origin, grid.u, grid.v, grid.shape),
-            normal=grid.normal,
-            executor=self._executor,
-        )
+        with warnings.catch_warnings():
+            # Around an object that is no rectangle.
+            warnings.filterwarnings("ignore", message=".* points have no surface of the scene")
+            found = irradiance_map(
+                *(self._field, grid.origin, grid.u, grid.v, grid.shape),
+                normal=grid.normal,
+                executor=self._executor,
+            )
+        return np.nan_to_num(found, copy=False, nan=0.0)
 
     @property
     def image(self) -> Image:

@@ -433,10 +433,10 @@ def concatenate_bands(parts: list[dict[str, Floats]]) -> dict[str, Floats]:
 def resized(scene: Scene, width: int | None, height: int | None) -> Scene:
     """Scene with images of another size; one side alone keeps their proportions."""
     camera = scene.camera
-    if camera is None:
-        raise ValueError("scene should have a camera to be resized")
     if width is None and height is None:
         return scene
+    if camera is None:
+        raise ValueError("scene should have a camera to be resized")
     if width is None or height is None:
         scale = (width or camera.width) / camera.width * (height or camera.height) / camera.height
         width = max(round(scale * camera.width), 1)

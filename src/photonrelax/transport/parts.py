@@ -79,6 +79,9 @@ def trace_parts(
         parts = _begun(Path(folder), about)
         report.advance(parts.n_traced)
         for start in range(parts.n_traced, total, chunk):
+            if parts.is_whole:
+                # Fewer were emitted than asked, see `trace_photons`.
+                break
             some = range(start, min(start + chunk, total))
             parts = parts.append(trace(photons=some, n_threads=n_threads, executor=executor))
             report.advance(len(some))

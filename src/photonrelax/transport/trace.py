@@ -154,6 +154,8 @@ def trace_photons(
     traced = _checked_photons(photons, int(np.sum(numbers)))
     _check_memory(scene, len(traced), settings, caster, threads)
     plan = allotted_plan(scene, numbers, settings, seed=seed, sampler=sampler, caster=caster)
+    # A region of which hardly any is its own may have fewer photons than were asked of it.
+    traced = traced[: max(int(plan.counts.sum()) - traced.start, 0)]
     size = batch_capacity(count(batch_size, "batch_size", high=_MAX_BATCH), plan)
     context = TraceContext(scene, plan, settings, size, caster=caster)
     return _trace_all(context, traced, threads, progress, checked_executor(executor))
