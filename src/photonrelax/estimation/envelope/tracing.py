@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor
+from contextlib import nullcontext
 from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._util.parallel import thread_count
+from ..._util.parallel import thread_count, thread_executor
 from ..._util.validation import Floats
 from ..._util.workers import checked_executor
 from ...scene.emitters import CollimatedEmitter
@@ -94,9 +95,23 @@ def laid_envelope(
     executor: Executor | None = None,
 ) -> Envelope:
     """Envelope of a scene; see `trace_envelope`."""
-    started, threads = perf_counter(), thread_count(n_threads)
-    caster = caster or RayCaster(scene.surfaces)
-    tracer = SplittingTracer(scene, _LEAST_THROUGHPUT, threads, caster=caster, executor=executor)
+    threads, caster = thread_count(n_threads), caster or RayCaster(scene.surfaces)
+    with nullcontext(executor) if executor else thread_executor(threads) as workers:
+        tracer = SplittingTracer(scene, _LEAST_THROUGHPUT, caster=caster, executor=workers)
+        return _laid(tracer, scene, settings, n_threads=threads, caster=caster, executor=executor)
+
+
+def _laid(
+    tracer: SplittingTracer,
+    scene: Scene,
+    settings: EnvelopeSettings,
+    *,
+    n_threads: int,
+    caster: RayCaster,
+    executor: Executor | None,
+) -> Envelope:
+    """Envelope of a scene, by its tracer; the executor is for photons."""
+    started = perf_counter()
     charts = charts_of(scene)
     for emitter_id, emitter in enumerate(scene.emitters):
         if isinstance(emitter, CollimatedEmitter) and emitter.is_extended:
@@ -116,14 +131,14 @@ def laid_envelope(
     traced = perf_counter()
     wanted = _photons_wanted(followed, refinements, settings)
     left = _left_out(charts, followed, wanted)
-    images, chart, points = _images(refinements, charts, left, settings, threads)
+    images, chart, points = _images(refinements, charts, left, settings, n_threads)
     laid_down = perf_counter()
     rest = rest_photons(
         scene,
         wanted,
         {emitter_id: each.sheets for emitter_id, each in followed.items()},
         n_photons=settings.n_photons or _MOST_PHOTONS,
-        n_threads=threads,
+        n_threads=n_threads,
         caster=caster,
         executor=executor,
     )
