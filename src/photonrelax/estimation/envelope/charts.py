@@ -9,6 +9,7 @@ around all of it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -92,7 +93,7 @@ class Chart:
         distance = np.linalg.norm(self._at(places), axis=1)
         return rays.direction, sent * distance**3
 
-    @property
+    @cached_property
     def emitted(self) -> Floats:
         """Flux (3,) through the chart, W, by the midpoint rule."""
         middles = (np.arange(_MIDDLES) + 0.5) / _MIDDLES

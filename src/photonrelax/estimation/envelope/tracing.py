@@ -16,6 +16,7 @@ from ..._util.validation import Floats
 from ..._util.workers import checked_executor
 from ...scene.emitters import CollimatedEmitter
 from ...scene.scene import Scene
+from ...transport.aim import LUMINANCE
 from ...transport.raycast import RayCaster
 from ...transport.splitting import SplittingTracer
 from .borders import joined
@@ -129,7 +130,7 @@ def _laid(
     refinements = [Refinement(each, settings.footprint or 1.0) for each in lattices]
     _refine(refinements, list(followed.values()), settings, started)
     traced = perf_counter()
-    wanted = _photons_wanted(followed, refinements, settings)
+    wanted = _photons_wanted(charts, followed, refinements, settings)
     left = _left_out(charts, followed, wanted)
     images, chart, points = _images(refinements, charts, left, settings, n_threads)
     laid_down = perf_counter()
@@ -269,17 +270,24 @@ def _is_worse_than_photons(
 
 
 def _photons_wanted(
-    followed: dict[int, FollowedSheets], refinements: list[Refinement], settings: EnvelopeSettings
+    charts: list[Chart],
+    followed: dict[int, FollowedSheets],
+    refinements: list[Refinement],
+    settings: EnvelopeSettings,
 ) -> dict[int, float]:
     """Photons to emit for the sheets of each emitter that are not followed."""
     misplaced = sum(each.score for each in refinements) / OF_IMAGES
     luminance = sum(each.luminance for each in refinements)
     reached = misplaced / luminance if luminance else 0.0
     total = sum(each.luminance for each in followed.values())
-    return {
-        emitter_id: photons_wanted(each.left / total if total else 0.0, reached)
-        for emitter_id, each in followed.items()
-    }
+    wanted = {}
+    for emitter_id, each in followed.items():
+        emitted = sum(
+            chart.emitted @ LUMINANCE for chart in charts if chart.emitter_id == emitter_id
+        )
+        share = each.left / total if total else 0.0
+        wanted[emitter_id] = photons_wanted(share, each.left / emitted, reached)
+    return wanted
 
 
 def _left_out(
