@@ -127,7 +127,7 @@ def _laid(
         )
     if settings.footprint is None and lattices:
         settings = replace(settings, footprint=_extent(lattices) / FOOTPRINTS)
-    refinements = [Refinement(each, settings.footprint or 1.0) for each in lattices]
+    refinements = [Refinement(each, settings.footprint or 1.0, n_threads) for each in lattices]
     _refine(refinements, list(followed.values()), settings, started)
     traced = perf_counter()
     wanted = _photons_wanted(charts, followed, refinements, settings)
