@@ -15,7 +15,7 @@ from bench.markdown import markdown_table
 from bench.studies.slopes import water
 from photonrelax.transport.raycast import RayCaster
 
-_RAYS = (100_000, 300_000, 1_000_000, 3_000_000)
+_RAYS = (100_000, 300_000, 1_000_000)
 # Texels along each side of the map, and half that side, m.
 _TEXELS, _HALF = 400, 1.0
 
