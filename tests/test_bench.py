@@ -14,6 +14,7 @@ from bench.speed.timing import Case, Timing, interleave
 from bench.studies import (
     dispersion,
     envelope,
+    envelope_cost,
     equal_error,
     figure3,
     figure7,
@@ -507,6 +508,14 @@ def test_envelopes_and_relaxed_photons_have_a_row_each(monkeypatch):
     assert names == ["reference", "envelope, error 0.5", "mapped, k = 8"]
     held = [float(cell) for cell in lines[1][8:10]]
     assert all(0.0 < share <= 1.0 for share in held)
+
+
+def test_envelopes_of_more_rays_have_more_triangles(monkeypatch):
+    monkeypatch.setattr(envelope_cost, "water", partial(slopes.water, resolution=8))
+    monkeypatch.setattr(envelope_cost, "_TEXELS", 20)
+    first, second, _ = envelope_cost.rows((2_000, 4_000))
+    assert int(first[1].replace(",", "")) < int(second[1].replace(",", ""))
+    assert 0 < int(second[3]) < int(second[4])
 
 
 def test_errors_of_resolution_are_small_where_there_is_no_warning():

@@ -5,6 +5,7 @@ import pytest
 from photonrelax._ext.transport.splitting import sheets
 
 import photonrelax as pr
+from photonrelax._util.parallel import thread_executor
 from photonrelax.transport.splitting import SplittingTracer
 from tests.helpers.tracing_scenes import floor, mirror_ball, slab
 
@@ -23,7 +24,8 @@ def down(n, seed=1):
 
 
 def arrivals(of, n=200, least=1e-12, n_threads=1):
-    return SplittingTracer(of, least, n_threads).explore(*down(n), 0)[0]
+    with thread_executor(n_threads) as executor:
+        return SplittingTracer(of, least, executor=executor).explore(*down(n), 0)[0]
 
 
 def test_a_slab_passes_every_order_of_internal_reflection():
@@ -54,7 +56,7 @@ def test_roulette_loses_no_light_on_average(least):
 
 def test_wanted_sheets_alone_are_followed():
     """The same arrivals as of all paths, however faint, without rays of others."""
-    tracer = SplittingTracer(scene(slab(ior=1.5)), 1e-12, 1)
+    tracer = SplittingTracer(scene(slab(ior=1.5)), 1e-12)
     origin, direction, key = down(20)
     found, signatures = tracer.explore(origin, direction, key, 0)
     n_segments = tracer.n_segments
@@ -95,7 +97,7 @@ def test_threads_and_batches_do_not_matter():
 
 
 def test_rays_that_do_not_fit_are_refused():
-    tracer = SplittingTracer(scene(slab()), 0.01, 1)
+    tracer = SplittingTracer(scene(slab()), 0.01)
     origin, direction, key = down(10)
     with pytest.raises(ValueError, match="do not fit one another"):
         tracer.explore(origin[:, :2].copy(), direction, key, 0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from contextlib import nullcontext
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import NamedTuple
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 
 from .._ext.transport.materials import Materials
 from .._ext.transport.splitting import SplitPaths
-from .._util.parallel import thread_executor
 from .._util.validation import Floats
 from .._util.workers import worker_map
 from ..scene.scene import Scene
@@ -23,7 +21,7 @@ from .raycast import RayCaster
 Signatures = NDArray[np.uint64]
 
 # Rays traced together.
-_BATCH = 8192
+_BATCH = 2048
 # Events after which a ray ends.
 MAX_BOUNCES = 32
 
@@ -163,10 +161,8 @@ class SplittingTracer:
         Its surfaces and emitters.
     least_throughput : float
         Branches of less in every channel go on as single photons, by roulette.
-    n_threads : int
-        Threads, between which batches are divided; results do not depend on them.
     executor : concurrent.futures.Executor, optional
-        In place of the threads, as of `worker_map`.
+        As of `worker_map`: batches are divided between its workers, on which results do not depend.
 
     Attributes
     ----------
@@ -178,7 +174,6 @@ class SplittingTracer:
         self,
         scene: Scene,
         least_throughput: float,
-        n_threads: int,
         *,
         caster: RayCaster | None = None,
         executor: Executor | None = None,
@@ -192,7 +187,7 @@ class SplittingTracer:
         self._context = _Context(scene, least_throughput, caster=caster)
         context = self._context
         self._media = media_at_emitters(scene, context.caster, context.materials)[0]
-        self._n_threads, self._executor = n_threads, executor
+        self._executor = executor
         self.n_rays = self.n_segments = 0
 
     def explore(
@@ -229,10 +224,9 @@ class SplittingTracer:
             _Job(origin[part], direction[part], key[part], part.start, media, followed)
             for part in parts
         )
-        # A single batch is not worth sending a scene.
+        # A single batch is not worth sending.
         executor = self._executor if n > _BATCH else None
-        with nullcontext(executor) if executor else thread_executor(self._n_threads) as workers:
-            found = list(worker_map(_traced_batch, self._context, jobs, workers))
+        found = list(worker_map(_traced_batch, self._context, jobs, executor))
         self.n_rays += n
         self.n_segments += sum(part.n_segments for part in found)
         return found

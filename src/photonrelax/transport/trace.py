@@ -154,8 +154,6 @@ def trace_photons(
     traced = _checked_photons(photons, int(np.sum(numbers)))
     _check_memory(scene, len(traced), settings, caster, threads)
     plan = allotted_plan(scene, numbers, settings, seed=seed, sampler=sampler, caster=caster)
-    # A region of which hardly any is its own may have fewer photons than were asked of it.
-    traced = traced[: max(int(plan.counts.sum()) - traced.start, 0)]
     size = batch_capacity(count(batch_size, "batch_size", high=_MAX_BATCH), plan)
     context = TraceContext(scene, plan, settings, size, caster=caster)
     return _trace_all(context, traced, threads, progress, checked_executor(executor))
@@ -260,6 +258,8 @@ def _trace_all(
 ) -> PhotonMap:
     """Photons of all batches of those to trace."""
     plan, settings = context.plan, context.settings
+    # A region of which hardly any is its own may have fewer photons than were asked of it.
+    traced = traced[: max(int(plan.counts.sum()) - traced.start, 0)]
     report = Reporter(progress, "trace", len(traced))
     columns = _Columns(plan, len(traced), context.materials.has_dispersion)
     ledgers, selected = [], []

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from ..._util.validation import Floats
 from ...transport.splitting import Arrivals, Signatures
-from .elements import PARTS, Elements, Patches, areas, six_places
+from .elements import PARTS, Elements, Patches, areas, luminances, six_places
 from .lattice import Ids, Lattice, Places
 
-# Halvings of a side on which a sheet ends.
-STEPS = 5
-
+# Halvings of a side on which a sheet ends: on average, if all lost as much light; and of one at
+# least and at most.
+STEPS, _LEAST_STEPS, _MOST_STEPS = 5, 2, 8
 
 Columns = TypeVar("Columns", bound=tuple[NDArray, ...])
 
@@ -172,26 +172,59 @@ def _cut(lattice: Lattice, corners: _Corners, seen: list[int], ends: Ends) -> Pi
 
 def _ends(lattice: Lattice, sides: _Sides, most: float) -> Ends:
     """Ends of sheets on sides, which are halved as long as at most `most` rays are traced."""
-    row = np.column_stack([sides.seen, sides.unseen, sides.sheet.astype(np.float64)])
-    _, first, inverse = np.unique(row, axis=0, return_index=True, return_inverse=True)
+    first, inverse = _unique(_keys(sides.unseen), sides.arrival)
     inside, outside = sides.seen[first], sides.unseen[first]
     arrival, sheet = sides.arrival[first], sides.sheet[first]
     position = lattice.arrivals.position[arrival]
     normal, light = lattice.arrivals.normal[arrival], lattice.light[arrival]
-    for _ in range(STEPS if len(first) else 0):
-        middle, node = np.unique(0.5 * (inside + outside), axis=0, return_inverse=True)
-        if lattice.n_traced + len(middle) > most:
+    steps = _steps(inside - outside, light)
+    for step in range(steps.max(initial=0)):
+        rows = np.flatnonzero(steps > step)
+        middle = 0.5 * (inside[rows] + outside[rows])
+        each, node = _unique(_keys(middle))
+        if lattice.n_traced + len(each) > most:
             break
-        node = node.ravel()
-        found, power = lattice.trace(middle)
-        rows, at = _seen(node, found, sheet)
-        hit = np.zeros(len(first), dtype=bool)
-        hit[rows] = True
-        inside[hit], outside[~hit] = middle[node[hit]], middle[node[~hit]]
-        position[rows], normal[rows] = found.position[at], found.normal[at]
-        light[rows] = found.throughput[at] * power[found.node[at]]
-    each = inverse.ravel()
-    return Ends(0.5 * (inside + outside)[each], position[each], normal[each], light[each])
+        found, power = lattice.trace(middle[each])
+        seen, at = _seen(node, found, sheet[rows])
+        hit = np.zeros(len(rows), dtype=bool)
+        hit[seen] = True
+        inside[rows[hit]], outside[rows[~hit]] = middle[hit], middle[~hit]
+        seen = rows[seen]
+        position[seen], normal[seen] = found.position[at], found.normal[at]
+        light[seen] = found.throughput[at] * power[found.node[at]]
+    return Ends(
+        0.5 * (inside + outside)[inverse], position[inverse], normal[inverse], light[inverse]
+    )
+
+
+def _steps(side: Floats, light: Floats) -> NDArray[np.intp]:
+    """Halvings (n,) of sides (n, 2) by the light (n, 3) that triangles beside them have.
+
+    So many that all of them lose as much, and together what they do if all are halved as often.
+    """
+    lost = np.maximum(luminances(light) * np.square(side).sum(axis=1), 1e-300)
+    wanted = STEPS + np.log2(lost / lost.mean()) if len(lost) else lost
+    steps: NDArray[np.intp] = np.clip(np.rint(wanted), _LEAST_STEPS, _MOST_STEPS).astype(np.intp)
+    return steps
+
+
+def _keys(places: Floats) -> NDArray[np.int64]:
+    """Numbers (n,) that tell places (n, 2) between nodes."""
+    whole = np.rint(places * (1 << _MOST_STEPS)).astype(np.int64)
+    keys: NDArray[np.int64] = (whole[:, 0] << 32) | whole[:, 1]
+    return keys
+
+
+def _unique(*columns: NDArray) -> tuple[Ids, Ids]:
+    """First rows of each distinct one in columns (n,), and which (n,) of these all are."""
+    order = np.lexsort(columns)
+    is_new = np.zeros(len(order), dtype=bool)
+    is_new[:1] = True
+    for column in columns:
+        is_new[1:] |= np.diff(column[order]) != 0
+    number = np.empty(len(order), dtype=np.intp)
+    number[order] = np.cumsum(is_new) - 1
+    return order[is_new], number
 
 
 def _seen(node: Ids, found: Arrivals, sheet: Signatures) -> tuple[Ids, Ids]:

@@ -9,6 +9,7 @@ around all of it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -22,8 +23,9 @@ from ...transport.aim import LUMINANCE
 
 # Share of its sides by which a chart is larger than its casters.
 _MARGIN = 1e-3
-# Ratio of the variances of casters along two axes up to which they have none.
-_ROUND = 1.01
+# Ratio of the variances of casters along two axes up to which they have none, and skewness along
+# one up to which neither end is before the other.
+_ROUND, _EVEN = 1.01, 1e-6
 # Points along each side by which the power of a chart is summed.
 _MIDDLES = 256
 # Casters farther than this from the axis of a chart, as a tangent, get charts all around.
@@ -91,7 +93,7 @@ class Chart:
         distance = np.linalg.norm(self._at(places), axis=1)
         return rays.direction, sent * distance**3
 
-    @property
+    @cached_property
     def emitted(self) -> Floats:
         """Flux (3,) through the chart, W, by the midpoint rule."""
         middles = (np.arange(_MIDDLES) + 0.5) / _MIDDLES
@@ -159,8 +161,9 @@ def parallel_charts(scene: Scene, emitter: CollimatedEmitter, emitter_id: int) -
     """Charts of parallel light, which need not be that of the scene's emitter of the number."""
     casters, whole = _casters(scene), scene.bounding_sphere()
     region = emitter.emission_region(whole, whole, scene.emitter_offset(emitter))
-    frame = _aligned(region.frame, [each - region.origin for each in casters])
-    boxes = [_box((each - region.origin) @ frame[:2].T) for each in casters]
+    frame = _aligned(region.frame, [_along(each, region.frame[:2]) for each in casters])
+    shift = frame[:2] @ region.origin
+    boxes = [_box(_along(each, frame[:2])) - shift for each in casters]
     return [
         Chart(
             emitter,
@@ -180,8 +183,10 @@ def _charts_around_point(scene: Scene, emitter: Emitter, emitter_id: int) -> lis
     units = [each / np.linalg.norm(each, axis=1)[:, np.newaxis] for each in towards]
     axis = sum(each.mean(axis=0) for each in units)
     length = np.linalg.norm(axis)
-    frame = _aligned(axis_frame(axis / length), units) if length > 0.0 else np.eye(3)
-    local = [each @ frame.T for each in towards]
+    frame = axis_frame(axis / length) if length > 0.0 else np.eye(3)
+    if length > 0.0:
+        frame = _aligned(frame, [_along(each, frame[:2]) for each in units])
+    local = [_along(each, frame) for each in towards]
     if all((np.hypot(p[:, 0], p[:, 1]) <= _WIDEST * p[:, 2]).all() for p in local):
         boxes = _disjoint([_box(p[:, :2] / p[:, 2:]) for p in local])
         frames = [frame] * len(boxes)
@@ -204,18 +209,32 @@ def _charts_around_point(scene: Scene, emitter: Emitter, emitter_id: int) -> lis
 def _aligned(frame: Floats, casters: list[Floats]) -> Floats:
     """A frame turned about its third axis to the axes of casters, so that charts turn with these.
 
-    It stays where casters are as wide along all directions across it.
+    `casters` (v, 2) are their coordinates along the other axes of the frame. It stays where they
+    are as wide along all directions.
     """
-    across = np.concatenate(casters) @ frame[:2].T
-    across = across - across.mean(axis=0)
-    variance, axes = np.linalg.eigh(across.T @ across)
+    across = np.concatenate(casters)
+    across -= across.mean(axis=0)
+    variance, axes = np.linalg.eigh(np.einsum("vi,vj->ij", across, across))
     if variance[1] <= _ROUND * variance[0]:
         return frame
     u = axes[:, 1]
-    skewness = ((across @ u) ** 3).sum()
-    u = u if skewness >= 0.0 else -u
-    turned = u @ frame[:2]
+    distance = across[:, 0] * u[0] + across[:, 1] * u[1]
+    cubes = distance * distance * distance
+    lean = cubes.sum()
+    if abs(lean) <= _EVEN * np.abs(cubes).sum():
+        lean = -u[np.abs(u).argmax()]
+    turned = (u if lean >= 0.0 else -u) @ frame[:2]
     return np.array([turned, np.cross(frame[2], turned), frame[2]])
+
+
+def _along(vectors: Floats, axes: Floats) -> Floats:
+    """Coordinates (v, k) of vectors (v, 3) along axes (k, 3).
+
+    Matrices so narrow are not worth the threads of a library of linear algebra. Each coordinate is
+    in sequence, as their extremes are then found faster.
+    """
+    columns: Floats = np.einsum("vc,kc->kv", vectors, axes)
+    return columns.T
 
 
 def _box(points: Floats) -> Floats:

@@ -34,7 +34,7 @@ def shape_functions(at: Floats) -> Floats:
 
 
 # Weights (4, 3, 6) of the nodes of an element at the new nodes of its parts.
-_NEW_NODES = np.array(
+NEW_NODES = np.array(
     [
         shape_functions(np.array([_NODES[part[list(side)]].mean(axis=0) for side in _SIDES]))
         for part in PARTS
@@ -65,6 +65,12 @@ class Patches:
 
     def __getitem__(self, rows: NDArray) -> Patches:
         return Patches(self.element[rows], self.sheet[rows], self.arrival[rows])
+
+    @classmethod
+    def none(cls) -> Patches:
+        """No images."""
+        none = np.empty(0, np.intp)
+        return cls(none, np.empty(0, np.uint64), np.empty((0, 6), np.intp))
 
     @property
     def is_whole(self) -> NDArray[np.bool_]:
@@ -194,45 +200,12 @@ def patches_of(lattice: Lattice, nodes: Ids) -> Patches:
     return Patches(element[new], sheet[new], table)
 
 
-def fluxes(lattice: Lattice, patches: Patches, area: Floats) -> Floats:
-    """Flux (p, 3) of images of elements of areas (p,), W; of those nodes that are seen.
-
-    The nodes in the middle of the sides are a quadrature that is exact for quadratic functions.
-    """
-    seen = patches.arrival >= 0
-    light = lattice.light[patches.arrival]
-    light[~seen] = 0.0
-    flux: Floats = area[:, np.newaxis] * light[:, 3:].mean(axis=1)
-    torn = ~seen.all(axis=1)
-    flux[torn] = area[torn, np.newaxis] * light[torn].mean(axis=1)
-    return flux
-
-
 def sags(position: Floats) -> Floats:
     """Distances (p, 3) of the middle nodes from the middles of straight sides."""
     corners = position[:, :3]
     middle = np.stack([corners[:, i] + corners[:, j] for i, j in _SIDES], axis=1) / 2.0
     distances: Floats = np.linalg.norm(position[:, 3:] - middle, axis=2)
     return distances
-
-
-def bends(position: Floats) -> tuple[Floats, Floats]:
-    """Largest distances of the middle nodes from straight sides, and longest sides, (p,) both."""
-    corners = position[:, :3]
-    side = np.stack([corners[:, i] - corners[:, j] for i, j in _SIDES], axis=1)
-    return sags(position).max(axis=1), np.linalg.norm(side, axis=2).max(axis=1)
-
-
-def misfits(position: Floats, parent: Floats, part: Ids) -> Floats:
-    """Distances (p,) of new nodes from where the images of parents have them, root mean square.
-
-    `position` (p, 6, 3) is of the images, `parent` (p, 6, 3) of the images they are part of, and
-    `part` (p,) which of the four.
-    """
-    predicted = np.einsum("pks,psc->pkc", _NEW_NODES[part], parent)
-    squared = np.square(position[:, 3:] - predicted).sum(axis=2)
-    misfit: Floats = np.sqrt(squared.mean(axis=1))
-    return misfit
 
 
 def luminances(flux: Floats) -> Floats:

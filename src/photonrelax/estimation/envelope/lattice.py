@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._util.validation import Floats
+from ...transport.aim import LUMINANCE
 from ...transport.splitting import Arrivals, SplittingTracer
 from .charts import Chart
 from .sheets import FollowedSheets
@@ -30,7 +31,7 @@ class Lattice:
         Those that nodes have arrivals of.
     arrivals : Arrivals
         Of all nodes, by node.
-    light : (m, 3) float64
+    light, luminance : (m, 3), (m,) float64
         W per area of the chart that arrives around them.
     first, count : (n_nodes,) intp
         Rows of the arrivals of each node.
@@ -50,7 +51,7 @@ class Lattice:
         self.first = self.count = np.empty(0, np.intp)
         self.power = np.empty((0, 3))
         self.arrivals = Arrivals.none()
-        self.light = np.empty((0, 3))
+        self.light, self.luminance = np.empty((0, 3)), np.empty(0)
 
     @property
     def n_traced(self) -> int:
@@ -106,7 +107,8 @@ class Lattice:
     def drop_unfollowed(self) -> Ids:
         """Leave out the arrivals of sheets that are not followed; new rows (m,) of the others."""
         kept = np.isin(self.arrivals.sheet, self.followed.sheets)
-        self.arrivals, self.light = self.arrivals[kept], self.light[kept]
+        self.arrivals = self.arrivals[kept]
+        self.light, self.luminance = self.light[kept], self.luminance[kept]
         self.count = np.bincount(self.arrivals.node, minlength=len(self))
         self.first = np.cumsum(self.count) - self.count
         rows: Ids = np.where(kept, np.cumsum(kept) - 1, -1)
@@ -122,5 +124,7 @@ class Lattice:
         count = np.bincount(found.node, minlength=len(new))
         first = len(self.arrivals) + np.cumsum(count) - count
         self.first, self.count = np.append(self.first, first), np.append(self.count, count)
-        self.light = np.concatenate([self.light, found.throughput * power[found.node]])
+        light = found.throughput * power[found.node]
+        self.light = np.concatenate([self.light, light])
+        self.luminance = np.concatenate([self.luminance, light @ LUMINANCE])
         self.arrivals = Arrivals.concatenate([self.arrivals, found.moved(n_before)])

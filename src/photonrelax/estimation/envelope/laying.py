@@ -51,12 +51,12 @@ def laid(refinement: Refinement, n_rays: float, n_threads: int) -> tuple[list[La
     Borders are cut by at most so many rays.
     """
     whole = refinement.patches.is_whole
-    smooth = whole & ~refinement.jumps
+    smooth = whole & ~refinement.measures.jumps
     pieces = cut(refinement.lattice, refinement.leaves, refinement.patches[~whole], n_rays)
     # What borders misplace is told where they are.
     lost = luminances(pieces.flux)
     if lost.sum() > 0.0:
-        lost *= min(refinement.scores[~whole].sum() / lost.sum(), 1.0)
+        lost *= min(refinement.measures.score[~whole].sum() / lost.sum(), 1.0)
     borders = Laid(
         pieces.position,
         _unit(pieces.normal),
@@ -68,7 +68,8 @@ def laid(refinement: Refinement, n_rays: float, n_threads: int) -> tuple[list[La
     return (
         [_curved(refinement, np.flatnonzero(smooth), n_threads), borders],
         joined(
-            Points, [_of_images(refinement, whole & refinement.jumps), refinement.missed_points]
+            Points,
+            [_of_images(refinement, whole & refinement.measures.jumps), refinement.missed_points],
         ),
     )
 
@@ -124,7 +125,7 @@ def _curved(refinement: Refinement, rows: NDArray[np.intp], n_threads: int) -> L
         refinement.lattice.light[patches.arrival] * area[:, np.newaxis, np.newaxis],
         refinement.lattice.in_unit(six_places(refinement.leaves.corners[patches.element])),
         patches.sheet,
-        refinement.scores[rows],
+        refinement.measures.score[rows],
     )
     n, of_chords = _divisions(images, refinement.score, refinement.footprint)
     images = images._replace(score=images.score + of_chords)

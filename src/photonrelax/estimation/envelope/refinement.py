@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._ext.estimation.envelope_images import measure
 from ..._util.validation import Floats
+from .borders import joined
 from .elements import (
+    NEW_NODES,
     PARTS,
     Elements,
     Patches,
     areas,
-    bends,
     first_corners,
     first_elements_at,
-    fluxes,
     luminances,
-    misfits,
     nodes_of_neighbours,
     parts_at,
     patches_of,
@@ -25,18 +27,37 @@ from .elements import (
 from .lattice import MAX_LEVEL, Ids, Lattice
 from .sheets import Points
 
-# Misplaced distance over the misfit of a parent, and over the bend where there is no parent.
-_OF_MISFIT, _OF_BEND = 0.125, 0.25
 # Share of the flux of a torn image that is taken to be misplaced: borders are cut.
 _OF_TORN = 0.1
-# Images that bend by more than this share of their longest side, and a footprint, jump.
-_JUMP = 0.35
+# Misplaced distance over the misfit of a parent, and over the bend where there is no parent. Images
+# that bend by more than a share of their longest side, and a footprint, jump.
+_RULES = {"of_misfit": 0.125, "of_bend": 0.25, "of_torn": _OF_TORN, "jump": 0.35}
 # Rays that an element with torn images costs, at most, when their borders are cut.
 _RAYS_OF_BORDER = 12
 # Leaves divided in one pass have at least this share of the largest score.
 _GREED = 0.05
 # New nodes of a divided leaf, most of which it shares with neighbours.
 _RAYS_OF_LEAF = 5
+
+
+class Measures(NamedTuple):
+    """What is known of images.
+
+    Attributes
+    ----------
+    flux, score : (p,) float64
+        Luminance of each, and what of it is misplaced, W.
+    jumps : (p,) bool
+        Images whose nodes do not follow one smooth map.
+    """
+
+    flux: Floats
+    score: Floats
+    jumps: NDArray[np.bool_]
+
+    def of(self, rows: NDArray) -> Measures:
+        """Those of some rows."""
+        return Measures(*(column[rows] for column in self))
 
 
 class Refinement:
@@ -50,22 +71,20 @@ class Refinement:
     leaves : Elements
     patches : Patches
         Images of the leaves.
-    scores : (p,) float64
-        Luminance that each of them misplaces, W.
-    jumps : (p,) bool
-        Images whose nodes do not follow one smooth map.
+    measures : Measures
+        Of the images.
     missed : (n,) float64
         Luminance that leaves misplace of sheets that none of their nodes sees, but one of a
         neighbour on a side of theirs, and that of the first rays in parts of them that are not
         laid down, W.
     """
 
-    def __init__(self, lattice: Lattice, footprint: float) -> None:
-        self.lattice, self.footprint = lattice, footprint
+    def __init__(self, lattice: Lattice, footprint: float, n_threads: int) -> None:
+        self.lattice, self.footprint, self._n_threads = lattice, footprint, n_threads
         corners = first_corners(lattice)
         self.leaves = self._elements(corners, np.zeros(len(corners), np.int8))
         self.patches = patches_of(lattice, self.leaves.nodes)
-        self.scores, self.jumps = self._scores(self.leaves, self.patches, None)
+        self.measures = self._measures(self.leaves, self.patches, Patches.none())
         self._points = lattice.followed.points(lattice.chart, followed=True)
         self._leaf = first_elements_at(lattice, lattice.in_lattice(self._points.place))
         self.missed = self._missed()
@@ -73,12 +92,12 @@ class Refinement:
     @property
     def score(self) -> float:
         """Luminance that is misplaced, W."""
-        return float(self.scores.sum() + self.missed.sum())
+        return float(self.measures.score.sum() + self.missed.sum())
 
     @property
     def luminance(self) -> float:
         """Luminance of the light of all images, W."""
-        return float(luminances(self._fluxes(self.leaves, self.patches)).sum())
+        return float(self.measures.flux.sum())
 
     @property
     def n_rays_of_borders(self) -> int:
@@ -92,14 +111,18 @@ class Refinement:
 
         What is missed is rough.
         """
-        flux = luminances(self._fluxes(self.leaves, self.patches))
-        is_rough = ~self.patches.is_whole | self.jumps
+        flux, is_rough = self.measures.flux, self.is_rough
         return np.column_stack([self._of_sheets(each) for each in (flux, flux * is_rough)])
 
     @property
     def misplaced_of_sheets(self) -> Floats:
         """Luminance (k,) of each sheet that is followed that is misplaced, W."""
-        return self._of_sheets(self.scores)
+        return self._of_sheets(self.measures.score)
+
+    @property
+    def is_rough(self) -> NDArray[np.bool_]:
+        """(p,) true for images that are torn or jump."""
+        return ~self.patches.is_whole | self.measures.jumps
 
     def _of_sheets(self, luminance: Floats) -> Floats:
         """Sums (k,) over the images of each sheet, and what is missed of it."""
@@ -114,7 +137,7 @@ class Refinement:
         `is_rough` (k,) are the sheets looked at, which the others are not.
         """
         number, n = self._numbers, len(self.lattice.followed.sheets)
-        rough = ~self.patches.is_whole | self.jumps
+        rough = self.is_rough
         others = self.patches.element[rough & ~is_rough[number]]
         alone = rough & ~np.isin(self.patches.element, others)
         return np.column_stack([np.bincount(number[each], minlength=n) for each in (rough, alone)])
@@ -161,7 +184,7 @@ class Refinement:
         # The last row is that of nodes without an arrival.
         arrival = np.append(rows, -1)[patches.arrival]
         self.patches = Patches(patches.element, patches.sheet, arrival)
-        self.scores, self.jumps = self.scores[kept], self.jumps[kept]
+        self.measures = self.measures.of(kept)
         kept = np.isin(self._points.sheet, self.lattice.followed.sheets)
         self._points, self._leaf = self._points.of(kept), self._leaf[kept]
         self.missed = self._missed()
@@ -172,7 +195,9 @@ class Refinement:
         Enough of them that the scores of the others sum to `misplaced`, no more than take `n_rays`
         new rays.
         """
-        score = self.missed + np.bincount(self.patches.element, self.scores, len(self.leaves))
+        score = self.missed + np.bincount(
+            self.patches.element, self.measures.score, len(self.leaves)
+        )
         score[self.leaves.level >= MAX_LEVEL] = 0.0
         order = np.argsort(-score, kind="stable")
         left = score.sum() - np.cumsum(score[order])
@@ -192,7 +217,7 @@ class Refinement:
         above = Patches(np.searchsorted(rows, above.element), above.sheet, above.arrival)
         leaves = self._elements(*self.leaves[rows].parts())
         patches = patches_of(self.lattice, leaves.nodes)
-        scores, jumps = self._scores(leaves, patches, above)
+        measures = self._measures(leaves, patches, above)
         others = self.patches[~of_parents]
         number = np.cumsum(kept) - 1
         first = int(np.count_nonzero(kept))
@@ -203,8 +228,7 @@ class Refinement:
             np.concatenate([others.sheet, patches.sheet]),
             np.concatenate([others.arrival, patches.arrival]),
         )
-        self.scores = np.concatenate([self.scores[~of_parents], scores])
-        self.jumps = np.concatenate([self.jumps[~of_parents], jumps])
+        self.measures = joined(Measures, [self.measures.of(~of_parents), measures])
         self.missed = self._missed()
 
     def _moved(self, rows: Ids, number: Ids, first: int) -> Ids:
@@ -248,42 +272,29 @@ class Refinement:
         places = six_places(corners).reshape(-1, 2)
         return Elements(corners, self.lattice.nodes(places).reshape(-1, 6), level)
 
-    def _fluxes(self, leaves: Elements, patches: Patches) -> Floats:
-        return fluxes(self.lattice, patches, areas(self.lattice, leaves.corners)[patches.element])
-
-    def _scores(
-        self, leaves: Elements, patches: Patches, above: Patches | None
-    ) -> tuple[Floats, NDArray[np.bool_]]:
-        """Luminance (p,) that each image misplaces, W, and whether it jumps.
+    def _measures(self, leaves: Elements, patches: Patches, above: Patches) -> Measures:
+        """Measures (p,) of images of leaves.
 
         `above` are the images of the elements that the leaves divide, four in sequence each.
         """
-        position = self.lattice.arrivals.position[patches.arrival]
-        flux = luminances(self._fluxes(leaves, patches))
-        bend, longest = bends(position)
-        misplaced = _OF_BEND * bend
-        if above is not None and len(above):
-            known, parent = _parents(patches, above)
-            at = self.lattice.arrivals.position[above.arrival[parent]]
-            misfit = misfits(position[known], at, patches.element[known] % 4)
-            misplaced[known] = _OF_MISFIT * misfit
-        jumps = patches.is_whole & (bend > _JUMP * longest) & (bend > self.footprint)
-        misplaced[jumps] = np.inf
-        score = flux * np.minimum(misplaced / self.footprint, 1.0)
-        torn = np.flatnonzero(~patches.is_whole)
-        seen = patches.arrival[torn] >= 0
-        size = np.where(seen.sum(axis=1) < 3, np.inf, _sizes(position[torn], seen))
-        score[torn] = _OF_TORN * flux[torn] * np.minimum(size / self.footprint, 1.0)
-        return score, jumps
-
-
-def _sizes(position: Floats, seen: NDArray[np.bool_]) -> Floats:
-    """Diagonals (p,) of the boxes around those of positions (p, 6, 3) that are seen."""
-    away = ~seen[:, :, np.newaxis]
-    high = np.where(away, -np.inf, position).max(axis=1)
-    low = np.where(away, np.inf, position).min(axis=1)
-    size: Floats = np.linalg.norm(high - low, axis=1)
-    return size
+        arrivals, n = self.lattice.arrivals, len(patches)
+        parent = np.full((n, 6), -1, dtype=np.intp)
+        if len(above):
+            known, rows = _parents(patches, above)
+            parent[known] = above.arrival[rows]
+        measures = Measures(np.empty(n), np.empty(n), np.empty(n, dtype=np.bool_))
+        measure(
+            *(arrivals.position, self.lattice.luminance, patches.arrival),
+            *(areas(self.lattice, leaves.corners)[patches.element], parent, patches.element % 4),
+            **_RULES,
+            new_nodes=NEW_NODES,
+            footprint=self.footprint,
+            flux=measures.flux,
+            score=measures.score,
+            jumps=measures.jumps.view(np.uint8),
+            n_threads=self._n_threads,
+        )
+        return measures
 
 
 def _parents(patches: Patches, above: Patches) -> tuple[Ids, Ids]:

@@ -23,7 +23,7 @@ _PHOTONS_OF_NOISE = 300.0
 # Photons stored at least: estimates of fewer do not keep their flux.
 _LEAST_STORED = 2000.0
 # Share of the misplaced light that that of photons may be, and that of light that is left out.
-_OF_ERROR, _LEFT_OUT = 1.0 / 3.0, 0.1
+_OF_ERROR, _LEFT_OUT = 1.0 / 3.0, 0.2
 
 
 class Rest(NamedTuple):
@@ -36,15 +36,16 @@ class Rest(NamedTuple):
     emitted: Floats
 
 
-def photons_wanted(share: float, error: float) -> float:
+def photons_wanted(share: float, stored: float, error: float) -> float:
     """Photons to emit for a share of the light, so that its noise is a third of an error.
 
-    None for light that is far less than that.
+    `stored` is the share of the photons that finds such light. None for light that is far less than
+    the error.
     """
     if share <= _LEFT_OUT * error:
         return 0.0
     noise = _OF_ERROR * error / share
-    return max(_PHOTONS_OF_NOISE / noise**2, _LEAST_STORED) / share if noise > 0.0 else np.inf
+    return max(_PHOTONS_OF_NOISE / noise**2, _LEAST_STORED) / stored if noise > 0.0 else np.inf
 
 
 def rest_photons(

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor
+from contextlib import nullcontext
 from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._util.parallel import thread_count
+from ..._util.parallel import thread_count, thread_executor
 from ..._util.validation import Floats
 from ..._util.workers import checked_executor
 from ...scene.emitters import CollimatedEmitter
 from ...scene.scene import Scene
+from ...transport.aim import LUMINANCE
 from ...transport.raycast import RayCaster
 from ...transport.splitting import SplittingTracer
 from .borders import joined
@@ -94,9 +96,23 @@ def laid_envelope(
     executor: Executor | None = None,
 ) -> Envelope:
     """Envelope of a scene; see `trace_envelope`."""
-    started, threads = perf_counter(), thread_count(n_threads)
-    caster = caster or RayCaster(scene.surfaces)
-    tracer = SplittingTracer(scene, _LEAST_THROUGHPUT, threads, caster=caster, executor=executor)
+    threads, caster = thread_count(n_threads), caster or RayCaster(scene.surfaces)
+    with nullcontext(executor) if executor else thread_executor(threads) as workers:
+        tracer = SplittingTracer(scene, _LEAST_THROUGHPUT, caster=caster, executor=workers)
+        return _laid(tracer, scene, settings, n_threads=threads, caster=caster, executor=executor)
+
+
+def _laid(
+    tracer: SplittingTracer,
+    scene: Scene,
+    settings: EnvelopeSettings,
+    *,
+    n_threads: int,
+    caster: RayCaster,
+    executor: Executor | None,
+) -> Envelope:
+    """Envelope of a scene, by its tracer; the executor is for photons."""
+    started = perf_counter()
     charts = charts_of(scene)
     for emitter_id, emitter in enumerate(scene.emitters):
         if isinstance(emitter, CollimatedEmitter) and emitter.is_extended:
@@ -111,19 +127,19 @@ def laid_envelope(
         )
     if settings.footprint is None and lattices:
         settings = replace(settings, footprint=_extent(lattices) / FOOTPRINTS)
-    refinements = [Refinement(each, settings.footprint or 1.0) for each in lattices]
+    refinements = [Refinement(each, settings.footprint or 1.0, n_threads) for each in lattices]
     _refine(refinements, list(followed.values()), settings, started)
     traced = perf_counter()
-    wanted = _photons_wanted(followed, refinements, settings)
+    wanted = _photons_wanted(charts, followed, refinements, settings)
     left = _left_out(charts, followed, wanted)
-    images, chart, points = _images(refinements, charts, left, settings, threads)
+    images, chart, points = _images(refinements, charts, left, settings, n_threads)
     laid_down = perf_counter()
     rest = rest_photons(
         scene,
         wanted,
         {emitter_id: each.sheets for emitter_id, each in followed.items()},
         n_photons=settings.n_photons or _MOST_PHOTONS,
-        n_threads=threads,
+        n_threads=n_threads,
         caster=caster,
         executor=executor,
     )
@@ -254,17 +270,24 @@ def _is_worse_than_photons(
 
 
 def _photons_wanted(
-    followed: dict[int, FollowedSheets], refinements: list[Refinement], settings: EnvelopeSettings
+    charts: list[Chart],
+    followed: dict[int, FollowedSheets],
+    refinements: list[Refinement],
+    settings: EnvelopeSettings,
 ) -> dict[int, float]:
     """Photons to emit for the sheets of each emitter that are not followed."""
     misplaced = sum(each.score for each in refinements) / OF_IMAGES
     luminance = sum(each.luminance for each in refinements)
     reached = misplaced / luminance if luminance else 0.0
     total = sum(each.luminance for each in followed.values())
-    return {
-        emitter_id: photons_wanted(each.left / total if total else 0.0, reached)
-        for emitter_id, each in followed.items()
-    }
+    wanted = {}
+    for emitter_id, each in followed.items():
+        emitted = sum(
+            chart.emitted @ LUMINANCE for chart in charts if chart.emitter_id == emitter_id
+        )
+        share = each.left / total if total else 0.0
+        wanted[emitter_id] = photons_wanted(share, each.left / emitted, reached)
+    return wanted
 
 
 def _left_out(
