@@ -54,8 +54,8 @@ _OF_TIME, _OF_TIMES = 1.3, (0.7, 2.0)
 _LEAST_PHOTONS, _MOST_PHOTONS = 20_000, 1_000_000
 _NOISE_SHARE = 0.25
 _SETTINGS = "photonrelax.settings"
-# Relaxed photons of a map whose relative L1 error would be one, as it falls with their root, and the
-# error of fewest: of sharp light, see docs/measurements/tradeoff.md; that of even light is less.
+# Relaxed photons of a map whose relative L1 error would be one: it falls with their root. Error of
+# the fewest. Both are of sharp light, see docs/measurements/tradeoff.md; those of even light less.
 _PHOTONS_OF_NOISE, _MOST_NOISE = 80.0, 1.2
 # Share of the light that is of photons from which on an envelope is given up.
 _OF_PHOTONS = 0.5
