@@ -29,7 +29,7 @@ from .passes import pass_seed
 from .plan import checked_components, plan
 from .presets import Work
 
-# Error over pixels over misplaced light: 0.2 to 0.8, see docs/measurements/tradeoff.md.
+# Error over pixels over misplaced light: 0.25 to 0.9, see docs/measurements/tradeoff.md.
 _SEEN = 0.48
 # Misplaced light of the first envelope over the error asked for, which may be unknown. Of the next
 # over the last, at least and at most; within a time, where the second tells how long others take.
