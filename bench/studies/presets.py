@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from bisect import bisect
 from collections.abc import Iterable
 from dataclasses import replace
 from datetime import date
@@ -23,10 +24,13 @@ ERRORS = {"draft": 0.1, "preview": 0.05, "final": 0.02}
 # Settings of the papers, whose method is the first.
 PAPER = ("parameterised", "standard", "mapped", "relaxation", "diffusion", "progressive")
 _PHOTONS = 1_000_000
-# Photons of presets; points that a power law is fitted to, and how far beyond the most photons that
-# were measured it is used.
-_NUMBERS = (10_000, 30_000, 100_000, 300_000, 1_000_000)
+# Photons of presets; points of a power law, and how far beyond the most photons that were measured
+# it is used.
+_NUMBERS = (*(n * ten for ten in (10_000, 100_000) for n in (1, 2, 3, 5, 7)), 1_000_000)
 _FITTED, _FARTHEST = 2, 3.5
+_LEAST_SCENES = 2
+# Errors over the least one that are as good, where none is as small as asked.
+_AS_GOOD = 1.05
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,9 +55,11 @@ def presets(folders: Iterable[Path]) -> dict[str, Any]:
         by_class[scene_class(gallery.scene(scene))].append(scene)
     found, envelopes = {}, {}
     for name, scenes in by_class.items():
-        # Classes without a sweep have the presets of all scenes.
-        mine = [sweeps[scene] for scene in scenes or sweeps]
-        found[name], envelopes[name] = _of_class(mine, bool(scenes)), _of_envelopes(mine)
+        # One scene is no class: classes of fewer than two have the presets of all scenes.
+        measured = len(scenes) >= _LEAST_SCENES
+        mine = scenes if measured else sweeps
+        found[name] = _of_class([sweeps[each] for each in mine], measured)
+        envelopes[name] = _of_envelopes([sweeps[each] for each in scenes or sweeps])
     return {
         "version": __version__,
         "date": date.today().isoformat(),
@@ -82,6 +88,9 @@ def _of_class(sweeps: list[list[Point]], measured: bool) -> dict[str, Any]:
     """Rows of each preset by method, the best first; `measured` if on scenes of the class."""
     rows = [row | {"measured": measured} for row in _common(sweeps)]
     found: dict[str, Any] = {name: _preset(rows, error) for name, error in ERRORS.items()}
+    # Errors that are asked for of harder scenes are those of more photons than a draft's.
+    first = next(iter(found["final"]))
+    found = {name: {first: each[first], **each} for name, each in found.items()}
     paper = {"n_emitted": _PHOTONS, "supersampling": 2, "stages": {}, "measured": False}
     return found | {PRESETS[-1]: dict.fromkeys(PAPER, paper)}
 
@@ -115,9 +124,11 @@ def _of(point: Point) -> tuple[float, float]:
 
 
 def _at(n: int, curve: list[Point]) -> tuple[float, float]:
-    """Error and time of n photons, by the power laws of the last points."""
-    numbers = np.log([point.choice.n_emitted for point in curve[-_FITTED:]])
-    values = np.log([_of(point) for point in curve[-_FITTED:]])
+    """Error and time of n photons, by the power laws of the points next to them."""
+    last = bisect([point.choice.n_emitted for point in curve], n, 1, len(curve) - 1)
+    near = curve[last - 1 : last + 1]
+    numbers = np.log([point.choice.n_emitted for point in near])
+    values = np.log([_of(point) for point in near])
     error, seconds = np.exp(np.polyval(np.polyfit(numbers, values, 1), np.log(n)[np.newaxis]))
     return float(error), float(seconds)
 
@@ -134,8 +145,9 @@ def _preset(rows: list[dict[str, Any]], error: float) -> dict[str, Any]:
     for method in dict.fromkeys(row["method"] for row in rows):
         mine = [row for row in rows if row["method"] == method]
         reach = [row for row in mine if row["error"] <= error]
-        # What none reaches, the most exact comes nearest to.
-        key = "seconds" if reach else "error"
-        best.append(min(reach or mine, key=lambda row: row[key]))
+        # What none reaches, the most exact come nearest to.
+        least = min(row["error"] for row in mine)
+        near = [row for row in mine if row["error"] <= _AS_GOOD * least]
+        best.append(min(reach or near, key=lambda row: row["seconds"]))
     best.sort(key=lambda row: (max(row["error"] / error, 1.0), row["seconds"]))
     return {row["method"]: {k: v for k, v in row.items() if k != "method"} for row in best}

@@ -24,6 +24,8 @@ from photonrelax.rendering.view import resized
 
 # A true error is to be at most, and at least, so many times the estimate.
 _MOST, _LEAST = 1.25, 0.5
+# Photons of envelopes for light without images; misplaced light over that of the last row, at most.
+_PHOTONS_OF_ENVELOPE, _FINER = 100_000, 0.9
 _DIRECT = ("emission", "direct", "caustic")
 
 
@@ -47,6 +49,8 @@ class Study:
         What references and single choices are kept in.
     trials : tuple of int
         Photons of trials, few to many.
+    misplaced : tuple of float
+        Light that envelopes may misplace.
     """
 
     scenes: tuple[str, ...] = ("ring", "sphere", "ripples", "prism", "pool")
@@ -63,6 +67,7 @@ class Study:
     numbers: tuple[int, ...] = (3000, 10_000, 30_000, 100_000, 300_000)
     folder: Path | None = None
     trials: tuple[int, ...] = ()
+    misplaced: tuple[float, ...] = ()
 
     @property
     def light(self) -> tuple[str, ...]:
@@ -83,6 +88,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--trials", type=numbers, default=[], help="photons of trials to tell, in place of goals"
+    )
+    parser.add_argument(
+        "--misplaced", default="", help="light that envelopes may misplace, to tell their errors"
     )
     parser.add_argument("--folder", type=Path, help="references and single choices are kept in it")
     parser.add_argument("--reference-error", type=float, default=default.reference_error)
@@ -105,8 +113,12 @@ def run(options: argparse.Namespace) -> None:
         counts=options.counts,
         folder=options.folder,
         trials=tuple(options.trials),
+        misplaced=tuple(float(text) for text in options.misplaced.split(",") if text),
     )
-    print(trials_markdown(study) if study.trials else markdown(study))
+    if study.misplaced:
+        print(envelopes_markdown(study))
+    else:
+        print(trials_markdown(study) if study.trials else markdown(study))
 
 
 def markdown(study: Study) -> str:
@@ -173,6 +185,30 @@ def _trials(scene: pr.Scene, expected: NDArray, study: Study, seed: int) -> list
         true = relative_l1(trials.image.layers["radiance"], expected)
         found.append([trials.estimate.total, trials.estimate.noise, true])
     return found
+
+
+def envelopes_markdown(study: Study) -> str:
+    """Table of true errors of envelopes by what they misplace, a row each scene and envelope."""
+    titles = ["scene", "misplaced", "error", "error / misplaced", "of photons", "their noise"]
+    rows = [row for name in study.scenes for row in _envelope_rows(name, study)]
+    return f"{markdown_table(titles, rows)}\n\nRelative L1 of the caustic over pixels."
+
+
+def _envelope_rows(name: str, study: Study) -> Iterator[list[str]]:
+    scene = resized(gallery.scene(name), study.pixels, None)
+    expected, last = _kept_reference(scene, study), np.inf
+    for misplaced in study.misplaced:
+        settings = pr.EnvelopeSettings(error=misplaced, n_photons=_PHOTONS_OF_ENVELOPE)
+        image = pr.render(scene, method="envelope", envelope=settings, components=study.light)
+        found = image.stats["envelope"]
+        # The first division may be finer than it needs to be.
+        if found["error"] < _FINER * last:
+            light = np.abs(image.layers["caustic"]).sum()
+            error = np.abs(image.layers["radiance"] - expected).sum() / light
+            numbers = (error, found["of_photons"], found["noise"])
+            error_text, share, noise = (f"{each:.4f}" for each in numbers)
+            last = found["error"]
+            yield [name, f"{last:.4f}", error_text, f"{error / last:.2f}", share, noise]
 
 
 def _kept_reference(scene: pr.Scene, study: Study) -> NDArray:

@@ -88,9 +88,35 @@ def choices(method: str) -> list[Relaxing]:
 
 
 def markdown(study: Study) -> str:
-    """A table each method: errors and times over those of the paper's settings."""
+    """Means over scenes, and a table each method: errors and times over those of the paper's."""
     measured = [(name, Measured(name, study)) for name in study.reference.scenes]
-    return "\n\n".join(_table(method, measured, study) for method in PAPER)
+    tables = (_table(method, measured, study) for method in PAPER)
+    return "\n\n".join([_means([found for _, found in measured], study), *tables])
+
+
+def _means(measured: list[Measured], study: Study) -> str:
+    """Table of geometric means over scenes and photons, a row each method and settings."""
+    rows = []
+    for method in PAPER:
+        paper, *others = choices(method)
+        for settings in others:
+            errors, seconds = [], []
+            for sampler in study.samplers:
+                ratios = [
+                    np.divide(
+                        found.point(method, settings, sampler, n),
+                        found.point(method, paper, sampler, n),
+                    )
+                    for found in measured
+                    for n in study.numbers
+                ]
+                error, time = np.exp(np.log(ratios).mean(axis=0))
+                least, most = np.min(ratios, axis=0)[0], np.max(ratios, axis=0)[0]
+                errors.append(f"{error:.2f}, {least:.2f}…{most:.2f}")
+                seconds.append(time)
+            mean = np.exp(np.log(seconds).mean())
+            rows.append([method, _text(settings), *errors, f"{mean:.2f}"])
+    return markdown_table(["method", "settings", *study.samplers, "seconds"], rows)
 
 
 def _table(method: str, measured: list[tuple[str, Measured]], study: Study) -> str:

@@ -13,7 +13,7 @@ from photonrelax.evaluation.reference import ReferenceSettings
 from photonrelax.evaluation.tradeoff import Point, TradeoffRequest, front, seconds_for, survivors
 from photonrelax.imaging.image import read_exr
 from photonrelax.imaging.metrics import Errors
-from photonrelax.rendering.presets import Choice
+from photonrelax.rendering.presets import Choice, preset_names
 
 
 def point(seconds, error, method="standard"):
@@ -67,6 +67,13 @@ def test_all_of_a_method_is_measured(found):
     assert trade.doubt > 0.0
     for each in trade.of("mapped"):
         assert {"camera", "cast", "structure", "rest_density", "relax", "gather"} == {*each.seconds}
+
+
+def test_settings_of_presets_go_on_to_the_last_rung(found):
+    _, _, trade = found
+    last = {each.choice.name for each in trade.of("mapped") if each.choice.n_emitted == 1000}
+    assert {each for each in preset_names() if each.startswith("mapped relax")} <= last
+    assert len(last) < sum(each.method == "mapped" for each in sweeps.CHOICES)
 
 
 def test_what_is_measured_is_read_again(found, monkeypatch):

@@ -2,11 +2,17 @@
 
 import re
 
+import numpy as np
 import pytest
 
 import photonrelax as pr
 from photonrelax.cli import main
-from photonrelax.rendering.budget import check_map_fits, check_render_fits, memory_limit
+from photonrelax.rendering.budget import (
+    check_map_fits,
+    check_render_fits,
+    memory_limit,
+    rays_within,
+)
 from photonrelax.rendering.view import View
 
 
@@ -55,6 +61,28 @@ def test_rays_of_envelopes_that_are_asked_for_are_counted(ring):
     # An error ends them long before.
     settings = pr.EnvelopeSettings(n_rays=10**6, error=0.1)
     assert pr.render(ring, method="envelope", memory=1e9, envelope=settings)
+
+
+def test_envelopes_take_no_more_rays_than_fit(ring):
+    settings = pr.EnvelopeSettings(error=2e-3)
+
+    def rays(memory):
+        image = pr.render(ring, method="envelope", memory=memory, envelope=settings)
+        return image.stats["envelope"]["rays"]
+
+    fits = rays_within(View(ring), None, 3e8)
+    assert rays(3e8) <= fits < rays(8e9)
+    with pytest.raises(MemoryError, match=r"envelope of 20,000 rays .*: trace at most [\d,]+"):
+        rays(2.5e8)
+
+
+def test_scenes_count_by_their_triangles():
+    coarse, fine = (View(pr.gallery.scene("ring", pixels=8, sections=n)) for n in (64, 2048))
+    n_triangles = [
+        sum(len(each.mesh.faces) for each in view.scene.objects) for view in (coarse, fine)
+    ]
+    fits = [rays_within(view, None, 1e9) for view in (coarse, fine)]
+    assert (fits[0] - fits[1]) * 3600 == pytest.approx(400 * np.diff(n_triangles)[0], rel=0.01)
 
 
 def test_maps_are_refused_with_numbers_that_fit(ring):

@@ -28,7 +28,7 @@ def noisy(scale, seed):
 
 
 class Divided:
-    """Envelopes whose error over pixels is a quarter of the light that is misplaced."""
+    """Envelopes whose error over pixels is half of the light that is misplaced."""
 
     def __init__(self, of_photons=0.0, least=0.0):
         self.limits, self._of_photons, self._least = [], of_photons, least
@@ -36,7 +36,7 @@ class Divided:
     def __call__(self, limits):
         self.limits.append(limits)
         misplaced = max(limits.misplaced, self._least)
-        values = TRUTH + noisy(0.25 * misplaced * TRUTH.mean(), len(self.limits))
+        values = TRUTH + noisy(0.6 * misplaced * TRUTH.mean(), len(self.limits))
         found = {"error": misplaced, "rays": round(3000.0 / misplaced), "noise": 0.0}
         return image_of(values, "caustic", envelope=found | {"of_photons": self._of_photons})
 
@@ -59,10 +59,10 @@ def test_envelopes_are_divided_until_the_error_is_reached(error):
     assert 0.5 < true_error(image) / reached["estimate"] < 1.25
 
 
-def test_one_envelope_alone_is_not_believed():
+def test_an_envelope_that_misplaces_little_is_the_only_one():
     divided = Divided()
-    divide_to_goal(Parts(divided), Goal(10.0), 0)
-    assert len(divided.limits) == 2
+    assert divide_to_goal(Parts(divided), Goal(0.05), 0).stats["error"]["is_met"]
+    assert len(divided.limits) == 1
 
 
 def test_envelopes_that_do_not_get_finer_end_and_say_that_it_is_not_reached():

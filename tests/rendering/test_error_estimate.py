@@ -1,17 +1,15 @@
-"""Estimates of error: from fewer photons, of each component of light, and of finer images."""
+"""Estimates of error: from fewer photons, and of each component of light."""
 
 import numpy as np
 import pytest
 
 from photonrelax.imaging.image import Image
 from photonrelax.rendering.error_estimate import (
-    SEEN,
     Earlier,
     Falls,
     estimate_error,
     estimated,
     photon_falls,
-    refined_error,
 )
 
 SHAPE = (256, 128, 3)
@@ -114,16 +112,3 @@ def test_biases_of_caustics_fall_as_fast_as_their_differences_did():
     assert bias(-1.0) == first.bias
     nothing = estimated(*images, "radiance", Earlier(8.0, {}))[0]
     assert nothing == first
-
-
-def test_the_error_of_a_finer_image_follows_from_its_difference():
-    coarse, fine = values_of(1, bias=0.0), values_of(2, noise=0.5**SEEN, bias=0.0)
-    error = np.abs(fine - TRUTH).sum()
-    # Of independent errors the difference is the root of both squares, of nested ones that of their
-    # difference.
-    nested = fine + (1.0 - 0.25**SEEN) ** 0.5 * (coarse - TRUTH)
-    assert refined_error(nested, fine, 0.5) == pytest.approx(error, rel=0.02)
-
-
-def test_images_that_are_hardly_finer_tell_no_error():
-    assert refined_error(TRUTH, TRUTH, 0.95) == np.inf

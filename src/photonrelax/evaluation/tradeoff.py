@@ -1,9 +1,10 @@
 """Errors of methods over the time they take: a sweep of settings, and the best of them.
 
 Settings are compared on few photons first; the half of them that is nearest to the front goes on to
-three times as many, and so on. Of each method the best always goes on, so that each has a curve. A
-point is on the front if no other is both quicker and more exact. What is measured already is read
-from the folder: a sweep that was interrupted goes on.
+three times as many, and so on. Of each method the best always goes on, so that each has a curve;
+so do the settings of presets, which are measured anew so. A point is on the front if no other is
+both quicker and more exact. What is measured already is read from the folder: a sweep that was
+interrupted goes on.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from ..imaging.image import Image
 from ..imaging.metrics import Errors
 from ..photons.photon_map import PhotonMap
 from ..rendering.layers import fixed_layers
-from ..rendering.presets import Choice
+from ..rendering.presets import Choice, preset_names
 from ..rendering.view import StoredView, View
 from ..scene.digest import scene_digest
 from ..scene.scene import Scene
@@ -73,6 +74,7 @@ CHOICES = (
     *_relaxing("parameterised", [(4, 3)], [8], step=2.0),
     *_relaxing("mapped", [(3, 3), (5, 5)], [8, 15]),
     *_relaxing("mapped", [(14, 14)], [8]),
+    *_relaxing("mapped", [(4, 3)], [8], step=2.0),
     replace(_relaxing("mapped", [(5, 5)], [8])[0], supersampling=1),
     *(Choice("diffusion", 0, stages={"diffusion": {"k": k}}) for k in (100, 500)),
     Choice("progressive", 0),
@@ -369,7 +371,8 @@ class Sweep:
                 if progress is not None:
                     progress(f"{n:,} photons", done + 1, len(rung))
             points = [found for each in rung if (found := self._found(each)) is not None]
-            choices = [point.choice for point in survivors(points)]
+            kept = {point.choice.name for point in survivors(points)} | preset_names()
+            choices = [choice for choice in choices if choice.name in kept]
 
     def _measure(self, choice: Choice, photons: PhotonMap | None, reference: Reference) -> None:
         """Measure a choice, unless it is there."""

@@ -17,10 +17,12 @@ from .view import View
 _BYTES = {"caustic": 560, "indirect": 280}
 # Of these, its place in the map, which photons that are given have already.
 _PLACE_BYTES = 156
-# Bytes of an envelope for each ray that is traced for it.
-_RAY_BYTES = 3600
-# Bytes of the layers of a pixel and of their bands, of a sample of a band, and of libraries.
-_PIXEL_BYTES, _SAMPLE_BYTES, _LIBRARY_BYTES = 350, 1500, 200e6
+# Bytes of an envelope for each ray that is traced for it; rays unless they are told, and those that
+# it should have at least.
+_RAY_BYTES, _MOST_RAYS, _LEAST_RAYS = 3600, 1_000_000, 20_000
+# Bytes of the layers of a pixel and of their bands, of a sample of a band, of libraries, and of a
+# triangle of the scene.
+_PIXEL_BYTES, _SAMPLE_BYTES, _LIBRARY_BYTES, _TRIANGLE_BYTES = 350, 1500, 200e6, 400
 # Samples of a band, at most; a row has more if it is wide.
 _SAMPLES = 400_000
 # Bytes of a texel of a map and of its image, of one of a band; texels of a band, at most.
@@ -59,6 +61,15 @@ def memory_limit(memory: float | None) -> float:
 def kept_limit(memory: float | None) -> float:
     """Bytes that hit points may take that are kept for several images."""
     return _KEPT_SHARE * memory_limit(memory)
+
+
+def rays_within(view: View, n_rays: int | None, memory: float | None) -> int | None:
+    """Rays of envelopes that an error or a time ends, at most: as told, if they fit into memory.
+
+    Otherwise as many as fit, but 20,000 at least, which `check_render_fits` refuses.
+    """
+    fits = int((memory_limit(memory) - _image_bytes(view)) / _RAY_BYTES)
+    return n_rays if (n_rays or _MOST_RAYS) <= fits else max(fits, _LEAST_RAYS)
 
 
 def check_render_fits(
@@ -116,7 +127,8 @@ def check_map_fits(
     """
     limit = memory_limit(memory)
     texels = n_texels**2
-    n_bytes = _LIBRARY_BYTES + _TEXEL_BYTES * texels + _BAND_TEXEL_BYTES * min(texels, _BAND_TEXELS)
+    map_bytes = _TEXEL_BYTES * texels + _BAND_TEXEL_BYTES * min(texels, _BAND_TEXELS)
+    n_bytes = _LIBRARY_BYTES + _scene_bytes(scene) + map_bytes
     image = _Need(f"a map of {n_texels} texels a side", 1, n_bytes, "take fewer texels (texels)")
     rays, most = _of_rays(n_rays), _MOST_PER_PATH * (1 + len(scene.sensors))
     if n_bytes + rays.n_bytes + _of_emitted("caustic", n_emitted, most).n_bytes <= limit:
@@ -126,12 +138,17 @@ def check_map_fits(
 
 
 def _image_bytes(view: View) -> float:
-    """Bytes of the layers of an image, of a band of it, and of the libraries that make it."""
+    """Bytes of the layers of an image, of a band of it, and of scene and libraries."""
     height, width = view.shape
     samples = view.supersampling**2
     band = min(max(_SAMPLES, width * samples), height * width * samples)
     image = _PIXEL_BYTES * height * width + _SAMPLE_BYTES * band
-    return _LIBRARY_BYTES + image + view.kept_bytes
+    return _LIBRARY_BYTES + _scene_bytes(view.scene) + image + view.kept_bytes
+
+
+def _scene_bytes(scene: Scene) -> float:
+    """Bytes of the meshes of a scene, and of the trees that rays find them by."""
+    return _TRIANGLE_BYTES * sum(len(each.mesh.faces) for each in scene.objects)
 
 
 def _stored(view: View, component: str) -> float:

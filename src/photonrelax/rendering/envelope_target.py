@@ -1,6 +1,6 @@
 """Envelopes divided until the estimated error of an image is what is asked for.
 
-The light of an envelope is compared with that of a coarser one. All other light is that of photons
+An envelope tells what it misplaces, of which pixels see a share. All other light is that of photons
 and shadow rays, rendered by itself until its error is no larger. Where neither method is given,
 `EnvelopeAttempt` tells by a pilot of photons whether envelopes are worth a try, and gives up where
 they are not.
@@ -22,17 +22,19 @@ from ..estimation.envelope.envelope import EnvelopeSettings
 from ..estimation.envelope.field import EnvelopeField
 from ..imaging.image import Image
 from ..scene.scene import Scene
-from .error_estimate import SEEN, ErrorEstimate, refined_error
+from .error_estimate import ErrorEstimate
 from .error_target import Goal, PhotonTrials, Render, first_number, told
 from .layers import with_radiance
 from .passes import pass_seed
 from .plan import checked_components, plan
 from .presets import Work
 
-# Misplaced light of the first envelope over the error asked for, which may be unknown: pixels do
-# not see most of what is misplaced. Of the second over that of the first, and of the next over the
-# last, at least and at most; within a time.
-_FIRST, _UNKNOWN_ERROR, _SECOND, _NEXT, _IN_TIME = 4.0, 1 / 16, 0.4, (0.1, 0.5), (0.15, 0.7)
+# Error over pixels over misplaced light: 0.25 to 0.9, see docs/measurements/tradeoff.md.
+_SEEN = 0.48
+# Misplaced light of the first envelope over the error asked for, which may be unknown. Of the next
+# over the last, at least and at most; within a time, where the second tells how long others take.
+_FIRST, _UNKNOWN_ERROR, _NEXT, _IN_TIME = 2.0, 1 / 16, (0.1, 0.5), (0.15, 0.7)
+_SECOND = 0.4
 # Share of the error asked for that envelopes are divided for, as the next estimate may be larger.
 _ERROR_SHARE = 0.8
 # Least misplaced light; what an envelope misplaces over what a coarser one does where its limits
@@ -42,9 +44,8 @@ _LEAST_MISPLACED, _LIMITED = 1e-4, 0.9
 _FIRST_RAYS, _EXPONENT = 20_000, 1.5
 # Rays of a first division, at most: where they do not suffice nearly all light is left to photons.
 _MOST_FIRST_RAYS = 40_000
-# Time that has to be left, over that of a first division and of a second one, and share of it that
-# is planned with.
-_TIMES_FIRST, _TIMES_SECOND, _TIME_SHARE = 3.0, 2.0, 0.9
+# Time that has to be left, over that of a first division, and share of it that is planned with.
+_TIMES_FIRST, _TIME_SHARE = 3.0, 0.9
 # Exponents of the time of an envelope over its misplaced light: expected, and believed when
 # measured.
 _OF_TIME, _OF_TIMES = 1.3, (0.7, 2.0)
@@ -53,9 +54,9 @@ _OF_TIME, _OF_TIMES = 1.3, (0.7, 2.0)
 _LEAST_PHOTONS, _MOST_PHOTONS = 20_000, 1_000_000
 _NOISE_SHARE = 0.25
 _SETTINGS = "photonrelax.settings"
-# Relaxed photons of a map whose relative L1 error would be one: it falls with their root. It is two
-# where all light is somewhere else.
-_PHOTONS_OF_NOISE, _MOST_NOISE = 300.0, 2.0
+# Relaxed photons of a map whose relative L1 error would be one: it falls with their root. Error of
+# the fewest. Both are of sharp light, see docs/measurements/tradeoff.md; those of even light less.
+_PHOTONS_OF_NOISE, _MOST_NOISE = 80.0, 1.2
 # Share of the light that is of photons from which on an envelope is given up.
 _OF_PHOTONS = 0.5
 
@@ -259,26 +260,15 @@ class EnvelopeTrials:
 
     @property
     def estimate(self) -> ErrorEstimate:
-        """Its error; infinite with one envelope alone, unless nothing is misplaced."""
-        scale = max(_norm(self.image), 1e-300)
-        bias = self._bias / scale
-        noise = np.hypot(self._divisions[-1].noise, self._fixed_noise) / scale
+        """Its error."""
+        scale, last = max(_norm(self.image), 1e-300), self._divisions[-1]
+        bias = _SEEN * last.misplaced * float(np.abs(last.caustic).sum()) / scale
+        noise = np.hypot(last.noise, self._fixed_noise) / scale
         if self._others is not None:
             share = _norm(self._others.image) / scale
             bias = np.hypot(bias, share * self._others.estimate.bias)
             noise = np.hypot(noise, share * self._others.estimate.noise)
         return ErrorEstimate(float(np.hypot(noise, bias)), float(noise), float(bias), 1.0)
-
-    @property
-    def _bias(self) -> float:
-        """L1 norm of the light that the last envelope misplaces."""
-        last = self._divisions[-1]
-        if not last.misplaced > 0.0:
-            return 0.0
-        if len(self._divisions) < 2:
-            return np.inf
-        before = self._divisions[-2]
-        return refined_error(before.caustic, last.caustic, last.misplaced / before.misplaced)
 
     def improve(self, most_rays: float = np.inf) -> bool:
         """Make the part with the larger error better; False if that takes too much."""
@@ -300,13 +290,9 @@ class EnvelopeTrials:
         self._divide(misplaced)
         return True
 
-    def has_time_for_second(self, left: float) -> bool:
-        """Whether a second envelope takes only a part of the time that is left."""
-        return self._ratio_within(left / _TIMES_SECOND) <= _SECOND
-
     def error_within(self, left: float) -> float:
         """Error that is reached within a time, s."""
-        return self.estimate.total * min(self._ratio_within(left), 1.0) ** SEEN
+        return self.estimate.total * min(self._ratio_within(left), 1.0)
 
     def _ratio_within(self, left: float) -> float:
         """Misplaced light of an envelope that takes a time, s, over that of the last."""
@@ -331,10 +317,8 @@ class EnvelopeTrials:
 
     def _next_misplaced(self) -> float:
         last, error = self._divisions[-1].misplaced, self.estimate.total
-        if len(self._divisions) < 2:
-            return _SECOND * last
         if self._goal.error is None:
-            return _IN_TIME[0] * last
+            return last * (_SECOND if len(self._divisions) < 2 else _IN_TIME[0])
         return last * float(np.clip(_ERROR_SHARE * self._goal.error / error, *_NEXT))
 
     @property
@@ -418,17 +402,13 @@ class EnvelopeAttempt:
         found = EnvelopeTrials(self.parts, goal, self.seed, n_photons, started)
         error = goal.error or _UNKNOWN_ERROR
         found.start(_FIRST * error / max(_share(trials.image), 1e-3), _MOST_FIRST_RAYS, trials)
-        left = goal.left(started)
-        if found.first.of_photons > _OF_PHOTONS or not found.has_time_for_second(left):
+        if found.first.of_photons > _OF_PHOTONS:
             return None
-        while not goal.is_met(found.estimate.total) and found.improve(most_rays):
-            if _is_worse(found, trials, goal.left(started)):
-                return None
-        # One envelope alone has no estimate.
-        is_enough = goal.seconds is not None and np.isfinite(found.estimate.total)
-        if not (is_enough or goal.is_met(found.estimate.total)):
-            return None
-        return found.told(**trials.counts)
+        while not _is_worse(found, trials, goal.left(started)):
+            if goal.is_met(found.estimate.total) or not found.improve(most_rays):
+                is_enough = goal.seconds is not None or goal.is_met(found.estimate.total)
+                return found.told(**trials.counts) if is_enough else None
+        return None
 
 
 def _is_worse(found: EnvelopeTrials, trials: PhotonTrials, left: float) -> bool:

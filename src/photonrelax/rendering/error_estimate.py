@@ -1,12 +1,10 @@
-"""Estimated errors of images, from independent ones of fewer photons, or from a coarser one.
+"""Estimated errors of images of photons, from independent ones of fewer photons.
 
 An image of N photons is compared with the mean of two of N/4: all three are independent. With h the
 norm of the difference of the two over √2, the noise of an image of N/4, and d that of the whole and
 their mean: what d has beyond noise is the difference D of their biases. How noise and bias fall
 with N is known of each layer; of caustics it is told by D in an earlier trial. The result is the
 mean of the three with the least error.
-
-An envelope has no noise. It is compared with a coarser one, and both tell what they misplace.
 """
 
 from __future__ import annotations
@@ -21,13 +19,6 @@ import numpy as np
 from .._util.validation import Floats
 from ..imaging.image import Image
 from .layers import RECORDS, total_radiance
-
-# Misplaced light over that of a coarser image, at most, that tells the error of the finer.
-_MOST_RATIO = 0.9
-SEEN = 0.62
-"""Exponent of the error over pixels over misplaced light: 0.5 to 1 in `ring`, `ripples`, `sphere`
-and `pool`, see docs/measurements/tradeoff.md."""
-
 
 QUARTER = 4
 """Photons of the whole image over those of each of the other two."""
@@ -230,24 +221,3 @@ def _mean(images: list[Image], weights: dict[str, float], layer: str) -> Image:
     if layer not in weights:
         layers[layer] = total_radiance(layers)
     return replace(whole, layers=layers)
-
-
-def refined_error(coarse: Floats, fine: Floats, ratio: float) -> float:
-    """L1 norm of the error of an image by that of its difference from a coarser one.
-
-    Parameters
-    ----------
-    coarse, fine : (height, width, 3)
-    ratio : float
-        Light that is misplaced in the finer over that in the coarser; errors over pixels fall as
-        its power of 0.62. What is misplaced in the finer is taken to be independent of it.
-
-    Returns
-    -------
-    float
-        Infinite if the ratio is not under 0.9.
-    """
-    if not ratio < _MOST_RATIO:
-        return float("inf")
-    of_errors = ratio**SEEN
-    return float(np.abs(fine - coarse).sum() * of_errors / np.sqrt(1.0 - of_errors**2))

@@ -117,6 +117,16 @@ def preset(name: str, scene: Scene, method: str | None = None) -> Choice:
     return Choice(method, row["n_emitted"], row["supersampling"], row["stages"])
 
 
+def preset_names() -> set[str]:
+    """Names of the choices of all presets, which leave out numbers of photons."""
+    return {
+        Choice(method, 0, row["supersampling"], row["stages"]).name
+        for of_class in preset_data()["presets"].values()
+        for rows in of_class.values()
+        for method, row in rows.items()
+    }
+
+
 class Work(NamedTuple):
     """Processor seconds that were measured in scenes of a class.
 
@@ -188,8 +198,8 @@ def _for_error(scene: Scene, method: str | None, error: float) -> Choice | None:
 def preset_data() -> dict[str, Any]:
     """The file of presets: version and date of the measurement, and rows by class and preset.
 
-    The first row of each is the best method. Rows are ``measured`` if their errors and times are of
-    scenes of the class, not copied from those of another, nor the papers'.
+    The first row of each is of the method that is best for `final`. Rows are ``measured`` if their
+    errors and times are of two scenes of the class or more, not of all scenes, nor the papers'.
     """
     text = files(__package__).joinpath("presets.json").read_text(encoding="utf-8")
     data: dict[str, Any] = json.loads(text)

@@ -34,7 +34,7 @@ from ..scene.scene import Scene
 from ..transport.emission import PATHS, SAMPLERS, EmissionPlan, plan_emission
 from ..transport.trace import trace_photons
 from .bands import BandRenderer
-from .budget import check_render_fits, kept_limit
+from .budget import check_render_fits, kept_limit, rays_within
 from .envelope_target import (
     DivisionLimits,
     EnvelopeAttempt,
@@ -211,7 +211,7 @@ class _Job:
         settings = Settings(**self._given | changed)
         stages = self._stages(view if seed == view.seed else view.variant(seed=seed), seed=seed)
         stages.plan(light or self._light, n_emitted)
-        stages.check_fits(method, settings, self._memory)
+        settings = stages.fitted(method, settings, self._memory)
         stages.prepare_caustic(method, settings)
         stages.prepare_indirect(self._indirect, self._final_gather)
         return stages.image(method)
@@ -367,14 +367,25 @@ class _Stages:
             n_threads=view.n_threads,
         )
 
-    def check_fits(self, method: str, settings: Settings, memory: float | None) -> None:
-        """Raise MemoryError if more memory is estimated to be taken than may be."""
+    def fitted(self, method: str, settings: Settings, memory: float | None) -> Settings:
+        """Settings with as many rays of envelopes as fit, where others are not asked for.
+
+        Raises MemoryError if more memory is estimated to be taken than may be.
+        """
         record = method_named(method)
         n_emitted = self._plan.n_emitted if record.needs_photons else 0
         emitted = {"caustic": n_emitted, "indirect": self._plan.n_global}
         n_given = 0 if self._photons is None or not record.needs_photons else len(self._photons)
-        n_rays = settings.of("envelope").n_rays_certain
+        envelope = settings.of("envelope")
+        n_rays = envelope.n_rays_certain
+        if not (record.needs_photons or n_rays):
+            most = rays_within(self._view, envelope.n_rays, memory)
+            if most != envelope.n_rays:
+                n_rays = most or 0
+                changed = replace(envelope, n_rays=most)
+                settings = Settings(**{**settings.given, "envelope": changed})
         check_render_fits(self._view, emitted, memory, n_given=n_given, n_rays=n_rays)
+        return settings
 
     def prepare_caustic(self, method: str, settings: Settings) -> None:
         """Trace the photons of caustics, unless they are given, and prepare their field."""
