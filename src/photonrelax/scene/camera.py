@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._ext.scene.camera import film_points
+from .._ext.scene.camera import film_points, film_samples
 from .._util.frozen import frozen, set_field
 from .._util.validation import MAX_REPEATS, Floats, count, float_array, positive, unit_vectors
 
@@ -115,11 +115,9 @@ def pixel_rays(
     if not len(rows) or min(rows) < 0 or max(rows) >= camera.height:
         raise ValueError(f"rows should be some of [0, {camera.height}), but are {rows}")
     s = count(supersampling, "supersampling", high=MAX_REPEATS)
-    row, column, i, j = np.meshgrid(rows, range(camera.width), range(s), range(s), indexing="ij")
-    # In half heights of the image from its centre.
-    x = ((2 * (column + (j + offset[0]) / s) - camera.width) / camera.height).ravel()
-    y = (1 - 2 * (row + (i + offset[1]) / s) / camera.height).ravel()
-    pixel = (row * camera.width + column).astype(np.int64).ravel()
+    x, y, pixel = film_samples(
+        np.asarray(rows), camera.width, camera.height, side=s, right=offset[0], down=offset[1]
+    )
     return *_film_rays(camera, x, y), pixel
 
 
