@@ -117,7 +117,8 @@ class Surface:
 
         Only where they are zero: a photon that counts is on a surface. Warns if there are any.
         """
-        dark = np.flatnonzero(~densities.any(axis=1))
+        dark = np.flatnonzero(~densities[:, :1].any(axis=1))
+        dark = dark[~densities[dark].any(axis=1)]
         if not len(dark):
             return
         radius = reach + half_diagonals(None if footprint is None else footprint[dark], len(dark))

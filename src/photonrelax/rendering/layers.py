@@ -232,8 +232,9 @@ class FieldEstimates:
     def _means(
         self, band: Band, densities: Floats, of_hit: NDArray[np.intp] | None
     ) -> dict[str, Floats]:
-        weight = band.hits.weight.mean(axis=1, keepdims=True)
-        sums = band.sums(densities, of_hit, weight=weight)
+        red, green, blue = band.hits.weight.T
+        weight = (red + green + blue) / 3.0
+        sums = band.sums(densities, of_hit, weight=weight[:, np.newaxis])
         total = sums[..., :1]
         means = np.divide(sums[..., 1:], total, out=np.zeros_like(sums[..., 1:]), where=total > 0)
         parts, first = {}, 0
