@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from photonrelax._ext.transport.samples import merge_samples
+from photonrelax._ext.transport.samples import add_by_pixel, merge_samples
 
 import photonrelax as pr
 from photonrelax.transport.hit_points import trace_hit_points
@@ -83,3 +83,34 @@ def test_columns_have_to_fit(name):
     hits = seen([plane()])
     with pytest.raises(ValueError, match="do not fit one another"):
         merged(replace(hits, **{name: getattr(hits, name)[1:]}))
+
+
+@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize("n_factors", [0, 1, 4])
+def test_sums_over_pixels_have_the_bits_of_those_of_numpy(shared, n_factors):
+    rng = np.random.default_rng(0)
+    pixel = rng.integers(5, 11, 100)
+    values = rng.random((30 if shared else 100, 4))
+    of_hit = rng.integers(0, 30, 100) if shared else None
+    weight = rng.random((100, n_factors)) if n_factors else None
+    sums = np.zeros((6, 4))
+    add_by_pixel(sums, pixel, values, of_hit, weight, first=5)
+    each = values[of_hit] if shared else values
+    each = each if weight is None else weight * each
+    expected = [np.bincount(pixel - 5, column, minlength=6) for column in each.T]
+    np.testing.assert_array_equal(sums, np.transpose(expected))
+
+
+def test_one_value_is_shared_by_the_channels_of_its_weight():
+    sums = np.zeros((1, 3))
+    add_by_pixel(sums, np.zeros(1, np.int64), [[2.0]], None, np.array([[1.0, 2.0, 3.0]]), first=0)
+    np.testing.assert_array_equal(sums, [[2.0, 4.0, 6.0]])
+
+
+@pytest.mark.parametrize(("pixel", "of_hit"), [(4, 0), (-1, 0), (0, 2), (0, -1)])
+def test_sums_refuse_pixels_and_values_that_are_not_there(pixel, of_hit):
+    with pytest.raises(ValueError, match="4 pixels and 2 values"):
+        add_by_pixel(
+            *(np.zeros((4, 3)), np.array([pixel]), np.ones((2, 3)), np.array([of_hit]), None),
+            first=0,
+        )

@@ -22,7 +22,7 @@ from ..photons.photon_map import PhotonMap
 from ..photons.photon_trees import PhotonTrees, morton_order
 from ..relaxation.structure import Structure
 from ..spatial.kdtree import KDTree
-from .footprint import check_footprint, half_diagonals
+from .footprint import check_footprint
 from .surface import Surface
 
 Rows = NDArray[np.intp]
@@ -333,8 +333,9 @@ class Densities:
         for chunk in self._field._chunks(points, normals, report):
             self._field._fill(out, self, chunk._replace(footprint=footprint))
         if self._field.surface is not None:
-            radius = half_diagonals(footprint, len(points)) + self._field.reach
-            self._field.surface.mark_absent(out, points, normals, radius)
+            self._field.surface.mark_absent(
+                out, points, normals, footprint=footprint, reach=self._field.reach
+            )
         return out
 
     @property

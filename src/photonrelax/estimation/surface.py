@@ -25,6 +25,7 @@ from ..scene.scene import Scene
 from ..spatial.box_tree import BoxTree
 from ..surfaces.boundaries import WHOLE, Part, SurfaceBoundary
 from ..surfaces.surface_proximity import SurfaceProximity
+from .footprint import half_diagonals
 
 _Edged = tuple[frozenset[int], Part]
 # Edges of scenes in use by the ids of the objects, which do not change: fields share them.
@@ -104,24 +105,32 @@ class Surface:
         return shares
 
     def mark_absent(
-        self, densities: Floats, points: Floats, normals: Floats, radius: Floats
+        self,
+        densities: Floats,
+        points: Floats,
+        normals: Floats,
+        *,
+        footprint: Floats | None,
+        reach: float,
     ) -> None:
-        """Set densities (m, c) to NaN where no surface is within radii (m,) of the points.
+        """Set densities (m, c) to NaN where no surface is within reach of points or footprints.
 
         Only where they are zero: a photon that counts is on a surface. Warns if there are any.
         """
-        dark = np.flatnonzero(~densities.any(axis=1))
+        dark = np.flatnonzero(~densities[:, :1].any(axis=1))
+        dark = dark[~densities[dark].any(axis=1)]
         if not len(dark):
             return
+        radius = reach + half_diagonals(None if footprint is None else footprint[dark], len(dark))
         near = self._proximity.within(
-            points[dark], normals[dark], radius[dark], n_threads=self._n_threads
+            points[dark], normals[dark], radius, n_threads=self._n_threads
         )
         absent = dark[~near]
         if len(absent):
             densities[absent] = np.nan
             warnings.warn(
                 f"{len(absent)} of {len(points)} points have no surface of the scene that stores "
-                f"light within {radius[absent].max():.3g} m and 60° of their normal: what is "
+                f"light within {radius[~near].max():.3g} m and 60° of their normal: what is "
                 "estimated there is NaN",
                 stacklevel=4,
             )

@@ -57,9 +57,9 @@ class BandRenderer:
         band = self._view.band(rows, direct=self._direct)
         estimates = {} if self._caustic is None else self._caustic(band)
         if isinstance(self._indirect, FinalGather):
-            estimates["indirect"] = band.radiance(self._indirect(band))
+            estimates["indirect"] = band.radiance(*self._indirect(band))
         elif self._indirect is not None:
-            estimates["indirect"] = band.radiance(band.estimates(self._indirect))
+            estimates["indirect"] = band.radiance(*band.estimates(self._indirect))
         layers = band_layers(band, estimates)
         if not self._emission:
             layers.pop("emission", None)

@@ -9,6 +9,7 @@ a point, where that would show, a few rays of a gather of its own replace them.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .._util.validation import Floats
 from ..estimation.indirect import IndirectField
@@ -45,14 +46,13 @@ class FinalGather:
             view.scene, view.caster, max_depth=view.max_depth, n_threads=view.n_threads
         )
 
-    def __call__(self, band: Band) -> Floats:
-        """Irradiance (m, 3) at the hit points of a band, W/m²; the same on a piece of surface."""
+    def __call__(self, band: Band) -> tuple[Floats, NDArray[np.intp]]:
+        """Irradiance (p, 3) on the pieces of surface of a band, W/m², and that of each point."""
         rng = np.random.default_rng((self._seed, band.rows.start))
         pieces = band.pieces()
         normal = pieces.normal / np.linalg.norm(pieces.normal, axis=1, keepdims=True)
         gathered = self._gathered(pieces.position, normal, rng, self._n_rays, nearby=True)
-        irradiance: Floats = gathered[pieces.of_hit]
-        return irradiance
+        return gathered, pieces.of_hit
 
     def _gathered(
         self, position: Floats, normal: Floats, rng: np.random.Generator, n_rays: int, nearby: bool
@@ -71,8 +71,10 @@ class FinalGather:
                 irradiance[near] = self._gathered(
                     hits.position[near], hits.normal[near], rng, _NEARBY, nearby=False
                 )
-            light = hits.weight * hits.albedo * (irradiance + self._direct(*at, rng))
-            out[some] = pixel_sums(hits.pixel, light, (len(position[some]), 1))[:, 0]
+            light = irradiance + self._direct(*at, rng)
+            weight = hits.weight * hits.albedo
+            shape = len(position[some]), 1
+            out[some] = pixel_sums(hits.pixel, light, shape, weight=weight)[:, 0]
         return out
 
     def _direct(self, position: Floats, normal: Floats, rng: np.random.Generator) -> Floats:

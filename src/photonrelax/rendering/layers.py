@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .._util.validation import Floats
 from ..estimation.field import Field
@@ -79,14 +80,14 @@ def _direct(band: Band, estimates: Estimates) -> Floats | None:
 
 
 def _albedo(band: Band, estimates: Estimates) -> Floats:
-    return band.sums(band.hits.weight * band.hits.albedo)
+    return band.sums(band.hits.albedo, weight=band.hits.weight)
 
 
 def _emission(band: Band, estimates: Estimates) -> Floats | None:
     hits, background = band.hits, band.first.background
     if hits.emission is None:
         return background
-    emission = band.sums(hits.weight * hits.emission)
+    emission = band.sums(hits.emission, weight=hits.weight)
     return emission if background is None else emission + background
 
 
@@ -222,11 +223,18 @@ class FieldEstimates:
 
     def __call__(self, band: Band) -> dict[str, Floats]:
         """Radiance ``caustic`` and means weighted with flux, (rows, width, c) each."""
-        densities = band.estimates(self._densities)
-        return {"caustic": band.radiance(densities[:, :3]), **self._means(band, densities[:, 3:])}
+        densities, of_hit = band.estimates(self._densities)
+        return {
+            "caustic": band.radiance(densities[:, :3], of_hit),
+            **self._means(band, densities[:, 3:], of_hit),
+        }
 
-    def _means(self, band: Band, densities: Floats) -> dict[str, Floats]:
-        sums = band.sums(band.hits.weight.mean(axis=1, keepdims=True) * densities)
+    def _means(
+        self, band: Band, densities: Floats, of_hit: NDArray[np.intp] | None
+    ) -> dict[str, Floats]:
+        red, green, blue = band.hits.weight.T
+        weight = (red + green + blue) / 3.0
+        sums = band.sums(densities, of_hit, weight=weight[:, np.newaxis])
         total = sums[..., :1]
         means = np.divide(sums[..., 1:], total, out=np.zeros_like(sums[..., 1:]), where=total > 0)
         parts, first = {}, 0

@@ -229,8 +229,10 @@ class FixedHitPoints(PassHitPoints):
     def layers(self, state: PassState, n_passes: int) -> dict[str, Floats]:
         caustic = np.zeros((*self._view.shape, 3))
         if state.statistics is not None:
-            radiance = self._scale * state.statistics.densities()[self._piece]
-            caustic = pixel_sums(self._pixel, radiance, self._view.shape)
+            densities = state.statistics.densities()
+            caustic = pixel_sums(
+                self._pixel, densities, self._view.shape, self._piece, weight=self._scale
+            )
         return {"caustic": caustic, **self._fixed}
 
 
@@ -298,7 +300,7 @@ def _layers_of(band: Band, indirect: IndirectField | None) -> dict[str, Floats]:
     """Layers of a band that do not depend on the photons of passes."""
     estimates = {}
     if indirect is not None:
-        estimates["indirect"] = band.radiance(band.estimates(indirect))
+        estimates["indirect"] = band.radiance(*band.estimates(indirect))
     return band_layers(band, estimates)
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .._ext.transport.samples import merge_samples
+from .._ext.transport.samples import add_by_pixel, merge_samples
 from .._util import validation
 from .._util.memory import ESTIMATE_MARGIN, available_memory, check_memory
 from .._util.parallel import thread_count
@@ -87,18 +87,25 @@ class Band:
     direct: Floats | None
     supersampling: int = 1
 
-    def estimates(self, field: Field | Densities | IndirectField) -> Floats:
-        """Estimates (m, c) of a field: means over what each hit point stands for.
+    def estimates(
+        self, field: Field | Densities | IndirectField
+    ) -> tuple[Floats, NDArray[np.intp] | None]:
+        """Estimates of a field, means over what each hit point stands for.
 
         Samples of a pixel that are on one piece of surface share one estimate, over all of it.
         Estimates are at the hit points where the field has no others, or they have no footprints.
+
+        Returns
+        -------
+        (p, c) float array, (m,) intp array or None
+            Estimates, and that of each hit point; None if it has the one of its own row.
         """
         hits = self.hits
         if hits.footprint is None or not field.has_footprints:
-            return field(hits.position, hits.normal)
+            return field(hits.position, hits.normal), None
         pieces = self.pieces()
         estimates: Floats = field(pieces.position, pieces.normal, footprint=pieces.footprint)
-        return estimates[pieces.of_hit]
+        return estimates, pieces.of_hit
 
     def pieces(self) -> Pieces:
         """Pieces of surface that the hit points, which have footprints, stand for.
@@ -111,26 +118,48 @@ class Band:
             )
         )
 
-    def radiance(self, irradiance: Floats) -> Floats:
-        """Radiance (rows, width, 3) of irradiance (m, 3) at the hit points."""
-        return self.sums(self.reflectance * irradiance)
+    def radiance(self, irradiance: Floats, of_hit: NDArray[np.intp] | None = None) -> Floats:
+        """Radiance (rows, width, 3) of irradiance (p, 3), and that of each hit point."""
+        return self.sums(irradiance, of_hit, weight=self.reflectance)
 
     @property
     def reflectance(self) -> Floats:
         """Radiance in its pixel (m, 3) over the irradiance of each hit point, 1/sr."""
         return self.hits.weight * self.hits.albedo / np.pi
 
-    def sums(self, values: Floats) -> Floats:
-        """Sums (rows, width, c) of values (m, c) over the hit points of each pixel."""
-        pixel = self.hits.pixel - self.rows.start * self.width
-        return pixel_sums(pixel, values, (len(self.rows), self.width))
+    def sums(
+        self,
+        values: Floats,
+        of_hit: NDArray[np.intp] | None = None,
+        *,
+        weight: Floats | None = None,
+    ) -> Floats:
+        """Sums (rows, width, c) of the values (p, c) of the hit points of each pixel.
+
+        `of_hit` (m,) are their rows of the values, by default their own, and `weight`, (m, c) or
+        (m, 1), factors of these.
+        """
+        shape = len(self.rows), self.width
+        first = self.rows.start * self.width
+        return pixel_sums(self.hits.pixel, values, shape, of_hit, weight=weight, first=first)
 
 
-def pixel_sums(pixel: NDArray[np.int64], values: Floats, shape: tuple[int, int]) -> Floats:
-    """Sums (height, width, c) of values (m, c) by their pixels (m,) in images of a shape."""
-    sums = np.zeros((shape[0] * shape[1], values.shape[1]))
-    for channel, column in enumerate(values.T):
-        sums[:, channel] = np.bincount(pixel, column, minlength=len(sums))
+def pixel_sums(
+    pixel: NDArray[np.int64],
+    values: Floats,
+    shape: tuple[int, int],
+    of_hit: NDArray[np.intp] | None = None,
+    *,
+    weight: Floats | None = None,
+    first: int = 0,
+) -> Floats:
+    """Sums (height, width, c) by their pixels (m,) in images of a shape; see `Band.sums`.
+
+    Pixels are numbered from `first`.
+    """
+    n_channels = values.shape[1] if weight is None else max(values.shape[1], weight.shape[1])
+    sums = np.zeros((shape[0] * shape[1], n_channels))
+    add_by_pixel(sums, pixel, values, of_hit, weight, first=first)
     return sums.reshape(*shape, -1)
 
 
@@ -420,7 +449,7 @@ class StoredView:
         report = Reporter(progress, "render", sum(len(band.rows) for band in self.bands))
         parts = []
         for band in self.bands:
-            parts.append(band.radiance(band.estimates(field)))
+            parts.append(band.radiance(*band.estimates(field)))
             report.advance(len(band.rows))
         return np.concatenate(parts)
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._ext.scene.camera import film_points
+from .._ext.scene.camera import film_points, film_samples
 from .._util.frozen import frozen, set_field
+from .._util.parcels import state_without_caches
 from .._util.validation import MAX_REPEATS, Floats, count, float_array, positive, unit_vectors
 
 # Sine of the smallest angle between a camera's `up` and its line of sight.
@@ -57,6 +59,8 @@ class Camera:
             set_field(self, "orthographic_height", height)
         self.axes()
 
+    __getstate__ = state_without_caches
+
     def axes(self) -> tuple[Floats, Floats, Floats]:
         """Return the unit vectors to the right, up and forward of the image.
 
@@ -65,6 +69,10 @@ class Camera:
         ValueError
             If the target is at the origin, or `up` is along the line of sight.
         """
+        return self._axes
+
+    @cached_property
+    def _axes(self) -> tuple[Floats, Floats, Floats]:
         sight = np.subtract(self.target, self.origin)
         if not sight.any():
             both = np.asarray(self.target)
@@ -77,7 +85,7 @@ class Camera:
                 f"up should not be along the line of sight, but is {up} looking along {forward}"
             )
         right /= np.linalg.norm(right)
-        return right, np.cross(right, forward), forward
+        return frozen(right), frozen(np.cross(right, forward)), frozen(forward)
 
 
 def pixel_rays(
@@ -115,11 +123,9 @@ def pixel_rays(
     if not len(rows) or min(rows) < 0 or max(rows) >= camera.height:
         raise ValueError(f"rows should be some of [0, {camera.height}), but are {rows}")
     s = count(supersampling, "supersampling", high=MAX_REPEATS)
-    row, column, i, j = np.meshgrid(rows, range(camera.width), range(s), range(s), indexing="ij")
-    # In half heights of the image from its centre.
-    x = ((2 * (column + (j + offset[0]) / s) - camera.width) / camera.height).ravel()
-    y = (1 - 2 * (row + (i + offset[1]) / s) / camera.height).ravel()
-    pixel = (row * camera.width + column).astype(np.int64).ravel()
+    x, y, pixel = film_samples(
+        np.asarray(rows), camera.width, camera.height, side=s, right=offset[0], down=offset[1]
+    )
     return *_film_rays(camera, x, y), pixel
 
 

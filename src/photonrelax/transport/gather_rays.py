@@ -79,7 +79,7 @@ class GatherRays:
 
         with thread_executor(self._n_threads) as executor:
             seen = list(ordered_map(work, slices, executor))
-        return hit_points_of(seen, self._materials, self._scene)
+            return hit_points_of(seen, self._materials, self._scene, executor)
 
     def _batch(
         self, position: Floats, direction: Floats, spread: Floats, *, first: int

@@ -6,6 +6,7 @@ surface.
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -141,6 +142,7 @@ def trace_hit_points(
     batches = [rows[i : i + per_batch] for i in range(0, len(rows), per_batch)] or [rows]
     with thread_executor(min(threads, len(batches))) as executor:
         done = list(ordered_map(tracer.trace, batches, executor))
+        hits = hit_points_of([batch.seen for batch in done], tracer.materials, scene, executor)
     faults = [*tracer.media.faults, *(batch.faults for batch in done)]
     n_rays = len(rows) * camera.width * supersampling**2
     warn_of_faults(scene, faults, n_rays, tracer.materials)
@@ -149,7 +151,7 @@ def trace_hit_points(
         np.concatenate([batch.first.depth for batch in done]),
         _concatenated([batch.first.background for batch in done]),
     )
-    return hit_points_of([batch.seen for batch in done], tracer.materials, scene), first
+    return hits, first
 
 
 def _concatenated(parts: list[Floats | None]) -> Floats | None:
@@ -278,10 +280,17 @@ def follow_paths(paths: CameraPaths, caster: RayCaster, found: EmbreeHits, max_d
 
 
 def hit_points_of(
-    batches: list[dict[str, NDArray]], materials: Materials, scene: Scene
+    batches: list[dict[str, NDArray]],
+    materials: Materials,
+    scene: Scene,
+    executor: Executor | None = None,
 ) -> HitPoints:
     """Hit points of the columns of some batches, with what materials and emitters say of them."""
-    columns = {name: np.concatenate([some[name] for some in batches]) for name in batches[0]}
+    names = list(batches[0])
+    joined = ordered_map(
+        lambda name: np.concatenate([some[name] for some in batches]), names, executor
+    )
+    columns = dict(zip(names, joined, strict=True))
     surface, from_behind = columns.pop("object_id"), columns.pop("from_behind")
     albedo = _albedo(scene, materials, surface, columns.pop("face_id"), columns)
     return HitPoints(
@@ -300,7 +309,7 @@ def _albedo(
     columns: dict[str, NDArray],
 ) -> Floats:
     """Albedo (m, 3) at points on faces of surfaces, of textures the mean over the footprint."""
-    albedo: Floats = materials.table.reflectance[surface]
+    albedo: Floats = np.take(materials.table.reflectance, surface, axis=0)
     for number, texture in enumerate(scene.textures):
         if texture is not None:
             rows = np.flatnonzero(surface == number)

@@ -19,6 +19,7 @@ cdef enum:
     MIN_NEIGHBOURS = 4
 
 
+@final
 cdef class Rest:
     """The density in which photons are to rest, and how far they may go for it.
 
@@ -113,6 +114,15 @@ cdef class Rest:
         for axis in range(3):
             f[axis] += scale * self.slope[place, axis]
 
+    cdef void prefetch(self, Py_ssize_t place) noexcept nogil:
+        """Prefetch what a photon of the next moves needs: a search lies between two blocks."""
+        prefetch_row(&self.slope[place, 0], 3 * sizeof(double))
+        prefetch_row(&self.origin[place, 0], 3 * sizeof(double))
+        prefetch_row(&self.farthest[place], sizeof(double))
+        if self.start is not None:
+            prefetch_row(&self.start[place, 0], 3 * sizeof(double))
+            prefetch_row(&self.share[place], sizeof(double))
+
     cdef void hold(self, double* moved, Py_ssize_t place, double squared_radius) noexcept nogil:
         """Put a photon that went too far back to its limits, that of k photons among them."""
         if self.start is not None:
@@ -140,6 +150,7 @@ cdef inline void put_back(
             moved[axis] = origin[axis] + gone[axis] * scale
 
 
+@final
 cdef class Paths:
     """Distances that photons searched and went in a stage of iterations.
 
@@ -197,6 +208,7 @@ cdef class Paths:
             self.searched_view[row] = max(self.searched_view[row], radius + distance)
 
 
+@final
 cdef class RelaxInputs:
     """The photons of a tree in tree order, and their structure by row.
 
@@ -281,6 +293,8 @@ cdef class Move(BatchWork):
     cdef void limit(self, Batch* batch, Query* query, Py_ssize_t place) noexcept nogil:
         cdef Py_ssize_t row = self.inputs.rows[place]
         self.prefetch(row, place + BLOCK)
+        if self.inputs.rest is not None:
+            self.inputs.rest.prefetch(place)
         query.squared_guess = self.inputs.squared_radius[place]
         if self.inputs.too_few[place]:
             query.squared_guess = INFINITY

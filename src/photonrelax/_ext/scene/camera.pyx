@@ -1,6 +1,7 @@
 """Points on the film of a camera, and unit vectors towards them."""
 
 from libc.math cimport sqrt
+from libc.stdint cimport int64_t
 
 import numpy as np
 
@@ -27,3 +28,28 @@ def film_points(
                 for c in range(3):
                     points[i, c] /= length
     return points.base
+
+
+def film_samples(
+    const int64_t[::1] rows, Py_ssize_t width, Py_ssize_t height, *, Py_ssize_t side, double right,
+    double down,
+):
+    """Coordinates of samples on the film, x and y (m,), and their pixels, row · width + column.
+
+    In half heights of the image from its centre. The side · side samples of each pixel of some rows
+    follow one another; `right` and `down` are their offsets in the cells of its grid.
+    """
+    cdef Py_ssize_t m = rows.shape[0] * width * side * side
+    cdef double[::1] x = np.empty(m), y = np.empty(m)
+    cdef int64_t[::1] pixel = np.empty(m, np.int64)
+    cdef Py_ssize_t row, column, i, j, at = 0
+    with nogil:
+        for row in range(rows.shape[0]):
+            for column in range(width):
+                for i in range(side):
+                    for j in range(side):
+                        x[at] = (2.0 * (column + (j + right) / side) - width) / height
+                        y[at] = 1.0 - 2.0 * (rows[row] + (i + down) / side) / height
+                        pixel[at] = rows[row] * width + column
+                        at += 1
+    return x.base, y.base, pixel.base

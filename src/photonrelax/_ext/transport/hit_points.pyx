@@ -79,6 +79,10 @@ cdef class CameraPaths(LiveRays):
     cdef unsigned char[::1] memory, next_memory
     cdef CameraRay* ray
     cdef CameraRay* next_ray
+    # The hits (n, sizeof(Hit)) of the live rays that `first_surfaces` has refined, if any.
+    cdef unsigned char[::1] hit_memory
+    cdef Hit* hit
+    cdef EmbreeHits refined
     # (n, sizeof(SeenPoint))
     cdef unsigned char[::1] seen_memory
     cdef SeenPoint* seen
@@ -93,7 +97,7 @@ cdef class CameraPaths(LiveRays):
         self.first_emitter = first_emitter
         self.memory = self.next_memory = np.empty(0, np.uint8)
         self.origins = np.empty((0, 3), np.float32)
-        self.seen_memory = np.empty(0, np.uint8)
+        self.hit_memory = self.seen_memory = np.empty(0, np.uint8)
 
     def live_rays(self):
         """Pixels (n_live,), origins and directions (n_live, 3) of the live rays."""
@@ -171,6 +175,7 @@ cdef class CameraPaths(LiveRays):
     cdef restart(self, Py_ssize_t n):
         """Make room for n rays of a new batch."""
         self.n_seen = 0
+        self.refined = None
         self.faults.take()
         self.reserve(n)
         self.ray, self.next_ray = self.next_ray, self.ray
@@ -203,22 +208,24 @@ cdef class CameraPaths(LiveRays):
         cdef double[:, ::1] normal = np.zeros((n, 3))
         cdef double[::1] depth = np.full(n, INFINITY)
         cdef double[3] own
-        cdef Hit hit
+        cdef Hit* hit
         if axis.shape[0] != 3 or n * n_samples != self.n_live:
             raise ValueError("axis and samples do not fit the rays")
         self.check_hits(found)
+        self.keep_hits_of(found)
         with nogil:
             for i in range(self.n_live):
-                if not self.refine(&hit, found, i):
+                hit = &self.hit[i]
+                if not self.refine(hit, found, i):
                     continue
                 pixel = i // n_samples
-                seen_normal(own, self.ray[i].direction, &hit)
+                seen_normal(own, self.ray[i].direction, hit)
                 for c in range(3):
                     normal[pixel, c] += own[c]
                 depth[pixel] = min(
                     depth[pixel], hit.distance * dot(self.ray[i].direction, &axis[0])
                 )
-                n_moved += self.leave_surface(i, &hit)
+                n_moved += self.leave_surface(i, hit)
             for pixel in range(n):
                 for c in range(3):
                     normal[pixel, c] /= n_samples
@@ -246,6 +253,7 @@ cdef class CameraPaths(LiveRays):
         with nogil:
             for i in range(self.n_live):
                 live = self.process(found, i, live)
+        self.refined = None
         self.ray, self.next_ray = self.next_ray, self.ray
         self.memory, self.next_memory = self.next_memory, self.memory
         self.n_live = live
@@ -290,6 +298,14 @@ cdef class CameraPaths(LiveRays):
     cdef check_finite(self):
         if not self.finite:
             raise ValueError("rays should be finite, but the camera or the scene leads some away")
+
+    cdef keep_hits_of(self, EmbreeHits found):
+        """Make room for hits of the live rays, which are refined once for both of their passes."""
+        cdef Py_ssize_t size = self.n_live * sizeof(Hit)
+        if self.hit_memory.shape[0] < size:
+            self.hit_memory = np.empty(size, np.uint8)
+            self.hit = <Hit*> &self.hit_memory[0]
+        self.refined = found
 
     cdef reserve(self, Py_ssize_t n):
         """Make room for n rays of the next level, and for as many points more."""
@@ -337,7 +353,11 @@ cdef class CameraPaths(LiveRays):
         cdef Meeting at
         cdef double[3] transmitted
         cdef int c
-        if not self.refine(&at.hit, found, row):
+        if self.refined is found:
+            at.hit = self.hit[row]
+        else:
+            self.refine(&at.hit, found, row)
+        if at.hit.object_id < 0:
             if self.first_emitter >= 0:
                 self.record_escape(&self.ray[row])
             return target

@@ -1,4 +1,4 @@
-"""Samples of a pixel that lie on one piece of surface."""
+"""Samples of pixels: those that lie on one piece of surface, and sums over them."""
 
 from libc.stdint cimport int32_t, int64_t
 
@@ -135,3 +135,53 @@ def merge_samples(hits, Py_ssize_t side, *, double tolerance, double least_cosin
                     p += 1
             first = end
     return position.base[:p], normal.base[:p], footprint.base[:p], of_hit.base
+
+
+def add_by_pixel(
+    double[:, ::1] sums, const int64_t[::1] pixel, values, const Py_ssize_t[::1] of_hit, weight, *,
+    int64_t first,
+):
+    """Add values of hit points to the sums (n, c) of their pixels, in sequence.
+
+    Parameters
+    ----------
+    sums : (n, c)
+    pixel : (m,)
+        Those of the hit points, numbered from `first`.
+    values : (p, c) or (p, 1)
+    of_hit : (m,) or None
+        The row of `values` of each hit point; None for its own.
+    weight : (m, c), (m, 1) or None
+        Factors of the values.
+    first : int
+    """
+    cdef Py_ssize_t i, row, c, m = pixel.shape[0], n_channels = sums.shape[1]
+    cdef const double[:, :] value = np.broadcast_to(values, (len(values), n_channels))
+    cdef const double[:, :] factor
+    cdef bint weighted = weight is not None, shared = of_hit is not None
+    factor = np.broadcast_to(weight, (m, n_channels)) if weighted else value
+    check_rows(sums, pixel, of_hit, len(values), first)
+    with nogil:
+        for i in range(m):
+            row = of_hit[i] if shared else i
+            for c in range(n_channels):
+                sums[pixel[i] - first, c] += (
+                    factor[i, c] * value[row, c] if weighted else value[row, c]
+                )
+
+
+cdef check_rows(
+    const double[:, ::1] sums, const int64_t[::1] pixel, const Py_ssize_t[::1] of_hit,
+    Py_ssize_t n_values, int64_t first,
+):
+    """Raise ValueError if a pixel has no sum, or a hit point no value."""
+    cdef Py_ssize_t i, m = pixel.shape[0]
+    cdef bint fits = (n_values if of_hit is None else of_hit.shape[0]) == m
+    cdef bint shared = of_hit is not None
+    with nogil:
+        for i in range(m if fits else 0):
+            fits &= 0 <= pixel[i] - first < sums.shape[0]
+            if shared:
+                fits &= 0 <= of_hit[i] < n_values
+    if not fits:
+        raise ValueError(f"hit points should be of {sums.shape[0]} pixels and {n_values} values")

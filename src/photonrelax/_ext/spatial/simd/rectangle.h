@@ -193,12 +193,17 @@ INLINE f64x8 rectangle_weight(const f64x8 *along, const Rectangle *rectangle,
     return f64x8_div(weight, below);
 }
 
+/* Channels whose sums are formed together: flux, its mean and the attributes of photons have 9. */
+enum { CHANNELS = 12 };
+
+/* With a constant number of channels sums stay in registers. */
 INLINE void rectangle_channels(const double *coords, const int32_t *blocks, int64_t n_blocks,
                                const Rectangle *rectangle, const RectangleWeights *weights,
                                const double *values, int64_t n_channels, int n, double *out)
 {
     const f64x8 zero = f64x8_set1(0.0), radius = f64x8_set1(weights->squared_radius);
-    f64x8 sum[3] = {zero, zero, zero};
+    f64x8 sum[CHANNELS];
+    for (int channel = 0; channel < n; ++channel) sum[channel] = zero;
     for (int64_t i = 0; i < n_blocks; ++i)
         for (int half = 0; half < BLOCK; half += LANES) {
             const int64_t block = blocks[i];
@@ -222,13 +227,17 @@ static void rectangle_sum(const double *coords, const int32_t *blocks, int64_t n
                           const Rectangle *rectangle, const RectangleWeights *weights,
                           const double *values, int64_t n_channels, double *out)
 {
-    int64_t channel = 0;
-    for (; channel + 3 <= n_channels; channel += 3)
-        rectangle_channels(coords, blocks, n, rectangle, weights, values + BLOCK * channel,
-                           n_channels, 3, out + channel);
-    for (; channel < n_channels; ++channel)
-        rectangle_channels(coords, blocks, n, rectangle, weights, values + BLOCK * channel,
-                           n_channels, 1, out + channel);
+    /* Weights take much longer than sums: all channels share them. */
+    for (int64_t channel = 0; channel < n_channels; channel += CHANNELS) {
+        const int64_t left = n_channels - channel;
+        const double *value = values + BLOCK * channel;
+        if (left == 3)
+            rectangle_channels(coords, blocks, n, rectangle, weights, value, n_channels, 3,
+                               out + channel);
+        else
+            rectangle_channels(coords, blocks, n, rectangle, weights, value, n_channels,
+                               left < CHANNELS ? (int)left : CHANNELS, out + channel);
+    }
 }
 
 /* Exponential function from -56 to 0, and its value at -56 below. */
