@@ -176,7 +176,7 @@ def test_the_architecture_names_fields_layers_and_methods(name):
 
 
 def test_the_architecture_names_every_folder():
-    folders = {path.parent.relative_to(PACKAGE) for path in PACKAGE.rglob("*.py*")}
+    folders = {path.parent.relative_to(PACKAGE) for path in PACKAGE.rglob("*.py")}
     named = {Path(name) for name in re.findall(r"`([\w/]+)/`", ARCHITECTURE)}
     mirrors = {path for path in folders if path.parts[:1] == ("_ext",)}
-    assert folders - mirrors - named - {Path(), Path("__pycache__")} == set()
+    assert folders - mirrors - named - {Path()} == set()
