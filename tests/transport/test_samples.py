@@ -54,6 +54,13 @@ def test_samples_of_pixels_that_see_several_surfaces_stay_alone():
             assert np.ptp(own[:, 2]) == 0.0
 
 
+def test_samples_of_other_levels_are_of_other_pieces():
+    """As where a pixel is the last that sees a mirror, and the first of what is behind."""
+    hits = seen([plane()])
+    of_one = replace(hits, n_specular=np.arange(len(hits), dtype=np.int32) // 3)
+    np.testing.assert_array_equal(merged(of_one)[3], np.arange(len(hits)))
+
+
 def test_pieces_cover_what_their_samples_cover():
     hits = seen([plane(), sphere(pr.Dielectric(), subdivisions=3)])
     _, _, footprint, of_hit = merged(hits)

@@ -54,6 +54,7 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
     _add_sampler(parser)
     _add_settings(parser)
     _add_image(parser)
+    _add_crop(parser)
     _add_camera_paths(parser)
     _add_passes(parser)
     _add_memory(parser)
@@ -507,6 +508,16 @@ def _add_image(parser: argparse.ArgumentParser) -> None:
         help=f"N x N samples per pixel ({SUPERSAMPLING})",
     )
     _add_exposure(parser)
+
+
+def _add_crop(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--crop",
+        type=whole,
+        nargs=4,
+        metavar=("X0", "Y0", "X1", "Y1"),
+        help="render the pixels [X0, X1) x [Y0, Y1) of the image alone, from its upper left (all)",
+    )
 
 
 def _add_camera_paths(parser: argparse.ArgumentParser) -> None:

@@ -153,6 +153,8 @@ def _check_render_options(options: argparse.Namespace) -> None:
             "passes are of all light, and indirect light is estimated: leave out --components "
             "and --final-gather"
         )
+    elif options.crop is not None:
+        options.wrong_usage("passes are of whole images: leave out --crop")
     elif options.sampler == "random":
         options.wrong_usage("passes are of Halton photons: leave out --sampler")
     elif any(each[:2] == ("progressive", "n_passes") for each in options.set or ()):
@@ -202,6 +204,7 @@ def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Imag
         return pr.render(
             scene,
             max_depth=options.max_depth,
+            crop=options.crop,
             light_samples=options.light_samples,
             indirect=_indirect_settings(options),
             photons=photons,

@@ -86,6 +86,7 @@ def pixel_rays(
     supersampling: int = 1,
     *,
     offset: tuple[float, float] = (0.5, 0.5),
+    columns: range | None = None,
 ) -> tuple[Floats, Floats, NDArray[np.int64]]:
     """Return the rays of some rows of the image, row 0 at the top.
 
@@ -99,6 +100,8 @@ def pixel_rays(
         s·s samples per pixel, on a regular grid.
     offset : (float, float)
         Position of samples in the cells of that grid, to the right and down, in [0, 1).
+    columns : range, optional
+        Of the pixels of these rows, by default all.
 
     Returns
     -------
@@ -110,17 +113,33 @@ def pixel_rays(
     Raises
     ------
     ValueError
-        If there are no rows, or rows that are not in the image.
+        If there are no rows or columns, or some that are not in the image.
     """
-    if not len(rows) or min(rows) < 0 or max(rows) >= camera.height:
-        raise ValueError(f"rows should be some of [0, {camera.height}), but are {rows}")
+    columns = range(camera.width) if columns is None else columns
+    _check_pixels(rows, "rows", camera.height)
+    _check_pixels(columns, "columns", camera.width)
     s = count(supersampling, "supersampling", high=MAX_REPEATS)
-    row, column, i, j = np.meshgrid(rows, range(camera.width), range(s), range(s), indexing="ij")
+    row, column, i, j = np.meshgrid(rows, columns, range(s), range(s), indexing="ij")
     # In half heights of the image from its centre.
     x = ((2 * (column + (j + offset[0]) / s) - camera.width) / camera.height).ravel()
     y = (1 - 2 * (row + (i + offset[1]) / s) / camera.height).ravel()
     pixel = (row * camera.width + column).astype(np.int64).ravel()
     return *_film_rays(camera, x, y), pixel
+
+
+def _check_pixels(some: range, name: str, n: int) -> None:
+    if not len(some) or min(some) < 0 or max(some) >= n:
+        raise ValueError(f"{name} should be some of [0, {n}), but are {some}")
+
+
+def places_of(
+    pixel: NDArray[np.int64], rows: range, columns: range, width: int
+) -> NDArray[np.int64]:
+    """Indices (m,) in a part of an image, of some rows and columns, of pixels (m,) of the image."""
+    if len(columns) == width:
+        return pixel - rows.start * width
+    row, column = np.divmod(pixel, width)
+    return (row - rows.start) * len(columns) + column - columns.start
 
 
 def sample_changes(camera: Camera, supersampling: int) -> tuple[Floats, Floats]:
