@@ -278,6 +278,7 @@ def _add_relax(parser: argparse.ArgumentParser) -> None:
         help=f"method that relaxes them ({DEFAULT_METHOD})",
     )
     _add_iterations(parser)
+    _add_workers(parser)
     _add_common(parser)
 
 
@@ -384,6 +385,13 @@ def _add_irradiance(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--method", choices=METHODS, default=DEFAULT_METHOD, help="default: %(default)s"
+    )
+    parser.add_argument(
+        "--photon-map",
+        type=Path,
+        metavar="FILE.npz|DIR",
+        help="photons traced before in this scene, in place of new ones; or the folder of blocks "
+        "that `relax` wrote, which are gathered as they are, one after another",
     )
     _add_emission(parser)
     _add_goal(parser)

@@ -121,7 +121,7 @@ def render(
     seed, sampler : int, str
         Of the photons; see `photonrelax.trace_photons`.
     photons : PhotonMap, optional
-        Photons of caustics traced before in this scene, in place of new ones; see `_check_scene`.
+        Photons of caustics traced before in this scene, in place of new ones; see `check_scene`.
     n_threads, progress : int, callable, optional
         Threads, by default all; called as ``progress(stage, done, total)``.
     executor : concurrent.futures.Executor, optional
@@ -274,7 +274,7 @@ _MOST_RAYS = 65536
 _SAME_FLUX = 0.01
 
 
-def _check_scene(photons: PhotonMap, scene: Scene) -> None:
+def check_scene(photons: PhotonMap, scene: Scene) -> None:
     """Raise ValueError if the photons are of another scene.
 
     Its digest tells, if they have one, or else the flux of their ledger, if its emitters do not
@@ -362,7 +362,7 @@ class _Stages:
     def plan(self, light: _Light, n_emitted: int) -> None:
         view = self._view
         if light.photons is not None:
-            _check_scene(light.photons, view.scene)
+            check_scene(light.photons, view.scene)
             self._photons = on_surfaces(light.photons)
         self._plan = plan(
             view.scene,
