@@ -477,6 +477,10 @@ def _stage(given: _GroupWork, segment: int) -> Columns:
             constrained=given.constrained,
         )
         columns: Columns = {"position": position[own]}
+        if not given.constrained and given.n_iterations == 1:
+            # For the iteration that follows.
+            moved = np.linalg.norm(position[own] - before[0][own], axis=1)
+            columns["nearest_any"] = _expected_next(some, paths.searched[own], moved)
         if relaxation.projector is not None:
             columns |= {"normal": normal[own], "at": relaxation.projector.at[own]}
         allowed = given.search.allowed(some.read("travel"))
@@ -484,6 +488,16 @@ def _stage(given: _GroupWork, segment: int) -> Columns:
         return Iterated(columns, paths.searched)
 
     return given.search.iterate(segment, given.n_iterations, compute)
+
+
+def _expected_next(some: Layers, searched: Floats, moved: Floats) -> Floats:
+    """Distances (n,) to which own photons are expected to reach in a single iteration more.
+
+    `searched` and `moved` (n,) are how far they reached and went in the last one.
+    """
+    searched = np.where(np.isfinite(searched), searched, some.read_own("nearest_any")[: some.n_own])
+    typical = _ISOLATED * float(np.median(searched))
+    return searched + moved + (_SINGLE - 1.0) * np.minimum(searched, typical)
 
 
 def _at_rest(given: _GroupWork, segment: int) -> Columns:
