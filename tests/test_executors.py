@@ -75,13 +75,22 @@ def test_an_envelope(executor, monkeypatch):
 
 @pytest.fixture(scope="module")
 def image(scene):
-    return pr.render(scene, n_emitted=3000, supersampling=1)
+    return pr.render(scene, **IMAGE)
+
+
+IMAGE = {"n_emitted": 3000, "n_global": 3000, "supersampling": 1, "final_gather": 1}
 
 
 def test_an_image(executor, scene, image):
-    other = pr.render(scene, n_emitted=3000, supersampling=1, executor=executor)
+    other = pr.render(scene, executor=executor, **IMAGE)
     assert_same_image(image, other)
     assert image.metadata == other.metadata
+
+
+def test_a_crop_of_an_image(executor, scene, image):
+    part = pr.render(scene, executor=executor, crop=(2, 5, 20, 11), **IMAGE)
+    for name, layer in part.layers.items():
+        np.testing.assert_array_equal(layer, image.layers[name][5:11, 2:20], err_msg=name)
 
 
 def test_an_irradiance_map(executor, scene):

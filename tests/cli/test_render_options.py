@@ -63,6 +63,22 @@ def test_they_are_those_of_passes(lit_by_a_panel, tmp_path):
     assert "n_global" not in settings
 
 
+def test_a_crop_has_the_pixels_of_the_whole_image(tmp_path):
+    whole, _ = rendered(tmp_path)
+    layers, settings = rendered(tmp_path, "--crop", "2", "3", "9", "5")
+    assert settings["crop"] == [2, 3, 9, 5]
+    for name, layer in whole.items():
+        np.testing.assert_array_equal(layers[name], layer[3:5, 2:9], err_msg=name)
+
+
+def test_passes_are_of_whole_images(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        rendered(
+            *(tmp_path, "--method", "progressive", "--passes", "1"), *("--crop", "0", "0", "4", "4")
+        )
+    assert "leave out --crop" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("options", [("--components", "direct"), ("--final-gather", "4")])
 def test_passes_are_of_all_light(tmp_path, options, capsys):
     with pytest.raises(SystemExit):

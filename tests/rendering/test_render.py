@@ -57,6 +57,23 @@ def test_photon_layers_are_means(image):
     assert image.layers["photons.emitter"].max() <= 1.0
 
 
+@pytest.mark.parametrize("crop", [(3, 5, 20, 17), (11, 12, 12, 13), (0, 20, 24, 24)])
+def test_a_crop_has_the_pixels_of_the_whole_image(prism, crop):
+    how = {"n_emitted": 2000, "n_global": 2000, "final_gather": 2}
+    whole, part = pr.render(prism, **how), pr.render(prism, crop=crop, **how)
+    x0, y0, x1, y1 = crop
+    assert part.layers.keys() == whole.layers.keys()
+    for name, layer in part.layers.items():
+        np.testing.assert_array_equal(layer, whole.layers[name][y0:y1, x0:x1], err_msg=name)
+    assert json.loads(part.metadata["photonrelax.settings"])["crop"] == list(crop)
+
+
+@pytest.mark.parametrize("crop", [(0, 0, 25, 24), (5, 0, 5, 24), (-1, 0, 3, 3), (0, 0, 2), 4.0])
+def test_crops_that_are_not_of_the_image_are_refused(prism, crop):
+    with pytest.raises(ValueError, match="crop should be"):
+        pr.render(prism, crop=crop)
+
+
 def floor_under(emitter, camera, objects=()):
     quad = trimesh.Trimesh([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], [[0, 1, 2], [0, 2, 3]])
     floor = pr.SceneObject(quad, pr.Diffuse((0.8, 0.4, 0.2)))

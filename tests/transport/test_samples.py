@@ -54,6 +54,13 @@ def test_samples_of_pixels_that_see_several_surfaces_stay_alone():
             assert np.ptp(own[:, 2]) == 0.0
 
 
+def test_samples_of_other_levels_are_of_other_pieces():
+    """As where a pixel is the last that sees a mirror, and the first of what is behind."""
+    hits = seen([plane()])
+    of_one = replace(hits, n_specular=np.arange(len(hits), dtype=np.int32) // 3)
+    np.testing.assert_array_equal(merged(of_one)[3], np.arange(len(hits)))
+
+
 def test_pieces_cover_what_their_samples_cover():
     hits = seen([plane(), sphere(pr.Dielectric(), subdivisions=3)])
     _, _, footprint, of_hit = merged(hits)
@@ -89,21 +96,21 @@ def test_columns_have_to_fit(name):
 @pytest.mark.parametrize("n_factors", [0, 1, 4])
 def test_sums_over_pixels_have_the_bits_of_those_of_numpy(shared, n_factors):
     rng = np.random.default_rng(0)
-    pixel = rng.integers(5, 11, 100)
+    pixel = rng.integers(0, 6, 100)
     values = rng.random((30 if shared else 100, 4))
     of_hit = rng.integers(0, 30, 100) if shared else None
     weight = rng.random((100, n_factors)) if n_factors else None
     sums = np.zeros((6, 4))
-    add_by_pixel(sums, pixel, values, of_hit, weight, first=5)
+    add_by_pixel(sums, pixel, values, of_hit, weight)
     each = values[of_hit] if shared else values
     each = each if weight is None else weight * each
-    expected = [np.bincount(pixel - 5, column, minlength=6) for column in each.T]
+    expected = [np.bincount(pixel, column, minlength=6) for column in each.T]
     np.testing.assert_array_equal(sums, np.transpose(expected))
 
 
 def test_one_value_is_shared_by_the_channels_of_its_weight():
     sums = np.zeros((1, 3))
-    add_by_pixel(sums, np.zeros(1, np.int64), [[2.0]], None, np.array([[1.0, 2.0, 3.0]]), first=0)
+    add_by_pixel(sums, np.zeros(1, np.int64), [[2.0]], None, np.array([[1.0, 2.0, 3.0]]))
     np.testing.assert_array_equal(sums, [[2.0, 4.0, 6.0]])
 
 
@@ -112,5 +119,4 @@ def test_sums_refuse_pixels_and_values_that_are_not_there(pixel, of_hit):
     with pytest.raises(ValueError, match="4 pixels and 2 values"):
         add_by_pixel(
             *(np.zeros((4, 3)), np.array([pixel]), np.ones((2, 3)), np.array([of_hit]), None),
-            first=0,
         )

@@ -54,6 +54,7 @@ def _add_render(parser: argparse.ArgumentParser) -> None:
     _add_sampler(parser)
     _add_settings(parser)
     _add_image(parser)
+    _add_crop(parser)
     _add_camera_paths(parser)
     _add_passes(parser)
     _add_memory(parser)
@@ -277,6 +278,7 @@ def _add_relax(parser: argparse.ArgumentParser) -> None:
         help=f"method that relaxes them ({DEFAULT_METHOD})",
     )
     _add_iterations(parser)
+    _add_workers(parser)
     _add_common(parser)
 
 
@@ -383,6 +385,13 @@ def _add_irradiance(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--method", choices=METHODS, default=DEFAULT_METHOD, help="default: %(default)s"
+    )
+    parser.add_argument(
+        "--photon-map",
+        type=Path,
+        metavar="FILE.npz|DIR",
+        help="photons traced before in this scene, in place of new ones; or the folder of blocks "
+        "that `relax` wrote, which are gathered as they are, one after another",
     )
     _add_emission(parser)
     _add_goal(parser)
@@ -507,6 +516,16 @@ def _add_image(parser: argparse.ArgumentParser) -> None:
         help=f"N x N samples per pixel ({SUPERSAMPLING})",
     )
     _add_exposure(parser)
+
+
+def _add_crop(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--crop",
+        type=whole,
+        nargs=4,
+        metavar=("X0", "Y0", "X1", "Y1"),
+        help="render the pixels [X0, X1) x [Y0, Y1) of the image alone, from its upper left (all)",
+    )
 
 
 def _add_camera_paths(parser: argparse.ArgumentParser) -> None:

@@ -34,7 +34,7 @@ from .arguments import (
 )
 from .casters import axis_point, complete_options, gather_radius, map_size, unit_of
 from .interrupts import Interrupts
-from .parts import relax_in_blocks, trace_in_parts
+from .parts import photons_given, relax_in_blocks, trace_in_parts
 from .progress_bar import ProgressBars
 from .scenes import scene_of
 from .streams import complain, escaping_streams, write_lines
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from ..estimation.field import Field
+    from ..estimation.methods import Settings
     from ..evaluation import ComparisonRequest
     from ..evaluation.reference import ReferenceSettings
     from ..rendering.object_map import ObjectMap
@@ -153,6 +154,8 @@ def _check_render_options(options: argparse.Namespace) -> None:
             "passes are of all light, and indirect light is estimated: leave out --components "
             "and --final-gather"
         )
+    elif options.crop is not None:
+        options.wrong_usage("passes are of whole images: leave out --crop")
     elif options.sampler == "random":
         options.wrong_usage("passes are of Halton photons: leave out --sampler")
     elif any(each[:2] == ("progressive", "n_passes") for each in options.set or ()):
@@ -202,6 +205,7 @@ def _render_once(options: argparse.Namespace, interrupts: Interrupts) -> pr.Imag
         return pr.render(
             scene,
             max_depth=options.max_depth,
+            crop=options.crop,
             light_samples=options.light_samples,
             indirect=_indirect_settings(options),
             photons=photons,
@@ -268,6 +272,8 @@ def _relax(options: argparse.Namespace, interrupts: Interrupts) -> None:
         return
     if options.block is not None:
         options.wrong_usage("--block is of photons in parts: leave it out")
+    if (options.workers, options.scheduler) != (None, None):
+        options.wrong_usage("workers share the blocks of photons in parts: leave them out")
     output = output_path(options.output, ".npz")
     photons = pr.PhotonMap.load(options.photon_map)
     scene = None if options.scene is None else scene_of(options.scene, options)
@@ -374,6 +380,7 @@ def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
     scene = scene_of(options.scene, options)
     size = map_size(options, scene)
     _check_map_goal(options, size)
+    _check_map_photons(options)
     with ExitStack() as files:
         executor = files.enter_context(executor_of(options))
         found, image = _object_map(options, interrupts, scene, size, executor)
@@ -393,6 +400,16 @@ def _irradiance(options: argparse.Namespace, interrupts: Interrupts) -> None:
     if "error" in image.stats:
         texts.insert(0, reached_line(image.stats["error"]))
     _report(options, *texts)
+
+
+def _check_map_photons(options: argparse.Namespace) -> None:
+    """End with wrong usage if options of photons that are traced are given with those of a file."""
+    emission = (options.photons, options.seed, options.sampler, options.error, options.seconds)
+    if options.photon_map is not None and emission != 5 * (None,):
+        options.wrong_usage(
+            "--photon-map has its photons already: leave out --photons, --seed, --sampler, "
+            "--error and --seconds"
+        )
 
 
 def _check_map_goal(options: argparse.Namespace, size: float | None) -> None:
@@ -428,7 +445,8 @@ def _object_map(
     n_rays = settings.of("envelope").n_rays_certain
 
     def once(n_emitted: int, seed: int) -> pr.Image:
-        check_map_fits(scene, n_emitted, options.texels, options.memory, n_rays=n_rays)
+        n_traced = n_emitted if options.photon_map is None else 0
+        check_map_fits(scene, n_traced, options.texels, options.memory, n_rays=n_rays)
         emission = n_emitted, seed
         radius = gather_radius(options, size)
         field, photons = _field_of_scene(
@@ -454,25 +472,22 @@ def _field_of_scene(
     *,
     radius: float | None,
     executor: Executor | None,
-) -> tuple[Field, pr.PhotonMap]:
-    """Field on the object to map, of photons by their number and seed.
+) -> tuple[Field, pr.PhotonMap | pr.BlockedPhotons]:
+    """Field on the object to map, of photons by their number and seed, or of those given.
 
     They are gathered within a radius unless settings have one.
     """
-    from ..estimation.methods import MethodInput, Settings, method_named, prepare
+    from ..estimation.methods import MethodInput, method_named, prepare
     from ..rendering.object_map import object_named, photons_of_surface
-    from .settings import settings_from_options
 
-    settings = settings_from_options(options, (options.method,))
-    method = method_named(options.method)
-    if radius is not None and "gather" in method.stages:
-        gather = settings.given.get("gather", method.default("gather"))
-        if gather.gather_radius is None:
-            gather = replace(gather, gather_radius=radius)
-            settings = Settings(**settings.given | {"gather": gather})
+    settings, method = _map_settings(options, radius), method_named(options.method)
     object_id = object_named(scene, options.on)
+    given = None if options.photon_map is None else photons_given(options.photon_map, scene)
+    if isinstance(given, pr.BlockedPhotons):
+        whole = {"method": options.method, "scene": scene, "n_threads": options.threads}
+        return pr.irradiance_field(given, **whole, **settings.given), given
     with ProgressBars(options.quiet, interrupts) as bars:
-        photons = pr.trace_photons(
+        photons = given or pr.trace_photons(
             scene,
             emission[0],
             seed=emission[1],
@@ -485,6 +500,21 @@ def _field_of_scene(
         there = photons_of_surface(photons, scene, object_id)
         inputs = MethodInput(there, settings, scene, options.threads, bars)
         return prepare(options.method, inputs), there
+
+
+def _map_settings(options: argparse.Namespace, radius: float | None) -> Settings:
+    """Settings of a map's stages, which gather within a radius unless options say otherwise."""
+    from ..estimation.methods import Settings, method_named
+    from .settings import settings_from_options
+
+    settings = settings_from_options(options, (options.method,))
+    method = method_named(options.method)
+    if radius is not None and "gather" in method.stages:
+        gather = settings.given.get("gather", method.default("gather"))
+        if gather.gather_radius is None:
+            gather = replace(gather, gather_radius=radius)
+            settings = Settings(**settings.given | {"gather": gather})
+    return settings
 
 
 def _check(options: argparse.Namespace, interrupts: Interrupts) -> int:

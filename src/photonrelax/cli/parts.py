@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from pathlib import Path
 from time import perf_counter
 
 import photonrelax as pr
@@ -48,7 +49,7 @@ def relax_in_blocks(options: argparse.Namespace, interrupts: Interrupts) -> None
     if options.iterations is not None:
         default = method_named(options.method).default("relax")
         settings["relax"] = replace(default, n_iterations=tuple(options.iterations))
-    with ProgressBars(options.quiet, interrupts) as bars:
+    with ProgressBars(options.quiet, interrupts) as bars, executor_of(options) as executor:
         blocked = pr.relax_parts(
             options.photon_map,
             options.output,
@@ -57,9 +58,34 @@ def relax_in_blocks(options: argparse.Namespace, interrupts: Interrupts) -> None
             photons_per_block=options.block or PHOTONS_PER_BLOCK,
             n_threads=options.threads,
             progress=bars,
+            executor=executor,
             **settings,
         )
     _report(options, "relax", perf_counter() - started, len(blocked))
+
+
+def photons_given(path: Path, scene: pr.Scene) -> pr.PhotonMap | pr.BlockedPhotons:
+    """Photons of a scene in a file, or in a folder of blocks.
+
+    Raises
+    ------
+    ValueError
+        If they are of another scene, or in blocks and some on sensors.
+    """
+    from ..rendering.render import check_scene
+
+    if not path.is_dir():
+        photons = pr.PhotonMap.load(path)
+        check_scene(photons, scene)
+        return photons
+    blocked = pr.BlockedPhotons.open(path)
+    check_scene(blocked.photons(0, 0), scene)
+    if scene.sensors:
+        raise ValueError(
+            f"{path} should be of a scene without sensors to be mapped, as its photons cannot be "
+            "told from those on them: make a map in memory of its photon_map()"
+        )
+    return blocked
 
 
 def _report(options: argparse.Namespace, stage: str, seconds: float, n_photons: int) -> None:

@@ -65,6 +65,12 @@ class GroupTiles:
         tiles = self.of_segment(segment)
         return int(self.first[tiles[0]]), int(self.stop[tiles[-1]])
 
+    def sample(self, n: int) -> Rows:
+        """Rows of about n photons of the group, or of all if they are fewer."""
+        step = min(max(int((self.stop - self.first).sum()) // n, 1), TILE)
+        rows = self.first[:, np.newaxis] + np.arange(0, TILE, step)
+        return rows[rows < self.stop[:, np.newaxis]]
+
     def bound(self, segment: int, name: str, values: NDArray) -> None:
         """Set the boxes of a column whose rows in a segment have these values."""
         tiles = self.of_segment(segment)

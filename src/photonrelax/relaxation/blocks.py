@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from .._ext.relaxation.projection import SURFACE_POSITION
 from .._ext.relaxation.relax import Paths
+from .._ext.spatial import kth_distance
 from .._util.progress import Reporter
 from .._util.validation import Floats
 from .._util.workers import Workers
@@ -40,6 +41,7 @@ from ..photons.neighbourhoods import Group, WholeGroup
 from ..photons.photon_map import PhotonMap
 from ..photons.streamed_groups import StreamedGroup
 from ..scene.scene import Scene
+from ..spatial.kdtree import KDTree
 from ..transport.raycast import RayCaster
 from .projection import SurfaceProjector
 from .relax import Relaxation, RelaxSettings
@@ -58,6 +60,9 @@ _ROUNDING = 1e-15
 _GROWTH = 1.1
 # The same of single iterations, over that again.
 _SINGLE = 2.0
+# Photons that are expected to reach so many times as far as the median of their block are isolated:
+# how far they do reach in space is found among those of their block and some of the others.
+_ISOLATED, _SAMPLE = 4.0, 100_000
 # Emitter density of photons of halos, whose range is next to nothing.
 _DENSEST = 1e300
 # Distance that photons go in an iteration, over that allowed: on surfaces they go round bends, and
@@ -142,7 +147,10 @@ class BlockRelaxation:
         if self._work.scene is not None:
             self._columns.create("at", SURFACE_POSITION)
             self._pass(_surface, self._search_reach)
-        for constrained, n in _runs(self._work.relax, has_rest=self._work.has_rest):
+        runs = _runs(self._work.relax, has_rest=self._work.has_rest)
+        for number, (constrained, n) in enumerate(runs):
+            if not constrained and (number == 0 or runs[number - 1][0]):
+                self._pass(_in_space, partial(self._search_in_space, now=now, n=n))
             now = self._stage(now, n, constrained=constrained)
         for name, moved in zip(_MOVED, now, strict=True):
             if moved != name:
@@ -199,12 +207,16 @@ class BlockRelaxation:
         work = self._group_work(number, expected, constrained=True)
         return replace(work, search=replace(work.search, merges=self._merges(number)))
 
+    def _search_in_space(self, number: int, *, now: tuple[str, str, str], n: int) -> _GroupWork:
+        return replace(
+            self._group_work(number, None, now, constrained=False, turns=True), n_iterations=n
+        )
+
     def _search_stage(
         self, number: int, *, now: tuple[str, str, str], n: int, constrained: bool
     ) -> _GroupWork:
-        # A single layer may be wide, and is best wide enough at once.
-        factor = 1.0 if n > 1 else _SINGLE
-        expected = "nearest" if constrained else "nearest_any", factor
+        # In space photons are expected to reach so far already.
+        expected = ("nearest", _widening(n)) if constrained else ("nearest_any", 1.0)
         work = self._group_work(number, expected, now, constrained=constrained, turns=True)
         search = replace(work.search, travel="travel", merges=self._merges(number))
         return replace(work, search=search, n_iterations=n)
@@ -294,7 +306,9 @@ _WENT_FARTHER = "went_farther"
 
 def n_passes(settings: RelaxSettings, *, has_coords: bool, has_scene: bool, has_rest: bool) -> int:
     """Passes over all photons of `BlockRelaxation`."""
-    return 1 + has_coords + has_scene + len(_runs(settings, has_rest=has_rest))
+    runs = _runs(settings, has_rest=has_rest)
+    in_space = any(not constrained for constrained, _ in runs)
+    return 1 + has_coords + has_scene + in_space + len(runs)
 
 
 def _runs(settings: RelaxSettings, *, has_rest: bool) -> list[tuple[bool, int]]:
@@ -387,6 +401,50 @@ def _detection(
     )
 
 
+def _widening(n_iterations: int) -> float:
+    """Factor of distances that photons reach: a single layer is best wide enough at once."""
+    return 1.0 if n_iterations > 1 else _SINGLE
+
+
+def _in_space(given: _GroupWork, segment: int) -> Columns:
+    """Distances to which photons of a segment are expected to reach in space.
+
+    Those expected before are of photons in range; around isolated ones they may have most of the
+    map in them.
+    """
+    tiles, source = given.search.tiles, given.work.photons.columns
+    first, stop = tiles.rows(segment)
+    before = source.read("nearest_any", first, stop)
+    wide, typical = _widening(given.n_iterations), _ISOLATED * float(np.median(before))
+    nearest, isolated = wide * before, np.flatnonzero(before > typical)
+    if len(isolated):
+        distance = _distances_in_space(given, segment, isolated)
+        margin = (wide * _GROWTH - 1.0) * np.minimum(distance, typical)
+        nearest[isolated] = np.minimum(nearest[isolated], distance + margin)
+    return {"nearest_any": nearest}
+
+
+def _distances_in_space(given: _GroupWork, segment: int, isolated: NDArray[np.intp]) -> Floats:
+    """Distances (m,) to the k-th of the photons around some of a segment, or a little more."""
+    source, (first, stop) = given.work.photons.columns, given.search.tiles.rows(segment)
+    others = given.search.tiles.sample(_SAMPLE)
+    others = others[(others < first) | (others >= stop)]
+    points = np.hstack(
+        [
+            np.concatenate([source.read(name, first, stop), source.take(name, others)])
+            for name in given.now[:2]
+        ]
+    )
+    tree = KDTree(points, n_threads=given.work.n_threads)
+    distance: Floats = kth_distance.of_queries(
+        *(tree.kernel, points, isolated),
+        k=min(given.search.k + 1, len(points)),
+        range_radius=MAX_NORMAL_CHORD,
+        n_threads=given.work.n_threads,
+    )
+    return distance
+
+
 def _surface(given: _GroupWork, segment: int) -> Columns:
     """The triangles that the photons of a segment lie on."""
     work, rows = given.work, given.search.tiles.rows(segment)
@@ -419,6 +477,10 @@ def _stage(given: _GroupWork, segment: int) -> Columns:
             constrained=given.constrained,
         )
         columns: Columns = {"position": position[own]}
+        if not given.constrained and given.n_iterations == 1:
+            # For the iteration that follows.
+            moved = np.linalg.norm(position[own] - before[0][own], axis=1)
+            columns["nearest_any"] = _expected_next(some, paths.searched[own], moved)
         if relaxation.projector is not None:
             columns |= {"normal": normal[own], "at": relaxation.projector.at[own]}
         allowed = given.search.allowed(some.read("travel"))
@@ -426,6 +488,16 @@ def _stage(given: _GroupWork, segment: int) -> Columns:
         return Iterated(columns, paths.searched)
 
     return given.search.iterate(segment, given.n_iterations, compute)
+
+
+def _expected_next(some: Layers, searched: Floats, moved: Floats) -> Floats:
+    """Distances (n,) to which own photons are expected to reach in a single iteration more.
+
+    `searched` and `moved` (n,) are how far they reached and went in the last one.
+    """
+    searched = np.where(np.isfinite(searched), searched, some.read_own("nearest_any")[: some.n_own])
+    typical = _ISOLATED * float(np.median(searched))
+    return searched + moved + (_SINGLE - 1.0) * np.minimum(searched, typical)
 
 
 def _at_rest(given: _GroupWork, segment: int) -> Columns:

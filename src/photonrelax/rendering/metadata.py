@@ -6,6 +6,7 @@ import json
 from typing import Any
 
 from .._version import __version__
+from ..photons.blocks import BlockedPhotons
 from ..photons.photon_map import PhotonMap
 
 
@@ -14,13 +15,14 @@ def ledger_values(photons: PhotonMap) -> dict[str, Any] | None:
     return None if photons.ledger is None else photons.ledger.to_dict()
 
 
-def photon_metadata(photons: PhotonMap, **others: Any) -> dict[str, str]:
+def photon_metadata(photons: PhotonMap | BlockedPhotons, **others: Any) -> dict[str, str]:
     """Metadata of an image of a photon map."""
+    head = photons.photons(0, 0) if isinstance(photons, BlockedPhotons) else photons
     return metadata(
-        photons_emitted=photons.n_emitted,
+        photons_emitted=head.n_emitted,
         photons_stored=len(photons),
-        ledger=ledger_values(photons),
-        **{name: getattr(photons, name) for name in ("seed", "sampler", "paths")},
+        ledger=ledger_values(head),
+        **{name: getattr(head, name) for name in ("seed", "sampler", "paths")},
         **others,
     )
 

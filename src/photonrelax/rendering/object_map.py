@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from functools import cached_property
 
 import numpy as np
 
 from .._util.validation import Floats
+from ..estimation.block_field import BlockedField
 from ..estimation.field import Field, PhotonField
 from ..estimation.irradiance_map import irradiance_map, texel_grid
 from ..imaging.image import Image
+from ..photons.blocks import BlockedPhotons
 from ..photons.photon_map import PhotonMap
 from ..scene.scene import Scene, SceneObject, object_label
 from .metadata import photon_metadata
@@ -42,7 +44,7 @@ class ObjectMap:
     size : float, optional
         Side of a square around the middle of the light on the object, m, in place of all of it;
         moved, and cut if it is larger, so that it is within the rectangle.
-    photons : PhotonMap, optional
+    photons : PhotonMap or BlockedPhotons, optional
         Photons of the scene, which tell the lit side and encircled flux; by default the field's.
     executor : concurrent.futures.Executor, optional
         As of `irradiance_map`.
@@ -68,11 +70,11 @@ class ObjectMap:
         n_texels: int,
         *,
         size: float | None = None,
-        photons: PhotonMap | None = None,
+        photons: PhotonMap | BlockedPhotons | None = None,
         executor: Executor | None = None,
     ) -> None:
         if photons is None:
-            if not isinstance(field, PhotonField):
+            if not isinstance(field, PhotonField | BlockedField):
                 raise TypeError("photons should be given with a field that has none")
             photons = field.photons
         self._field, self._photons, self._scene = field, photons, scene
@@ -80,25 +82,32 @@ class ObjectMap:
         self.object_id = object_named(scene, name)
         item = scene.objects[self.object_id]
         normal = _plane_normal(item, object_label(self.object_id, item))
-        if photons.object_id is None:
-            raise ValueError("photons should have object_id, to tell which are on the object")
-        self._there = np.flatnonzero(photons.object_id == self.object_id)
-        facing = photons.normal[self._there] @ normal
-        flux = photons.flux[self._there].sum(axis=1)
-        if flux[facing < 0.0].sum() > flux[facing > 0.0].sum():
+        behind, before, total, moment = 0.0, 0.0, 0.0, np.zeros(3)
+        for there in self._on_object():
+            facing, flux = there.normal @ normal, there.flux.sum(axis=1)
+            behind, before = behind + flux[facing < 0.0].sum(), before + flux[facing > 0.0].sum()
+            total += flux.sum()
+            moment += (flux[:, np.newaxis] * there.position).sum(axis=0)
+        if behind > before:
             normal = -normal
         vertices = np.asarray(item.mesh.vertices, dtype=np.float64)
         sides = _sides_on(normal)
         low, high = (vertices @ sides.T).min(axis=0), (vertices @ sides.T).max(axis=0)
-        if size is not None and len(self._there):
-            middle = np.average(photons.position[self._there], axis=0, weights=flux) @ sides.T
+        if size is not None and total > 0.0:
             half = np.minimum(size, high - low) / 2.0
-            middle = np.clip(middle, low + half, high - half)
+            middle = np.clip(moment / total @ sides.T, low + half, high - half)
             low, high = middle - half, middle + half
         nx, ny = np.maximum(np.rint((high - low) / (high - low).max() * n_texels), 1).astype(int)
         origin = low @ sides + (vertices[0] @ normal) * normal
         u, v = (high - low)[:, np.newaxis] * sides
         self.grid = texel_grid(origin, u, v, (int(nx), int(ny)), normal=normal)
+
+    def _on_object(self) -> Iterator[PhotonMap]:
+        """Photons on the object, a block at a time where they are in blocks."""
+        for photons in _pieces(self._photons):
+            if photons.object_id is None:
+                raise ValueError("photons should have object_id, to tell which are on the object")
+            yield photons.subset(photons.object_id == self.object_id)
 
     @cached_property
     def irradiance(self) -> Floats:
@@ -140,10 +149,20 @@ class ObjectMap:
 
     def encircled_flux(self, point: Floats, radii: Sequence[float]) -> Floats:
         """Flux (n, 3) of the photons on the object within radii (n,) of a point, counted, W."""
-        photons = self._photons
-        position, flux = photons.position[self._there], photons.flux[self._there]
-        distance = np.linalg.norm(position - point, axis=1)
-        return np.array([flux[distance <= radius].sum(axis=0) for radius in radii])
+        encircled = np.zeros((len(radii), 3))
+        for there in self._on_object():
+            distance = np.linalg.norm(there.position - point, axis=1)
+            encircled += [there.flux[distance <= radius].sum(axis=0) for radius in radii]
+        return encircled
+
+
+def _pieces(photons: PhotonMap | BlockedPhotons) -> Iterator[PhotonMap]:
+    """Photons of a map, or of one block after another."""
+    if isinstance(photons, PhotonMap):
+        yield photons
+        return
+    for start, stop in zip(photons.segments.first, photons.segments.stop, strict=True):
+        yield photons.photons(start, stop)
 
 
 def photons_of_surface(photons: PhotonMap, scene: Scene, object_id: int) -> PhotonMap:

@@ -59,6 +59,9 @@ class RenderSettings(StageSettings, total=False):
         s·s samples a pixel, by default 2.
     max_depth : int
         Maximum number of specular surfaces on a camera path, by default 8.
+    crop : (int, int, int, int)
+        x0, y0, x1 and y1 of the pixels [x0, x1) × [y0, y1) to render, from the upper left, which
+        are those of the whole image; by default all.
     light_samples : int
         Shadow rays from a sample to an extended emitter, or to all of many lamps, by default enough
         for noise below 2 % of a pixel.
@@ -81,6 +84,7 @@ class RenderSettings(StageSettings, total=False):
 
     supersampling: int | None
     max_depth: int
+    crop: tuple[int, int, int, int] | None
     light_samples: int | None
     indirect: GatherSettings | None
     final_gather: int
@@ -117,7 +121,7 @@ def render(
     seed, sampler : int, str
         Of the photons; see `photonrelax.trace_photons`.
     photons : PhotonMap, optional
-        Photons of caustics traced before in this scene, in place of new ones; see `_check_scene`.
+        Photons of caustics traced before in this scene, in place of new ones; see `check_scene`.
     n_threads, progress : int, callable, optional
         Threads, by default all; called as ``progress(stage, done, total)``.
     executor : concurrent.futures.Executor, optional
@@ -167,6 +171,7 @@ def _view(scene: Scene, choice: Choice, settings: RenderSettings, **others: Any)
         supersampling=choice.supersampling if s is None else s,
         max_depth=settings.pop("max_depth", 8),
         light_samples=settings.pop("light_samples", None),
+        crop=settings.pop("crop", None),
         **others,
     )
 
@@ -269,7 +274,7 @@ _MOST_RAYS = 65536
 _SAME_FLUX = 0.01
 
 
-def _check_scene(photons: PhotonMap, scene: Scene) -> None:
+def check_scene(photons: PhotonMap, scene: Scene) -> None:
     """Raise ValueError if the photons are of another scene.
 
     Its digest tells, if they have one, or else the flux of their ledger, if its emitters do not
@@ -357,7 +362,7 @@ class _Stages:
     def plan(self, light: _Light, n_emitted: int) -> None:
         view = self._view
         if light.photons is not None:
-            _check_scene(light.photons, view.scene)
+            check_scene(light.photons, view.scene)
             self._photons = on_surfaces(light.photons)
         self._plan = plan(
             view.scene,
@@ -491,7 +496,7 @@ class _Stages:
 
     def _layers(self) -> dict[str, Floats]:
         started, view = perf_counter(), self._view
-        report = Reporter(self._progress, "render", view.camera.height)
+        report = Reporter(self._progress, "render", view.shape[0])
         models = self._plan.models("direct"), self._plan.models("emission")
         renderer = BandRenderer(view, *models, self._caustic, self._gather or self._indirect)
         parts, n_hit_points = [], 0

@@ -21,6 +21,7 @@ from .._util.validation import Floats
 from ..estimation.field import Densities, Field
 from ..estimation.indirect import IndirectField
 from ..estimation.surface import Surface
+from ..scene.camera import Camera, places_of
 from ..scene.scene import Scene
 from ..transport.direct_light import Lights, LightSamples, default_light_samples, samples_light
 from ..transport.hit_points import MAX_DEPTH, FirstSurfaces, HitPoints, trace_hit_points
@@ -78,6 +79,8 @@ class Band:
         Direct irradiance at the hit points, W/m², if that is modelled.
     supersampling : int
         s·s samples a pixel.
+    columns : range, optional
+        Of the image, by default all.
     """
 
     rows: range
@@ -86,6 +89,7 @@ class Band:
     first: FirstSurfaces
     direct: Floats | None
     supersampling: int = 1
+    columns: range | None = None
 
     def estimates(
         self, field: Field | Densities | IndirectField
@@ -119,7 +123,7 @@ class Band:
         )
 
     def radiance(self, irradiance: Floats, of_hit: NDArray[np.intp] | None = None) -> Floats:
-        """Radiance (rows, width, 3) of irradiance (p, 3), and that of each hit point."""
+        """Radiance (rows, columns, 3) of irradiance (p, 3), and that of each hit point."""
         return self.sums(irradiance, of_hit, weight=self.reflectance)
 
     @property
@@ -134,14 +138,14 @@ class Band:
         *,
         weight: Floats | None = None,
     ) -> Floats:
-        """Sums (rows, width, c) of the values (p, c) of the hit points of each pixel.
+        """Sums (rows, columns, c) of the values (p, c) of the hit points of each pixel.
 
         `of_hit` (m,) are their rows of the values, by default their own, and `weight`, (m, c) or
         (m, 1), factors of these.
         """
-        shape = len(self.rows), self.width
-        first = self.rows.start * self.width
-        return pixel_sums(self.hits.pixel, values, shape, of_hit, weight=weight, first=first)
+        columns = range(self.width) if self.columns is None else self.columns
+        place = places_of(self.hits.pixel, self.rows, columns, self.width)
+        return pixel_sums(place, values, (len(self.rows), len(columns)), of_hit, weight=weight)
 
 
 def pixel_sums(
@@ -151,15 +155,11 @@ def pixel_sums(
     of_hit: NDArray[np.intp] | None = None,
     *,
     weight: Floats | None = None,
-    first: int = 0,
 ) -> Floats:
-    """Sums (height, width, c) by their pixels (m,) in images of a shape; see `Band.sums`.
-
-    Pixels are numbered from `first`.
-    """
+    """Sums (height, width, c) by their pixels (m,) in images of a shape; see `Band.sums`."""
     n_channels = values.shape[1] if weight is None else max(values.shape[1], weight.shape[1])
     sums = np.zeros((shape[0] * shape[1], n_channels))
-    add_by_pixel(sums, pixel, values, of_hit, weight, first=first)
+    add_by_pixel(sums, pixel, values, of_hit, weight)
     return sums.reshape(*shape, -1)
 
 
@@ -187,6 +187,8 @@ class View:
     light_samples, seed : int, optional
         Shadow rays from each hit point to each extended emitter, and to all of many lamps, by
         default enough for noise below 2 % of a pixel; their seed.
+    crop : (int, int, int, int), optional
+        First column and row of the pixels to see, and the ends of these; by default of all.
     n_threads : int, optional
         Threads; all available by default. Results do not depend on it.
 
@@ -194,6 +196,8 @@ class View:
     ----------
     scene, supersampling, max_depth, light_samples, seed, n_threads
         As given, or by default.
+    rows, columns : range
+        Of the pixels seen.
     camera : Camera
         Of the scene.
     kept_bytes : float
@@ -202,7 +206,7 @@ class View:
     Raises
     ------
     TypeError, ValueError
-        If the scene has no camera, or a number is out of its range.
+        If the scene has no camera, a number is out of its range, or `crop` is not of the image.
     MemoryError
         If an image of that size cannot fit in memory.
     """
@@ -215,12 +219,14 @@ class View:
         max_depth: int = 8,
         light_samples: int | None = None,
         seed: int = 0,
+        crop: tuple[int, int, int, int] | None = None,
         n_threads: int | None = None,
     ) -> None:
         if scene.camera is None:
             raise ValueError("scene should have a camera to be rendered")
         self.scene = scene
         self.camera = scene.camera
+        self.rows, self.columns = _cropped(scene.camera, crop)
         self.supersampling = validation.count(
             supersampling, "supersampling", high=validation.MAX_REPEATS
         )
@@ -248,6 +254,7 @@ class View:
             max_depth=self.max_depth,
             light_samples=self.light_samples,
             seed=self.seed if seed is None else seed,
+            crop=self.crop,
             n_threads=self.n_threads,
         )
         for name in ("caster", "lights"):
@@ -298,7 +305,7 @@ class View:
     def _hits_per_ray(self) -> float:
         """Hit points for each camera ray, of a small image."""
         hits, scale = self._pilot()
-        return len(hits) / max(scale**2 * self.shape[0] * self.shape[1], 1.0)
+        return len(hits) / max(scale**2 * self.camera.height * self.camera.width, 1.0)
 
     def pixel_side(self) -> float | None:
         """Median side of pixels on the surfaces seen, m; None if none is seen."""
@@ -309,9 +316,10 @@ class View:
         return scale * float(np.sqrt(np.median(np.linalg.norm(np.cross(u, v), axis=1)))) or None
 
     def _pilot(self) -> tuple[HitPoints, float]:
-        """Hit points of a small image, and its size over that of images."""
-        scale = min(_PILOT_SIDE / max(self.shape), 1.0)
-        height, width = (max(round(scale * side), 1) for side in self.shape)
+        """Hit points of a small image of all pixels, and its size over that of theirs."""
+        sides = self.camera.height, self.camera.width
+        scale = min(_PILOT_SIDE / max(sides), 1.0)
+        height, width = (max(round(scale * side), 1) for side in sides)
         camera = replace(self.camera, width=width, height=height)
         hits, _ = trace_hit_points(
             self.scene, self.caster, camera, range(height), max_depth=self.max_depth
@@ -321,14 +329,26 @@ class View:
     @property
     def shape(self) -> tuple[int, int]:
         """Height and width of images."""
-        return self.camera.height, self.camera.width
+        return len(self.rows), len(self.columns)
 
     @property
-    def settings(self) -> dict[str, int]:
-        """Supersampling, maximum depth and, where light is sampled, the samples by name."""
-        settings = {"supersampling": self.supersampling, "max_depth": self.max_depth}
+    def crop(self) -> tuple[int, int, int, int] | None:
+        """As given; None of the whole image."""
+        if self.shape == (self.camera.height, self.camera.width):
+            return None
+        return self.columns.start, self.rows.start, self.columns.stop, self.rows.stop
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Supersampling, maximum depth and, where they are, samples of light and the crop."""
+        settings: dict[str, Any] = {
+            "supersampling": self.supersampling,
+            "max_depth": self.max_depth,
+        }
         if samples_light(self.scene, self.light_samples):
             settings["light_samples"] = self.light_samples
+        if self.crop is not None:
+            settings["crop"] = self.crop
         return settings
 
     @cached_property
@@ -362,8 +382,7 @@ class View:
         height, width = self.shape
         rows_per_band = max(_RAYS_PER_BAND // (width * self.supersampling**2), 1)
         rows_per_band = min(rows_per_band, -(-height // n_bands))
-        tops = range(0, height, rows_per_band)
-        return [range(top, min(top + rows_per_band, height)) for top in tops]
+        return [self.rows[i : i + rows_per_band] for i in range(0, height, rows_per_band)]
 
     def band(
         self,
@@ -396,13 +415,15 @@ class View:
             self.caster,
             self.camera,
             rows,
+            columns=self.columns,
             supersampling=self.supersampling,
             offset=offset,
             max_depth=self.max_depth,
             n_threads=self.n_threads,
         )
         light = self._direct(hits, number) if direct else None
-        return Band(rows, self.camera.width, hits, first, light, self.supersampling)
+        width = self.camera.width
+        return Band(rows, width, hits, first, light, self.supersampling, self.columns)
 
     def _direct(self, hits: HitPoints, number: int) -> Floats:
         return self.lights.irradiance(
@@ -416,12 +437,28 @@ class View:
         """Trace all bands and keep them in memory."""
         self.check_hits_fit()
         started = perf_counter()
-        report = Reporter(progress, "camera", self.camera.height)
+        report = Reporter(progress, "camera", len(self.rows))
         bands = []
         for band in self.bands():
             bands.append(band)
             report.advance(len(band.rows))
         return StoredView(bands, perf_counter() - started)
+
+
+def _cropped(camera: Camera, crop: tuple[int, int, int, int] | None) -> tuple[range, range]:
+    """Rows and columns of a crop of an image; raises ValueError if it is none."""
+    if crop is None:
+        return range(camera.height), range(camera.width)
+    bounds = np.asarray(crop)
+    if bounds.shape != (4,) or bounds.dtype.kind not in "iu":
+        raise ValueError(f"crop should be four whole numbers, x0, y0, x1 and y1, but is {crop}")
+    x0, y0, x1, y1 = bounds.tolist()
+    if not (0 <= x0 < x1 <= camera.width and 0 <= y0 < y1 <= camera.height):
+        raise ValueError(
+            f"crop should be pixels [x0, x1) x [y0, y1) of the image of {camera.width} x "
+            f"{camera.height}, but is {x0}, {y0}, {x1}, {y1}"
+        )
+    return range(y0, y1), range(x0, x1)
 
 
 def _seed_of(seed: int, number: int) -> int:

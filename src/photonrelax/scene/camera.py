@@ -94,6 +94,7 @@ def pixel_rays(
     supersampling: int = 1,
     *,
     offset: tuple[float, float] = (0.5, 0.5),
+    columns: range | None = None,
 ) -> tuple[Floats, Floats, NDArray[np.int64]]:
     """Return the rays of some rows of the image, row 0 at the top.
 
@@ -107,6 +108,8 @@ def pixel_rays(
         s·s samples per pixel, on a regular grid.
     offset : (float, float)
         Position of samples in the cells of that grid, to the right and down, in [0, 1).
+    columns : range, optional
+        Of the pixels of these rows, by default all.
 
     Returns
     -------
@@ -118,15 +121,34 @@ def pixel_rays(
     Raises
     ------
     ValueError
-        If there are no rows, or rows that are not in the image.
+        If there are no rows or columns, or some that are not in the image.
     """
-    if not len(rows) or min(rows) < 0 or max(rows) >= camera.height:
-        raise ValueError(f"rows should be some of [0, {camera.height}), but are {rows}")
+    columns = range(camera.width) if columns is None else columns
+    _check_pixels(rows, "rows", camera.height)
+    _check_pixels(columns, "columns", camera.width)
     s = count(supersampling, "supersampling", high=MAX_REPEATS)
     x, y, pixel = film_samples(
-        np.asarray(rows), camera.width, camera.height, side=s, right=offset[0], down=offset[1]
+        *(np.asarray(rows), np.asarray(columns), camera.width, camera.height),
+        side=s,
+        right=offset[0],
+        down=offset[1],
     )
     return *_film_rays(camera, x, y), pixel
+
+
+def _check_pixels(some: range, name: str, n: int) -> None:
+    if not len(some) or min(some) < 0 or max(some) >= n:
+        raise ValueError(f"{name} should be some of [0, {n}), but are {some}")
+
+
+def places_of(
+    pixel: NDArray[np.int64], rows: range, columns: range, width: int
+) -> NDArray[np.int64]:
+    """Indices (m,) in a part of an image, of some rows and columns, of pixels (m,) of the image."""
+    if len(columns) == width:
+        return pixel - rows.start * width
+    row, column = np.divmod(pixel, width)
+    return (row - rows.start) * len(columns) + column - columns.start
 
 
 def sample_changes(camera: Camera, supersampling: int) -> tuple[Floats, Floats]:

@@ -299,7 +299,7 @@ class _Sampling:
     def __init__(self, samples: LightSamples, n_points: int, *, is_used: bool) -> None:
         self.n, self._seed, pixel = samples
         self._pixel = np.arange(n_points, dtype=np.int64) if pixel is None else pixel
-        self._number = _number_in_pixel(self._pixel) if is_used else self._pixel
+        self._number = number_in_pixel(self._pixel) if is_used else self._pixel
 
     def of(self, rows: slice) -> _Sampling:
         """Those of some points."""
@@ -324,7 +324,7 @@ def _shines(emitter: Emitter) -> bool:
     return lamp is None or bool(np.any(lamp.intensity))
 
 
-def _number_in_pixel(pixel: NDArray[np.int64]) -> NDArray[np.int64]:
+def number_in_pixel(pixel: NDArray[np.int64]) -> NDArray[np.int64]:
     """Number (m,) of each point among those of its pixel."""
     order = np.argsort(pixel, kind="stable")
     in_order = pixel[order]

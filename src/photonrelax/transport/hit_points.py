@@ -18,7 +18,7 @@ from .._ext.transport.materials import Materials
 from .._ext.transport.raycast import EmbreeHits
 from .._util.parallel import ordered_map, thread_count, thread_executor
 from .._util.validation import MAX_REPEATS, Floats, count
-from ..scene.camera import Camera, film_corners, pixel_rays, sample_changes
+from ..scene.camera import Camera, film_corners, pixel_rays, places_of, sample_changes
 from ..scene.emitters import Emitter
 from ..scene.scene import Scene
 from .media import MediaFinder, NestingFaults, warn_of_faults
@@ -56,6 +56,8 @@ class HitPoints:
         over the width and the height of a sample, by ray differentials (Igehy 1999).
     emission : (m, 3), optional
         Radiance that the point emits to the camera, W/(m² sr); None where no surface emits.
+    n_specular : (m,) int32, optional
+        Specular surfaces between the camera and the point.
     """
 
     pixel: NDArray[np.int64]
@@ -66,6 +68,7 @@ class HitPoints:
     object_id: NDArray[np.int32]
     footprint: Floats | None = None
     emission: Floats | None = None
+    n_specular: NDArray[np.int32] | None = None
 
     def __len__(self) -> int:
         return len(self.pixel)
@@ -77,12 +80,12 @@ class FirstSurfaces:
 
     Attributes
     ----------
-    normal : (rows, width, 3)
+    normal : (rows, columns, 3)
         Shading normal on the side of the camera, the mean over the samples of the pixel; zero for
         samples that hit nothing.
-    depth : (rows, width)
+    depth : (rows, columns)
         Distance along the viewing axis, m, the least over the samples; inf where nothing is hit.
-    background : (rows, width, 3), optional
+    background : (rows, columns, 3), optional
         Radiance of what is behind everything and of specular surfaces that emit, also in mirrors
         and through glass, W/(m² sr); None in scenes without.
     """
@@ -98,6 +101,7 @@ def trace_hit_points(
     camera: Camera,
     rows: range,
     *,
+    columns: range | None = None,
     supersampling: int = 1,
     offset: tuple[float, float] = (0.5, 0.5),
     max_depth: int = 8,
@@ -115,6 +119,8 @@ def trace_hit_points(
         The scene, and a caster of its objects.
     camera, rows : Camera, range
         The camera, which need not be that of the scene, and rows of its pixels.
+    columns : range, optional
+        Of the pixels of these rows, by default all.
     supersampling, offset : int, (float, float)
         s·s samples per pixel; their position in the cells of the sample grid.
     max_depth : int
@@ -130,21 +136,25 @@ def trace_hit_points(
     Raises
     ------
     ValueError
-        If there are no rows, rows are not in the image, or a number is out of its range.
+        If there are no rows or columns, some are not in the image, or a number is out of its range.
     """
     threads = thread_count(n_threads)
     count(max_depth, "max_depth", low=0, high=MAX_DEPTH)
     count(supersampling, "supersampling", high=MAX_REPEATS)
+    columns = range(camera.width) if columns is None else columns
     tracer = _CameraTracer(
-        *(scene, caster, camera), supersampling=supersampling, offset=offset, max_depth=max_depth
+        *(scene, caster, camera, columns),
+        supersampling=supersampling,
+        offset=offset,
+        max_depth=max_depth,
     )
-    per_batch = max(_BATCH // (camera.width * supersampling**2), 1)
+    per_batch = max(_BATCH // max(len(columns) * supersampling**2, 1), 1)
     batches = [rows[i : i + per_batch] for i in range(0, len(rows), per_batch)] or [rows]
     with thread_executor(min(threads, len(batches))) as executor:
         done = list(ordered_map(tracer.trace, batches, executor))
         hits = hit_points_of([batch.seen for batch in done], tracer.materials, scene, executor)
     faults = [*tracer.media.faults, *(batch.faults for batch in done)]
-    n_rays = len(rows) * camera.width * supersampling**2
+    n_rays = len(rows) * len(columns) * supersampling**2
     warn_of_faults(scene, faults, n_rays, tracer.materials)
     first = FirstSurfaces(
         np.concatenate([batch.first.normal for batch in done]),
@@ -175,13 +185,14 @@ class _CameraTracer:
         scene: Scene,
         caster: RayCaster,
         camera: Camera,
+        columns: range,
         *,
         supersampling: int,
         offset: tuple[float, float],
         max_depth: int,
     ) -> None:
         self.materials = Materials(scene.material_table())
-        self._caster, self._camera = caster, camera
+        self._caster, self._camera, self._columns = caster, camera, columns
         self._supersampling, self._offset = supersampling, offset
         self._max_depth = max_depth
         self.media = MediaFinder(scene, caster, self.materials)
@@ -236,7 +247,7 @@ class _CameraTracer:
             met = surface == number
             light[met] = weight[met] * shining.surface_radiance(seen["from_behind"][met])
         radiance = np.zeros(first.normal.shape)
-        pixel = seen["pixel"] - rows.start * self._camera.width
+        pixel = places_of(seen["pixel"], rows, self._columns, self._camera.width)
         np.add.at(radiance.reshape(-1, 3), pixel, light)
         return replace(first, background=radiance)
 
@@ -246,7 +257,9 @@ class _CameraTracer:
         Returns the surfaces that they hit, and embree's hits.
         """
         s = self._supersampling
-        origin, direction, pixel = pixel_rays(self._camera, rows, s, offset=self._offset)
+        origin, direction, pixel = pixel_rays(
+            self._camera, rows, s, offset=self._offset, columns=self._columns
+        )
         origin_change, film_change = self._changes
         paths.start(
             *(origin, direction, pixel),
@@ -266,7 +279,7 @@ class _CameraTracer:
             if self.materials.has_hidden:
                 self._caster.find_beyond(paths, found)
                 normal, depth, _ = paths.first_surfaces(found, self._axis, s * s)
-        shape = len(rows), self._camera.width
+        shape = len(rows), len(self._columns)
         return FirstSurfaces(normal.reshape(*shape, 3), depth.reshape(shape)), found
 
 

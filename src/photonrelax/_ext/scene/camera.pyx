@@ -31,25 +31,25 @@ def film_points(
 
 
 def film_samples(
-    const int64_t[::1] rows, Py_ssize_t width, Py_ssize_t height, *, Py_ssize_t side, double right,
-    double down,
+    const int64_t[::1] rows, const int64_t[::1] columns, Py_ssize_t width, Py_ssize_t height, *,
+    Py_ssize_t side, double right, double down,
 ):
     """Coordinates of samples on the film, x and y (m,), and their pixels, row · width + column.
 
     In half heights of the image from its centre. The side · side samples of each pixel of some rows
-    follow one another; `right` and `down` are their offsets in the cells of its grid.
+    and columns follow one another; `right` and `down` are their offsets in the cells of its grid.
     """
-    cdef Py_ssize_t m = rows.shape[0] * width * side * side
+    cdef Py_ssize_t m = rows.shape[0] * columns.shape[0] * side * side
     cdef double[::1] x = np.empty(m), y = np.empty(m)
     cdef int64_t[::1] pixel = np.empty(m, np.int64)
     cdef Py_ssize_t row, column, i, j, at = 0
     with nogil:
         for row in range(rows.shape[0]):
-            for column in range(width):
+            for column in range(columns.shape[0]):
                 for i in range(side):
                     for j in range(side):
-                        x[at] = (2.0 * (column + (j + right) / side) - width) / height
+                        x[at] = (2.0 * (columns[column] + (j + right) / side) - width) / height
                         y[at] = 1.0 - 2.0 * (rows[row] + (i + down) / side) / height
-                        pixel[at] = rows[row] * width + column
+                        pixel[at] = rows[row] * width + columns[column]
                         at += 1
     return x.base, y.base, pixel.base

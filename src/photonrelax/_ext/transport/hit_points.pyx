@@ -87,6 +87,8 @@ cdef class CameraPaths(LiveRays):
     cdef unsigned char[::1] seen_memory
     cdef SeenPoint* seen
     cdef Py_ssize_t n_seen
+    # Number of points seen on each level.
+    cdef list seen_on_level
 
     def __init__(
         self, Materials materials, EmbreeFrame frame, Triangles triangles, *, double least_weight,
@@ -98,6 +100,7 @@ cdef class CameraPaths(LiveRays):
         self.memory = self.next_memory = np.empty(0, np.uint8)
         self.origins = np.empty((0, 3), np.float32)
         self.hit_memory = self.seen_memory = np.empty(0, np.uint8)
+        self.seen_on_level = []
 
     def live_rays(self):
         """Pixels (n_live,), origins and directions (n_live, 3) of the live rays."""
@@ -247,7 +250,7 @@ cdef class CameraPaths(LiveRays):
 
     def advance(self, EmbreeHits found):
         """Process the hit of every live ray; return the number of their continuations."""
-        cdef Py_ssize_t i, live = 0
+        cdef Py_ssize_t i, live = 0, before = self.n_seen
         self.check_hits(found)
         self.reserve(2 * self.n_live)
         with nogil:
@@ -257,11 +260,12 @@ cdef class CameraPaths(LiveRays):
         self.ray, self.next_ray = self.next_ray, self.ray
         self.memory, self.next_memory = self.next_memory, self.memory
         self.n_live = live
+        self.seen_on_level.append(self.n_seen - before)
         self.check_finite()
         return live
 
     def seen_points(self):
-        """Columns of the points seen by the batch, (m, …), in the order of the passes."""
+        """Columns of the points seen by the batch, (m, …), in the order of the levels."""
         cdef Py_ssize_t i, m = self.n_seen
         cdef int64_t[::1] pixel = np.empty(m, np.int64)
         cdef int32_t[::1] object_id = np.empty(m, np.int32)
@@ -289,6 +293,9 @@ cdef class CameraPaths(LiveRays):
             "face_id": face_id.base,
             "from_behind": from_behind.base.view(np.bool_),
             "footprint": footprint.base,
+            "n_specular": np.repeat(
+                np.arange(len(self.seen_on_level), dtype=np.int32), self.seen_on_level
+            ),
         }
 
     cdef check_hits(self, EmbreeHits found):

@@ -15,10 +15,10 @@ cdef struct Piece:
 
 
 cdef class Samples:
-    """Hit points, in sequence by pixel where they are those of its samples."""
+    """Hit points, in sequence by pixel and level where they are those of its samples."""
 
     cdef const int64_t[::1] pixel
-    cdef const int32_t[::1] object_id
+    cdef const int32_t[::1] object_id, level
     cdef const double[:, ::1] position, normal
     cdef const double[:, :, ::1] footprint
     cdef Py_ssize_t side
@@ -28,12 +28,22 @@ cdef class Samples:
         """Raise ValueError if the columns do not fit one another."""
         cdef Py_ssize_t m = self.pixel.shape[0]
         if not (
-            m == self.object_id.shape[0] == self.position.shape[0] == self.normal.shape[0]
-            == self.footprint.shape[0]
+            m == self.object_id.shape[0] == self.level.shape[0] == self.position.shape[0]
+            == self.normal.shape[0] == self.footprint.shape[0]
             and 3 == self.position.shape[1] == self.normal.shape[1] == self.footprint.shape[2]
             and self.footprint.shape[1] == 2 and self.side > 0
         ):
             raise ValueError("columns of the hit points do not fit one another")
+
+    cdef Py_ssize_t end_of(self, Py_ssize_t first) noexcept nogil:
+        """End of the points from `first` on that are of one pixel and level."""
+        cdef Py_ssize_t end = first + 1
+        while (
+            end < self.pixel.shape[0] and self.pixel[end] == self.pixel[first]
+            and self.level[end] == self.level[first]
+        ):
+            end += 1
+        return end
 
     cdef bint is_one_piece(self, Py_ssize_t first, Piece* piece) noexcept nogil:
         """Write the means over a pixel's samples; true if these are a grid on one surface."""
@@ -102,6 +112,9 @@ def merge_samples(hits, Py_ssize_t side, *, double tolerance, double least_cosin
     samples.pixel, samples.object_id = hits.pixel, hits.object_id
     samples.position, samples.normal = hits.position, hits.normal
     samples.footprint = hits.footprint
+    samples.level = (
+        np.zeros(len(hits.pixel), np.int32) if hits.n_specular is None else hits.n_specular
+    )
     samples.side = side
     samples.squared_tolerance, samples.least_cosine = tolerance * tolerance, least_cosine
     samples.check()
@@ -113,9 +126,7 @@ def merge_samples(hits, Py_ssize_t side, *, double tolerance, double least_cosin
     cdef Piece piece
     with nogil:
         while first < m:
-            end = first + 1
-            while end < m and samples.pixel[end] == samples.pixel[first]:
-                end += 1
+            end = samples.end_of(first)
             if end - first == n and n > 1 and samples.is_one_piece(first, &piece):
                 of_hit[first:end] = p
                 for c in range(3):
@@ -138,8 +149,7 @@ def merge_samples(hits, Py_ssize_t side, *, double tolerance, double least_cosin
 
 
 def add_by_pixel(
-    double[:, ::1] sums, const int64_t[::1] pixel, values, const Py_ssize_t[::1] of_hit, weight, *,
-    int64_t first,
+    double[:, ::1] sums, const int64_t[::1] pixel, values, const Py_ssize_t[::1] of_hit, weight,
 ):
     """Add values of hit points to the sums (n, c) of their pixels, in sequence.
 
@@ -147,32 +157,31 @@ def add_by_pixel(
     ----------
     sums : (n, c)
     pixel : (m,)
-        Those of the hit points, numbered from `first`.
+        Those of the hit points.
     values : (p, c) or (p, 1)
     of_hit : (m,) or None
         The row of `values` of each hit point; None for its own.
     weight : (m, c), (m, 1) or None
         Factors of the values.
-    first : int
     """
     cdef Py_ssize_t i, row, c, m = pixel.shape[0], n_channels = sums.shape[1]
     cdef const double[:, :] value = np.broadcast_to(values, (len(values), n_channels))
     cdef const double[:, :] factor
     cdef bint weighted = weight is not None, shared = of_hit is not None
     factor = np.broadcast_to(weight, (m, n_channels)) if weighted else value
-    check_rows(sums, pixel, of_hit, len(values), first)
+    check_rows(sums, pixel, of_hit, len(values))
     with nogil:
         for i in range(m):
             row = of_hit[i] if shared else i
             for c in range(n_channels):
-                sums[pixel[i] - first, c] += (
+                sums[pixel[i], c] += (
                     factor[i, c] * value[row, c] if weighted else value[row, c]
                 )
 
 
 cdef check_rows(
     const double[:, ::1] sums, const int64_t[::1] pixel, const Py_ssize_t[::1] of_hit,
-    Py_ssize_t n_values, int64_t first,
+    Py_ssize_t n_values,
 ):
     """Raise ValueError if a pixel has no sum, or a hit point no value."""
     cdef Py_ssize_t i, m = pixel.shape[0]
@@ -180,7 +189,7 @@ cdef check_rows(
     cdef bint shared = of_hit is not None
     with nogil:
         for i in range(m if fits else 0):
-            fits &= 0 <= pixel[i] - first < sums.shape[0]
+            fits &= 0 <= pixel[i] < sums.shape[0]
             if shared:
                 fits &= 0 <= of_hit[i] < n_values
     if not fits:
