@@ -16,7 +16,7 @@ from bench.markdown import markdown_table
 from photonrelax import gallery
 from photonrelax.estimation.methods import METHODS, PHOTON_METHODS
 from photonrelax.estimation.refinement import REFINEMENTS as ALL_REFINEMENTS
-from photonrelax.rendering.view import Band, View, resized
+from photonrelax.rendering.view import View, resized
 from photonrelax.transport.raycast import RayCaster
 
 SCENES = ("ring", "sphere", "ripples", "prism")
@@ -227,15 +227,17 @@ class Pictures:
 
     def points(self, field: pr.Field) -> NDArray:
         """Means of a field at the samples of each pixel."""
-        return self._picture([field(band.hits.position, band.hits.normal) for band in self._bands])
+        at_hits = [(field(band.hits.position, band.hits.normal), None) for band in self._bands]
+        return self._picture(at_hits)
 
     def means(self, field: pr.Field) -> NDArray:
         """Means of a field over the pixels, as of `render`."""
         return self._picture([band.estimates(field) for band in self._bands])
 
-    def _picture(self, estimates: list[NDArray]) -> NDArray:
-        pairs: list[tuple[Band, NDArray]] = list(zip(self._bands, estimates, strict=True))
-        return np.concatenate([band.radiance(values).mean(axis=2) for band, values in pairs])
+    def _picture(self, estimates: list[tuple[NDArray, NDArray | None]]) -> NDArray:
+        """The picture of estimates, and of which of them each hit point has."""
+        pairs = zip(self._bands, estimates, strict=True)
+        return np.concatenate([band.radiance(*found).mean(axis=2) for band, found in pairs])
 
 
 def rows(study: Study) -> Iterator[list[str]]:

@@ -75,7 +75,7 @@ def batches_by_region(
 ) -> Iterator[ReplayBatch]:
     """Divide photons (m,), sorted by their regions, into batches of up to `BATCH_SIZE` of one."""
     starts = np.flatnonzero(np.diff(region_id, prepend=-1))
-    for start, stop in zip(starts, [*starts[1:], len(rows)], strict=True):
+    for start, stop in zip(starts, [*starts, len(rows)][1:], strict=True):
         for first in range(start, stop, BATCH_SIZE):
             part = slice(first, min(first + BATCH_SIZE, stop))
             yield ReplayBatch(int(region_id[first]), photons[part], rows[part])
