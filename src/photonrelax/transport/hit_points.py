@@ -6,6 +6,7 @@ surface.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -117,10 +118,8 @@ def trace_hit_points(
     ----------
     scene, caster : Scene, RayCaster
         The scene, and a caster of its objects.
-    camera, rows : Camera, range
-        The camera, which need not be that of the scene, and rows of its pixels.
-    columns : range, optional
-        Of the pixels of these rows, by default all.
+    camera, rows, columns : Camera, range, range, optional
+        The camera, which need not be that of the scene; its pixels, by default of all columns.
     supersampling, offset : int, (float, float)
         s·s samples per pixel; their position in the cells of the sample grid.
     max_depth : int
@@ -148,20 +147,24 @@ def trace_hit_points(
         offset=offset,
         max_depth=max_depth,
     )
-    per_batch = max(_BATCH // max(len(columns) * supersampling**2, 1), 1)
+    n_rays = len(columns) * supersampling**2
+    per_batch = max(_BATCH // max(n_rays, 1), 1)
     batches = [rows[i : i + per_batch] for i in range(0, len(rows), per_batch)] or [rows]
     with thread_executor(min(threads, len(batches))) as executor:
         done = list(ordered_map(tracer.trace, batches, executor))
         hits = hit_points_of([batch.seen for batch in done], tracer.materials, scene, executor)
     faults = [*tracer.media.faults, *(batch.faults for batch in done)]
-    n_rays = len(rows) * len(columns) * supersampling**2
-    warn_of_faults(scene, faults, n_rays, tracer.materials)
-    first = FirstSurfaces(
-        np.concatenate([batch.first.normal for batch in done]),
-        np.concatenate([batch.first.depth for batch in done]),
-        _concatenated([batch.first.background for batch in done]),
+    warn_of_faults(scene, faults, len(rows) * n_rays, tracer.materials)
+    return hits, _joined([batch.first for batch in done])
+
+
+def _joined(parts: Sequence[FirstSurfaces]) -> FirstSurfaces:
+    """The first surfaces of all rows, of those of some."""
+    return FirstSurfaces(
+        np.concatenate([part.normal for part in parts]),
+        np.concatenate([part.depth for part in parts]),
+        _concatenated([part.background for part in parts]),
     )
-    return hits, first
 
 
 def _concatenated(parts: list[Floats | None]) -> Floats | None:

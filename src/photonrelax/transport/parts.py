@@ -62,13 +62,8 @@ def trace_parts(
         If the folder has other files, another run writes to it, or it cannot be written to.
     """
     numbers, chunk = checked_numbers(n_emitted, scene), count(chunk, "chunk")
-    sequence: dict[str, Any] = {
-        "seed": seed,
-        "paths": paths,
-        "sampler": sampler,
-        "max_bounces": max_bounces,
-        "sensors": bool(sensors),
-    }
+    sequence: dict[str, Any] = {"seed": seed, "paths": paths, "sampler": sampler}
+    sequence |= {"max_bounces": max_bounces, "sensors": bool(sensors)}
     about = _about(scene, np.ravel(numbers).tolist(), chunk) | sequence
     caster, total = RayCaster(scene.surfaces), int(np.sum(numbers))
     trace = partial(trace_photons, scene, n_emitted, **sequence, caster=caster)

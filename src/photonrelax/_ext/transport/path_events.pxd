@@ -39,6 +39,24 @@ cdef struct Ray:
     bint is_resumed
 
 
+cdef struct WhiteRay:
+    # A ray before a surface that disperses it, also in embree's frame.
+    Ray ray
+    float[3] origin
+    float[3] direction
+
+
+cdef struct Loss:
+    # Flux of a path that ends or changes, relative to that of a photon.
+    double[3] amount
+    int32_t path, outcome
+
+
+# Losses of a ray in a pass, at most: in the medium, at the surface, by its direction, and its end.
+cdef enum:
+    MAX_LOSSES = 4
+
+
 cdef struct Event:
     # One ray at one surface. `facing` is the geometric normal on the side of the ray.
     Ray* ray

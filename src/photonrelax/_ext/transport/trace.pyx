@@ -7,8 +7,8 @@ the order of the photons, however they are split into batches.
 """
 
 cimport cython
-from libc.math cimport INFINITY, fabs
-from libc.stdint cimport int32_t, int64_t, uint8_t, uint32_t, uint64_t
+from libc.math cimport fabs
+from libc.stdint cimport int32_t, int64_t, uint8_t, uint64_t
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from ..scene.dispersion cimport LONGEST, N_NODES, SHORTEST, at_wavelength
 from ..scene.textures cimport colour_at
 from .deposits cimport Deposit, Deposits
 from .emission cimport Emission
+from .emitter_order cimport N_CODES, write_codes
 from .live_rays cimport LiveRays, Passage
 from .materials cimport (
     OVERFLOWED, Arrival, Interface, Materials, add_fault, cosine_at, counted_media_at, interface_at,
@@ -24,8 +25,9 @@ from .materials cimport (
     transmittance,
 )
 from .path_events cimport (
-    ENTERED, LEFT, OF_DIRECTION, OF_MEDIUM, OF_SURFACE, REFLECTED, SCATTERED, Crossing, Event, Ray,
-    append_signature, distance_along, event_counter, orient, random, sample_towards,
+    ENTERED, LEFT, MAX_LOSSES, OF_DIRECTION, OF_MEDIUM, OF_SURFACE, REFLECTED, SCATTERED, Crossing,
+    Event, Loss, Ray, WhiteRay, append_signature, distance_along, event_counter, orient, random,
+    sample_towards,
 )
 from .raycast cimport EmbreeFrame, EmbreeHits, Triangles
 
@@ -48,60 +50,6 @@ cdef enum:
     PER_BLOCK = 1024
 
 LEDGER_BLOCK = PER_BLOCK
-
-# Bits of a Morton code, from two axes, and number of codes.
-cdef enum:
-    AXIS_BITS = 7
-    N_CODES = 1 << (2 * AXIS_BITS)
-
-
-cdef struct WhiteRay:
-    # A ray before a surface that disperses it, also in embree's frame.
-    Ray ray
-    float[3] origin
-    float[3] direction
-
-
-cdef struct Loss:
-    # Flux of a path that ends or changes, relative to that of a photon.
-    double[3] amount
-    int32_t path, outcome
-
-
-# Losses of a ray in a pass, at most: in the medium, at the surface, by its direction, and its end.
-cdef enum:
-    MAX_LOSSES = 4
-
-
-cdef void write_codes(int32_t[::1] code, const double[:, ::1] coords) noexcept nogil:
-    """Write Morton codes of coordinates (n, 3), over the two axes that they span most."""
-    cdef double[3] low, high
-    cdef double[2] scale
-    cdef int[2] axes
-    cdef Py_ssize_t i
-    cdef int axis, k
-    for axis in range(3):
-        low[axis], high[axis] = INFINITY, -INFINITY
-        for i in range(code.shape[0]):
-            low[axis] = min(low[axis], coords[i, axis])
-            high[axis] = max(high[axis], coords[i, axis])
-        high[axis] -= low[axis]
-    axis = 0 if high[0] <= min(high[1], high[2]) else 1 if high[1] <= high[2] else 2
-    axes[0], axes[1] = (axis + 1) % 3, (axis + 2) % 3
-    for k in range(2):
-        scale[k] = ((1 << AXIS_BITS) - 0.5) / high[axes[k]] if high[axes[k]] > 0.0 else 0.0
-    for i in range(code.shape[0]):
-        code[i] = (
-            spread_bits(<uint32_t> ((coords[i, axes[0]] - low[axes[0]]) * scale[0]))
-            | spread_bits(<uint32_t> ((coords[i, axes[1]] - low[axes[1]]) * scale[1])) << 1
-        )
-
-
-cdef uint32_t spread_bits(uint32_t cell) noexcept nogil:
-    """Bits of a number below 256, with a zero above each."""
-    cell = (cell | cell << 4) & 0x0F0F
-    cell = (cell | cell << 2) & 0x3333
-    return (cell | cell << 1) & 0x5555
 
 
 @cython.final

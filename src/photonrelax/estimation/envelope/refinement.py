@@ -41,7 +41,7 @@ _RAYS_OF_LEAF = 5
 
 
 class Measures(NamedTuple):
-    """What is known of images.
+    """Light of images, and how far it is misplaced.
 
     Attributes
     ----------
