@@ -29,6 +29,7 @@ def contents(batch):
     ledger = batch.ledger
     return (
         *deposits,
+        batch.rows.tobytes(),
         batch.emitter_coords.tobytes(),
         batch.emitter_density.tobytes(),
         ledger.energy.tobytes(),
@@ -80,9 +81,13 @@ def test_spectra_are_for_the_first_deposits_of_selected_photons():
 
 def test_a_map_has_the_deposits_in_the_order_of_the_paths():
     photons = pr.trace_photons(GLASS_BALL, 4000, seed=3, paths="all")
-    deposits = trace_batch(context_of(GLASS_BALL, "all"), ((0, range(2000)),)).deposits
-    order = np.argsort(deposits["path"], kind="stable")
-    np.testing.assert_array_equal(photons.position[: len(order)], deposits["position"][order])
+    batch = trace_batch(context_of(GLASS_BALL, "all"), ((0, range(2000)),))
+    order = np.argsort(batch.deposits["path"], kind="stable")
+    np.testing.assert_array_equal(batch.rows[order], np.arange(len(order)))
+    position = batch.deposits["position"][order]
+    np.testing.assert_array_equal(photons.position[: len(order)], position)
+    coords = batch.emitter_coords[order]
+    np.testing.assert_array_equal(photons.emitter_coords[: len(order)], coords[:, :2])
 
 
 def lamps_in_a_ring(n):

@@ -97,32 +97,37 @@ def test_columns_have_as_many_rows_of_the_same_widths(odd):
         columns(**odd)
 
 
-REGIONS = {
-    "coords": np.ones((2, 3)),
-    "density": np.ones(2),
-    "counts": np.array([2]),
-    "flux": np.ones((1, 3)),
-    "emitter_id": np.zeros(1, np.int32),
-}
+BLOCKS = {"flux": np.ones((1, 3)), "emitter_id": np.zeros(1, np.int32)}
+ROWS, COORDS, DENSITY = np.arange(N, dtype=np.int32), np.ones((N, 3)), np.ones(N)
 
 
 @pytest.mark.parametrize(
-    "odd",
+    ("of_deposits", "odd"),
     [
-        *({"coords": np.ones(shape)} for shape in ((1, 3), (2, 2))),
-        *({"flux": np.ones(shape)} for shape in ((1, 2), (2, 3))),
-        *({"counts": np.array(numbers)} for numbers in ([1], [1, 1], [3, -1])),
+        ((ROWS[1:], COORDS, DENSITY), {}),
+        ((ROWS, COORDS[1:], DENSITY), {}),
+        ((ROWS, COORDS[:, :2].copy(), DENSITY), {}),
+        ((ROWS, COORDS, DENSITY[1:]), {}),
+        *(((ROWS, COORDS, DENSITY), {"flux": np.ones(shape)}) for shape in ((1, 2), (2, 3))),
     ],
 )
-def test_deposits_want_coordinates_density_and_region_of_each_path(odd):
+def test_deposits_want_a_row_coordinates_and_density_each_and_flux_of_blocks(of_deposits, odd):
     with pytest.raises(ValueError, match="do not fit the columns"):
-        columns().write(np.zeros(N, DEPOSIT), **REGIONS | odd, first=0)
+        columns().write(np.zeros(N, DEPOSIT), *of_deposits, **BLOCKS | odd, first=0)
+
+
+@pytest.mark.parametrize(("rows", "block"), [(ROWS - 1, 0), (ROWS + 1, 0), (ROWS, -1), (ROWS, 1)])
+def test_deposits_want_rows_and_blocks_that_are_there(rows, block):
+    deposits = np.zeros(N, DEPOSIT)
+    deposits["block"] = block
+    with pytest.raises(ValueError, match="rows and blocks of deposits should be below"):
+        columns().write(deposits, rows, COORDS, DENSITY, **BLOCKS, first=0)
 
 
 @pytest.mark.parametrize("first", [-1, 1])
 def test_deposits_want_rows_of_the_columns(first):
     with pytest.raises(ValueError, match="should have rows"):
-        columns().write(np.zeros(N, DEPOSIT), **REGIONS, first=first)
+        columns().write(np.zeros(N, DEPOSIT), ROWS, COORDS, DENSITY, **BLOCKS, first=first)
 
 
 @pytest.mark.parametrize(

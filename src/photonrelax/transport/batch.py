@@ -68,8 +68,10 @@ class TracedBatch:
         The regions that the paths are of, and the number of paths of each in sequence.
     deposits : (n,) structured
         In the order of events; `photonrelax._ext.transport.deposits.DEPOSIT`.
-    emitter_coords, emitter_density : (n_paths, 3), (n_paths,) float64
-        Of the paths, by `path` of the deposits.
+    rows : (n,) int32
+        Of the deposits, in the order of the paths.
+    emitter_coords, emitter_density : (n, 3), (n,) float64
+        Of the paths of the deposits.
     ledger : BatchLedger
         Outcomes of the paths.
     spectrum_regions, spectrum_photons : (m,) intp, (m,) int64
@@ -81,6 +83,7 @@ class TracedBatch:
     region_id: NDArray[np.intp]
     counts: NDArray[np.int64]
     deposits: NDArray[np.void]
+    rows: NDArray[np.int32]
     emitter_coords: Floats
     emitter_density: Floats
     ledger: BatchLedger
@@ -116,6 +119,8 @@ class TraceContext:
         self.caster = caster or RayCaster(scene.surfaces)
         self.media, self.faults = media_at_emitters(scene, self.caster, self.materials)
         self.flux = plan.flux_per_photon
+        self._media_of_region = self.media[plan.emitter_ids]
+        self._luminance = LUMINANCE * self.flux
         guide = plan.guide
         self._guide = (*guide.centre, guide.radius) if guide else (0.0,) * 4
         self._along_curve = sum(len(item.mesh.faces) for item in scene.surfaces) > _MANY_FACES
@@ -151,25 +156,31 @@ class TraceContext:
         candidates: NDArray[np.int64],
         *,
         in_order: bool = False,
-    ) -> tuple[Floats, NDArray[np.int64]]:
-        """Emit candidates, so many of each of some regions, into paths; these fill what returns.
+    ) -> tuple[NDArray[np.intp], Floats, NDArray[np.int64]]:
+        """Emit candidates, so many of each of some regions, into paths.
 
-        That is flux (blocks, outcomes, 3) and number (blocks, outcomes) of the ends of paths.
         Live rays stay `in_order` of the candidates, or may follow a curve over the emitters.
+
+        Returns
+        -------
+        (blocks,) intp, (blocks, outcomes, 3), (blocks, outcomes) int64
+            Regions of the blocks of the ledger; flux and number of the ends of paths, which
+            `paths` fill.
         """
-        shape = int(_n_blocks(counts).sum()), len(PATH_OUTCOMES)
+        block_region = np.repeat(region_id, -(-counts // _kernel.LEDGER_BLOCK))
+        shape = len(block_region), len(PATH_OUTCOMES)
         energy, ends = np.zeros((*shape, 3)), np.zeros(shape, dtype=np.int64)
         paths.start(
             [self.emissions[region] for region in region_id.tolist()],
             counts,
             candidates,
-            media=self.media[self.plan.emitter_ids[region_id]],
-            luminance=LUMINANCE * self.flux[region_id],
+            media=self._media_of_region[region_id],
+            luminance=self._luminance[region_id],
             ledger=energy,
             ends=ends,
             along_curve=self._along_curve and not in_order,
         )
-        return energy, ends
+        return block_region, energy, ends
 
     def release_paths(self, paths: _kernel.Paths) -> None:
         """Take back paths that have ended."""
@@ -207,11 +218,6 @@ def batch_jobs(plan: EmissionPlan, photons: range, size: int) -> Iterator[Job]:
         yield tuple(job)
 
 
-def _n_blocks(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Blocks of the ledger of so many photons of regions."""
-    return -(-counts // _kernel.LEDGER_BLOCK)
-
-
 def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
     """Trace some photons of some regions to the ends of their paths."""
     region_id = np.array([region for region, _ in job], dtype=np.intp)
@@ -219,20 +225,18 @@ def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
     parts = [context.plan.candidates_of(*part) for part in job]
     candidates = parts[0] if len(parts) == 1 else np.concatenate(parts)
     paths = context.acquire_paths()
-    energy, ends = context.start(paths, region_id, counts, candidates)
+    block_region, energy, ends = context.start(paths, region_id, counts, candidates)
     while paths.n_live or paths.disperse():
         found = context.caster.find_paths(paths)
         if context.sensors:
             store_crossings(context.sensors, paths, found)
         paths.advance(found)
-    deposits, coords, density = paths.take_deposits()
-    ledger = BatchLedger(
-        np.repeat(region_id, _n_blocks(counts)),
-        *(len(density), energy, ends, paths.n_met_specular, paths.faults.take()),
-    )
+    deposits, *of_deposits = paths.take_deposits()
+    outcomes = energy, ends, paths.n_met_specular, paths.faults.take()
+    ledger = BatchLedger(block_region, len(candidates), *outcomes)
     context.release_paths(paths)
     spectra = _spectra(context, region_id, counts, candidates, deposits)
-    return TracedBatch(region_id, counts, deposits, coords, density, ledger, *spectra)
+    return TracedBatch(region_id, counts, deposits, *of_deposits, ledger, *spectra)
 
 
 def trace_batches(context: TraceContext, jobs: Sequence[Job]) -> list[TracedBatch]:

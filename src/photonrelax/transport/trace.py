@@ -364,15 +364,14 @@ class _Columns:
         if self._n_stored > len(self._arrays["position"]):
             expected = self._n_stored * self._n_planned / self._n_traced
             self._resize(int(_CAPACITY_MARGIN * expected) + 1)
-        Columns(**self._arrays).write(
-            batch.deposits,
-            batch.emitter_coords,
-            batch.emitter_density,
-            batch.counts,
-            first=first,
-            flux=self._flux[batch.region_id],
-            emitter_id=self._emitter_ids[batch.region_id],
-        )
+        if len(batch.deposits):
+            region_id = batch.ledger.region_id
+            Columns(**self._arrays).write(
+                *(batch.deposits, batch.rows, batch.emitter_coords, batch.emitter_density),
+                first=first,
+                flux=self._flux[region_id],
+                emitter_id=self._emitter_ids[region_id],
+            )
         return first
 
     def finished(self, scene: Scene) -> dict[str, NDArray]:

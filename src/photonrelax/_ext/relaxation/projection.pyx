@@ -13,7 +13,7 @@ import numpy as np
 
 from ..common.prefetch cimport prefetch_row
 from ..common.vec3 cimport dot
-from ..transport.raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles
+from ..transport.raycast cimport EmbreeFrame, EmbreeHits, Hit, Triangles, ray_to_embree
 
 # Hits farther along a ray than this multiple of the displacement do not count.
 cdef double MAX_DISTANCE_SCALE = 2.0
@@ -150,8 +150,8 @@ cdef class SurfacePositions:
                     self.at[moves.photons[moves.pending[j]]].ray_offset
                 )
                 finite &= isfinite(
-                    self.frame.ray_to_embree(
-                        origin, direction, NULL, &origins[j, 0], &directions[j, 0]
+                    ray_to_embree(
+                        self.frame, origin, direction, NULL, &origins[j, 0], &directions[j, 0]
                     )
                 )
         if not finite:

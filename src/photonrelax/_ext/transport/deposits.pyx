@@ -5,6 +5,8 @@ from libc.stdint cimport int32_t, int64_t
 
 import numpy as np
 
+from ..common.vec3 cimport copy
+
 DEPOSIT = np.dtype(
     [
         ("position", np.float64, 3),
@@ -15,6 +17,7 @@ DEPOSIT = np.dtype(
         ("wavelength", np.float64),
         ("path_signature", np.int64),
         ("path", np.int32),
+        ("block", np.int32),
         ("n_bounces", np.int32),
         ("object_id", np.int32),
     ],
@@ -54,37 +57,37 @@ cdef class Columns:
             raise ValueError("columns do not fit one another")
 
     def write(
-        self, const Deposit[::1] deposits, const double[:, ::1] coords, const double[::1] density,
-        const int64_t[::1] counts, *, Py_ssize_t first, const double[:, ::1] flux,
+        self, const Deposit[::1] deposits, const int32_t[::1] rows, const double[:, ::1] coords,
+        const double[::1] density, *, Py_ssize_t first, const double[:, ::1] flux,
         const int32_t[::1] emitter_id,
     ):
-        """Fill the rows from `first` with photons; deposits of a path keep their order.
+        """Fill the rows from `first` with photons, each its own of `rows` from there.
 
-        `coords` and `density` have a row for each path. Paths of a region follow one another:
-        `counts`, `flux` and `emitter_id` have a row for each region.
+        `coords` and `density` have a row for each deposit, `flux` and `emitter_id` for each block.
         """
         cdef Py_ssize_t i, n = deposits.shape[0]
-        cdef int32_t[::1] row = np.zeros(density.shape[0], np.int32)
-        cdef int32_t[::1] region = np.empty(density.shape[0], np.int32)
-        cdef int32_t path
+        cdef int32_t block
+        cdef bint fits = True
         if first < 0 or self.position.shape[0] < first + n:
             raise ValueError(f"columns should have rows {first} to {first + n}")
         if not (
-            coords.shape[0] == density.shape[0] and numbers_in_parts(region, counts)
-            and counts.shape[0] == flux.shape[0] == emitter_id.shape[0] and flux.shape[1] == 3
+            n == rows.shape[0] == coords.shape[0] == density.shape[0]
+            and flux.shape[0] == emitter_id.shape[0] and flux.shape[1] == 3
             and coords.shape[1] >= self.emitter_coords.shape[1]
         ):
-            raise ValueError("coords, density, counts and flux do not fit the columns")
+            raise ValueError("rows, coords, density and flux do not fit the columns")
         with nogil:
-            first_rows(row, deposits)
             for i in range(n):
-                path = deposits[i].path
+                block = deposits[i].block
+                if not (0 <= rows[i] < n and 0 <= block < flux.shape[0]):
+                    fits = False
+                    break
                 self.fill(
-                    first + row[path], &deposits[i], &coords[path, 0], density[path],
-                    &flux[region[path], 0],
+                    first + rows[i], &deposits[i], &coords[i, 0], density[i], &flux[block, 0]
                 )
-                self.emitter_id[first + row[path]] = emitter_id[region[path]]
-                row[path] += 1
+                self.emitter_id[first + rows[i]] = emitter_id[block]
+        if not fits:
+            raise ValueError("rows and blocks of deposits should be below their numbers")
 
     cdef void fill(
         self, Py_ssize_t row, const Deposit* deposit, const double* coords, double density,
@@ -107,36 +110,19 @@ cdef class Columns:
         self.object_id[row] = deposit.object_id
 
 
-cdef bint numbers_in_parts(int32_t[::1] number, const int64_t[::1] counts) noexcept nogil:
-    """Write the number of its part for each row; false if counts of parts are not of all rows."""
-    cdef Py_ssize_t k, row = 0
-    for k in range(counts.shape[0]):
-        if not 0 <= counts[k] <= number.shape[0] - row:
-            return False
-        number[row : row + counts[k]] = <int32_t>k
-        row += counts[k]
-    return row == number.shape[0]
-
-
-cdef void first_rows(int32_t[::1] row, const Deposit[::1] deposits) noexcept nogil:
-    """Write the row of the first deposit of each path, in the order of the paths; from zeros."""
-    cdef Py_ssize_t i
-    cdef int32_t before = 0, own
-    for i in range(deposits.shape[0]):
-        row[deposits[i].path] += 1
-    for i in range(row.shape[0]):
-        own = row[i]
-        row[i] = before
-        before += own
-
-
 @cython.final
 cdef class Deposits:
-    """Deposits of `n_paths` paths, and emitter coordinates and density of each path."""
+    """Deposits of up to `size` paths, and emitter coordinates and density of each path."""
 
-    def __init__(self, Py_ssize_t n_paths):
-        self.coords = np.empty((n_paths, 3))
-        self.density = np.empty(n_paths)
+    def __init__(self, Py_ssize_t size):
+        self.coords = np.empty((size, 3))
+        self.density = np.empty(size)
+        self.next_row = np.empty(size, np.int32)
+        self.clear(0)
+
+    cdef void clear(self, Py_ssize_t n_paths):
+        """Start anew, with deposits of so many paths to come."""
+        self.n, self.n_paths = 0, n_paths
         self.rows = np.empty(0, DEPOSIT)
 
     cdef void reserve(self, Py_ssize_t n):
@@ -152,6 +138,42 @@ cdef class Deposits:
         self.n += 1
         return &self.rows[self.n - 1]
 
-    def arrays(self):
-        """Return deposits (n,) as `DEPOSIT`, coordinates (n_paths, 3) and densities (n_paths,)."""
-        return self.rows.base[: self.n], self.coords.base, self.density.base
+    def take(self):
+        """Arrays of the deposits, which are then no longer here.
+
+        Returns
+        -------
+        (n,) `DEPOSIT`, (n,) int32, (n, 3), (n,)
+            In the order of events: deposits, their rows in the order of the paths (deposits of a
+            path keep their order), and emitter coordinates and density of their paths.
+        """
+        cdef Py_ssize_t i
+        cdef int32_t path
+        cdef int32_t[::1] rows = np.empty(self.n, np.int32)
+        cdef double[:, ::1] coords = np.empty((self.n, 3))
+        cdef double[::1] density = np.empty(self.n)
+        deposits = self.rows.base[: self.n]
+        with nogil:
+            self.find_rows()
+            for i in range(self.n):
+                path = self.rows[i].path
+                rows[i] = self.next_row[path]
+                self.next_row[path] += 1
+                copy(&coords[i, 0], &self.coords[path, 0])
+                density[i] = self.density[path]
+        self.clear(0)
+        return deposits, rows.base, coords.base, density.base
+
+    cdef void find_rows(self) noexcept nogil:
+        """Write the row of the first deposit of each path, in the order of the paths."""
+        cdef Py_ssize_t i
+        cdef int32_t before = 0, own
+        if self.n == 0:
+            return
+        self.next_row[: self.n_paths] = 0
+        for i in range(self.n):
+            self.next_row[self.rows[i].path] += 1
+        for i in range(self.n_paths):
+            own = self.next_row[i]
+            self.next_row[i] = before
+            before += own

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..common.vec3 cimport copy, dot, orthonormal_frame
 from .curvature cimport change_along, normal_derivative
-from .live_rays cimport LiveRays, Passage
+from .live_rays cimport LiveRays, Passage, to_embree
 from .materials cimport (
     OVERFLOWED, Arrival, Interface, Materials, add_fault, cosine_at, counted_media_at, interface_at,
     is_absorbing, is_diffuse, reflectance_at, transmittance,
@@ -148,7 +148,7 @@ cdef class CameraPaths(LiveRays):
                     &origin_change[0, 0], &film_change[0, 0],
                 )
                 self.ray[i].pixel = pixel[i]
-                self.to_embree(i, self.ray[i].origin, self.ray[i].direction, NULL)
+                to_embree(self, i, self.ray[i].origin, self.ray[i].direction, NULL)
         self.n_live = n
         self.check_finite()
 
@@ -171,7 +171,7 @@ cdef class CameraPaths(LiveRays):
             for i in range(n):
                 start_square(&self.ray[i], &origin[i, 0], &direction[i, 0], spread[i])
                 self.ray[i].pixel = pixel[i]
-                self.to_embree(i, self.ray[i].origin, self.ray[i].direction, NULL)
+                to_embree(self, i, self.ray[i].origin, self.ray[i].direction, NULL)
         self.n_live = n
         self.check_finite()
 
@@ -346,7 +346,7 @@ cdef class CameraPaths(LiveRays):
             return False
         for c in range(3):
             offset[c] = hit.step * hit.geometric[c]
-        self.to_embree(i, self.ray[i].origin, self.ray[i].direction, offset)
+        to_embree(self, i, self.ray[i].origin, self.ray[i].direction, offset)
         return True
 
     cdef Passage passage(self, Py_ssize_t row) noexcept nogil:
@@ -475,7 +475,7 @@ cdef class CameraPaths(LiveRays):
         ray.pixel = at.ray.pixel
         for c in range(3):
             offset[c] = at.hit.step * at.hit.geometric[c]
-        self.to_embree(target, ray.origin, ray.direction, offset)
+        to_embree(self, target, ray.origin, ray.direction, offset)
 
     cdef void change_normal(
         self, double[3]* out, const Meeting* at, bint is_shading

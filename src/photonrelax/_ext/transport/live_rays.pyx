@@ -1,8 +1,5 @@
 """Rays that are followed together, in embree's frame, and through surfaces that are not there."""
 
-cimport cython
-from libc.math cimport isfinite
-
 import numpy as np
 
 from ..common.vec3 cimport copy, dot
@@ -71,16 +68,5 @@ cdef class LiveRays:
         copy(position, hit.position)
         for c in range(3):
             offset[c] = hit.step * hit.geometric[c]
-        self.to_embree(row, position, ray.direction, offset)
+        to_embree(self, row, position, ray.direction, offset)
         return True
-
-    @cython.final
-    cdef void to_embree(
-        self, Py_ssize_t row, const double* origin, const double* direction, const double* offset
-    ) noexcept nogil:
-        """Write a ray in embree's frame, from an origin on; `offset` moves it off a surface."""
-        cdef double skipped = self.frame.ray_to_embree(
-            origin, direction, offset, &self.origins[row, 0], &self.directions[row, 0]
-        )
-        if not isfinite(skipped):
-            self.finite = False

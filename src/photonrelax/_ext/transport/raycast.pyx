@@ -21,24 +21,6 @@ cdef enum:
     PREFETCH_DISTANCE = 6
 
 
-cdef inline double entered(
-    const double* o, const double* d, const double* low, const double* high
-) noexcept nogil:
-    """Length of a ray before a box, zero from inside; negative if the ray misses the box."""
-    cdef double enter = 0.0, leave = INFINITY, near, far, inverse
-    cdef int axis
-    for axis in range(3):
-        if d[axis] != 0.0:
-            inverse = 1.0 / d[axis]
-            near = (low[axis] - o[axis]) * inverse
-            far = (high[axis] - o[axis]) * inverse
-            enter = max(enter, min(near, far))
-            leave = min(leave, max(near, far))
-        elif not low[axis] <= o[axis] <= high[axis]:
-            return -1.0
-    return enter if enter <= leave else -1.0
-
-
 cdef inline double entered_cube(const double* o, const double* d, double half_side) noexcept nogil:
     """Length of a ray before a cube around the origin, as of `entered`."""
     cdef double[3] low
@@ -99,8 +81,8 @@ cdef class EmbreeFrame:
                 for axis in range(3):
                     d[axis] = directions[i, axis]
                 normalise(d)
-                skipped = self.ray_to_embree(
-                    &origins[i, 0], d,
+                skipped = ray_to_embree(
+                    self, &origins[i, 0], d,
                     &origin_offset[i, 0] if from_surface else NULL,
                     &out_origins[i, 0], &out_directions[i, 0],
                 )
@@ -111,51 +93,6 @@ cdef class EmbreeFrame:
                     # Embree reports rays of negative length as occluded.
                     out_limits[i] = <float>(max(limits[i] - skipped, 0.0) * self.scale)
         return bad
-
-    cdef double ray_to_embree(
-        self, const double* origin, const double* direction, const double* offset,
-        float* out_origin, float* out_direction,
-    ) noexcept nogil:
-        """Write one ray and return the length skipped at its start; not finite if it is invalid.
-
-        `direction` is a unit vector. The ray starts off the surface by `offset`, which is along
-        the normal, to the side that the ray leaves to; NULL for rays that start in free space.
-        """
-        cdef double o[3]
-        cdef int axis
-        cdef double skipped, side = 0.0
-        if offset != NULL and isfinite(offset[0] + offset[1] + offset[2]):
-            side = 1.0 if dot(offset, direction) >= 0.0 else -1.0
-        for axis in range(3):
-            o[axis] = origin[axis] - self.origin[axis]
-            if side != 0.0:
-                o[axis] += side * offset[axis]
-        skipped = self.skipped(o, direction)
-        for axis in range(3):
-            out_origin[axis] = <float>((o[axis] + skipped * direction[axis]) * self.scale)
-            out_direction[axis] = <float>direction[axis]
-        return skipped
-
-    cdef double skipped(self, const double* o, const double* d) noexcept nogil:
-        """Length of a ray before the box: distant origins are coarse in float32. NaN if invalid.
-
-        Rays that miss the box start where they are nearest to its centre.
-        """
-        cdef double enter, closest = 0.0
-        cdef bint inside = True
-        cdef int axis
-        if not isfinite(dot(o, d)):
-            return NAN
-        for axis in range(3):
-            inside &= self.low[axis] <= o[axis] <= self.high[axis]
-        if inside:
-            return 0.0
-        enter = entered(o, d, self.low, self.high)
-        if enter >= 0.0:
-            return enter
-        for axis in range(3):
-            closest += d[axis] * (0.5 * (self.low[axis] + self.high[axis]) - o[axis])
-        return max(closest, 0.0)
 
     def far_rays(
         self, const double[:, ::1] origins, const double[:, ::1] directions, double half_side,
@@ -201,7 +138,7 @@ cdef class EmbreeFrame:
                 if enter <= 0.0:
                     continue
                 # A cube reaches beyond the box in some directions; rays are not moved back to it.
-                start = max(self.skipped(o, d), entered_cube(o, d, outer))
+                start = max(skipped_length(self, o, d), entered_cube(o, d, outer))
                 if enter > start:
                     rows[found] = i
                     for axis in range(3):

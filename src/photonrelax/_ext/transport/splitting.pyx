@@ -14,7 +14,7 @@ import numpy as np
 
 from ..common.rng cimport mix, uniform
 from ..common.vec3 cimport copy, dot
-from .live_rays cimport LiveRays, Passage
+from .live_rays cimport LiveRays, Passage, to_embree
 from .materials cimport (
     OVERFLOWED, Arrival, Interface, Materials, add_fault, cosine_at, counted_media_at, interface_at,
     is_absorbing, is_diffuse, reflectance_at, transmittance,
@@ -133,7 +133,7 @@ cdef class SplitPaths(LiveRays):
                 self.ray[i].node = <int32_t>i
                 self.ray[i].n_specular = 0
                 self.ray[i].is_single = False
-                self.to_embree(i, self.ray[i].origin, self.ray[i].direction, NULL)
+                to_embree(self, i, self.ray[i].origin, self.ray[i].direction, NULL)
         self.n_live = n
         self.check_finite()
 
@@ -334,7 +334,7 @@ cdef class SplitPaths(LiveRays):
         ray.signature, ray.parent = signature, at.ray.signature
         for c in range(3):
             offset[c] = at.hit.step * at.hit.geometric[c]
-        self.to_embree(target, ray.origin, ray.direction, offset)
+        to_embree(self, target, ray.origin, ray.direction, offset)
         return True
 
 

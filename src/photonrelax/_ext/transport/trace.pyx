@@ -18,7 +18,7 @@ from ..scene.textures cimport colour_at
 from .deposits cimport Deposit, Deposits
 from .emission cimport Emission
 from .emitter_order cimport N_CODES, write_codes
-from .live_rays cimport LiveRays, Passage
+from .live_rays cimport LiveRays, Passage, to_embree
 from .materials cimport (
     OVERFLOWED, Arrival, Interface, Materials, add_fault, cosine_at, counted_media_at, interface_at,
     is_absorbing, is_absorbing_surface, is_diffuse, is_dispersive, media_at, reflectance_at,
@@ -113,7 +113,7 @@ cdef class Paths(LiveRays):
         self.origins = self.origin_array = np.empty((n_rays, 3), np.float32)
         self.directions = self.direction_array = np.empty((n_rays, 3), np.float32)
         self.block = np.empty(size, np.int32)
-        self.deposits = Deposits(0)
+        self.deposits = Deposits(size)
         self.path_filter, self.max_bounces = path_filter, max_bounces
 
     def start(
@@ -150,7 +150,7 @@ cdef class Paths(LiveRays):
         self.n_met_specular = self.n_white = 0
         self.photons = photons
         self.faults.take()
-        self.deposits = Deposits(n)
+        self.deposits.clear(n)
         self.finite = True
         self.n_losses = 0
         self.in_order = not along_curve
@@ -245,10 +245,8 @@ cdef class Paths(LiveRays):
             white.direction[c] = self.directions[row, c]
 
     def take_deposits(self):
-        """Arrays of the deposits of a finished batch, as of `Deposits.arrays`."""
-        arrays = self.deposits.arrays()
-        self.deposits = Deposits(0)
-        return arrays
+        """Arrays of the deposits of a finished batch, as of `Deposits.take`."""
+        return self.deposits.take()
 
     def live_rays(self):
         """Paths (n_live,), origins and directions (n_live, 3) of the live rays."""
@@ -369,14 +367,9 @@ cdef class Paths(LiveRays):
             for i in range(first, end):
                 self.emit(emission, i, photons[i], throughput)
                 self.ray[i].media = media
-            # While the rays are in the cache.
-            if self.in_order:
-                self.all_to_embree(first, end)
-
-    cdef void all_to_embree(self, Py_ssize_t first, Py_ssize_t end) noexcept nogil:
-        cdef Py_ssize_t i
-        for i in range(first, end):
-            self.to_embree(i, self.ray[i].origin, self.ray[i].direction, NULL)
+                # While the ray is in the cache.
+                if self.in_order:
+                    to_embree(self, i, self.ray[i].origin, self.ray[i].direction, NULL)
 
     cdef void emit(
         self, Emission emission, Py_ssize_t path, uint64_t index, const double* throughput
@@ -414,7 +407,8 @@ cdef class Paths(LiveRays):
                 ordered[first[code[i]]] = self.ray[i]
                 first[code[i]] += 1
             self.ray, self.spare = self.spare, self.ray
-            self.all_to_embree(0, n)
+            for i in range(n):
+                to_embree(self, i, self.ray[i].origin, self.ray[i].direction, NULL)
 
     def advance(self, EmbreeHits found):
         """Process the hit of every live ray; return the number of rays still live."""
@@ -481,7 +475,7 @@ cdef class Paths(LiveRays):
             ray.origin[c] = event.hit.position[c]
             ray.direction[c] = direction[c]
             offset[c] = event.hit.step * event.facing[c]
-        self.to_embree(target, ray.origin, direction, offset)
+        to_embree(self, target, ray.origin, direction, offset)
 
     cdef bint survives_medium(self, const Event* event) noexcept nogil:
         """Apply the absorption on the way to the hit; false if the path ends."""
@@ -587,7 +581,7 @@ cdef class Paths(LiveRays):
         cdef Deposit* deposit = self.deposits.add()
         cdef const Ray* ray = event.ray
         cdef int c
-        deposit.path = ray.path
+        deposit.path, deposit.block = ray.path, self.block[ray.path]
         deposit.n_bounces = ray.n_specular
         deposit.object_id = event.hit.object_id
         deposit.path_length = ray.path_length
@@ -641,9 +635,12 @@ cdef class Paths(LiveRays):
     cdef bint terminate(self, const Ray* ray, int outcome) noexcept nogil:
         """Add the throughput of a path to the ledger; always false: it does not continue."""
         cdef double[3] lost
+        self.ends[self.block[ray.path], outcome] += ray.order == 0
+        if ray.wavelength == 0.0:
+            self.lose(ray.path, outcome, ray.throughput)
+            return False
         copy(lost, ray.throughput)
         self.add_colour(lost, ray.wavelength)
-        self.ends[self.block[ray.path], outcome] += ray.order == 0
         self.lose(ray.path, outcome, lost)
         return False
 
