@@ -64,7 +64,6 @@ cdef class Emission:
     cdef double turn(self, uint64_t index) noexcept nogil
     cdef uint64_t key(self, uint64_t index) noexcept nogil
     cdef bint accepts(self, uint64_t index) noexcept nogil
-    cdef void point(self, uint64_t index, double* point) noexcept nogil
     cdef double ray(
         self, uint64_t index, double* origin, double* direction, double* coords
     ) noexcept nogil

@@ -305,6 +305,24 @@ cdef class EmissionRegion:
         return density
 
 
+cdef inline void write_point(
+    Emission emission, uint64_t index, double* point
+) noexcept nogil:
+    """Write the point of the unit square or hypercube of a candidate."""
+    cdef uint64_t key
+    if emission.halton:
+        point[0] = wrapped(radical_inverse_2(index), emission.shift[0])
+        point[1] = wrapped(radical_inverse_3(index), emission.shift[1])
+        if emission.n_numbers == 4:
+            point[2] = wrapped(radical_inverse(index, 5), emission.shift[2])
+            point[3] = wrapped(radical_inverse(index, 7), emission.shift[3])
+    else:
+        key = emission.key(index)
+        point[0], point[1] = uniform(key, 0), uniform(key, 1)
+        if emission.n_numbers == 4:
+            point[2], point[3] = uniform(key, OF_ANGLE), uniform(key, OF_ANGLE + 1)
+
+
 @cython.final
 cdef class Emission:
     """The candidates of a region, by index; an empty shift selects the random sampler.
@@ -337,7 +355,7 @@ cdef class Emission:
         """Write the flux of a photon over that of the mean one, if photons differ in colour."""
         cdef double[3] direction
         cdef double[4] point
-        self.point(index, point)
+        write_point(self, index, point)
         copy(out, &self.region.colours[self.region.sky.direction(direction, point[2], point[3]), 0])
 
     def mean_colour(self, int64_t n, int64_t first=0):
@@ -442,7 +460,7 @@ cdef class Emission:
         cdef double squared
         cdef Py_ssize_t i
         coords[2] = 0.0
-        self.point(index, point)
+        write_point(self, index, point)
         if self.region.kind == AREA and (
             uniform(self.key(index), OF_SHARE) >= self.region.taken(point)
         ):
@@ -462,23 +480,8 @@ cdef class Emission:
     ) noexcept nogil:
         """Write a photon's primal ray and emitter coordinates, and return its density."""
         cdef double[4] point
-        self.point(index, point)
+        write_point(self, index, point)
         return self.region.ray(origin, direction, coords, point)
-
-    cdef void point(self, uint64_t index, double* point) noexcept nogil:
-        """Write the point of the unit square or hypercube of a candidate."""
-        cdef uint64_t key
-        if self.halton:
-            point[0] = wrapped(radical_inverse_2(index), self.shift[0])
-            point[1] = wrapped(radical_inverse_3(index), self.shift[1])
-            if self.n_numbers == 4:
-                point[2] = wrapped(radical_inverse(index, 5), self.shift[2])
-                point[3] = wrapped(radical_inverse(index, 7), self.shift[3])
-        else:
-            key = self.key(index)
-            point[0], point[1] = uniform(key, 0), uniform(key, 1)
-            if self.n_numbers == 4:
-                point[2], point[3] = uniform(key, OF_ANGLE), uniform(key, OF_ANGLE + 1)
 
 
 def emit(
