@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 _ROOT = Path("/sys/fs/cgroup")
 _MEMBERSHIP = Path("/proc/self/cgroup")
 
 
-def control_groups(controller: str) -> Iterator[Path]:
+def control_groups(controller: str) -> tuple[Path, ...]:
     """Folders of the groups of this process and of those around them, versions 2 and 1.
 
     Parameters
@@ -19,19 +18,24 @@ def control_groups(controller: str) -> Iterator[Path]:
     controller : str
         ``cpu`` or ``memory``; a group of version 2 has the files of all.
     """
-    for line in text_of(_MEMBERSHIP).splitlines():
+    return _folders(_ROOT, text_of(_MEMBERSHIP), controller)
+
+
+@lru_cache
+def _folders(cgroups: Path, membership: str, controller: str) -> tuple[Path, ...]:
+    """Folders that are there of the groups that a process is a member of."""
+    folders: list[Path] = []
+    for line in membership.splitlines():
         _, controllers, path = line.split(":", 2)
         if controllers == "":
-            root = _ROOT
+            root = cgroups
         elif controller in controllers.split(","):
-            root = _ROOT / controller
+            root = cgroups / controller
         else:
             continue
         own = root / path.lstrip("/")
-        yield own
-        for folder in own.parents:
-            if folder.is_relative_to(root):
-                yield folder
+        folders += [own, *(folder for folder in own.parents if folder.is_relative_to(root))]
+    return tuple(folder for folder in folders if folder.is_dir())
 
 
 def text_of(path: Path) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import resource
-from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 
 from .cgroups import control_groups, text_of
@@ -43,7 +43,9 @@ def available_memory() -> float:
     The least of what the machine has free, the limits of the control groups (containers) of this
     process, and the limit of its address space (``ulimit -v``).
     """
-    return min([_machine(), _address_space(), *_cgroup_limits()])
+    machine = _kilobytes(_PROC / "meminfo")
+    swap = machine.get("SwapFree", 0.0)
+    return min([_free(machine) + swap, _address_space(), _group_limit() + swap])
 
 
 def size_text(n_bytes: float) -> str:
@@ -54,11 +56,10 @@ def size_text(n_bytes: float) -> str:
     return f"{n_bytes:.3g} {_UNITS[unit]}"
 
 
-def _machine() -> float:
-    """Free memory and swap of the machine."""
-    fields = _kilobytes(_PROC / "meminfo")
-    if "MemAvailable" in fields:
-        return fields["MemAvailable"] + fields.get("SwapFree", 0.0)
+def _free(machine: dict[str, float]) -> float:
+    """Free memory of the machine."""
+    if "MemAvailable" in machine:
+        return machine["MemAvailable"]
     # macOS has no such file.
     return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
 
@@ -70,17 +71,20 @@ def _address_space() -> float:
     return max(limit - _kilobytes(_PROC / "self" / "status").get("VmSize", 0.0), 0.0)
 
 
-def _cgroup_limits() -> Iterator[float]:
-    """Limits of the control groups of this process and of those around them, versions 2 and 1.
+def _group_limit() -> float:
+    """Least limit of the control groups of this process and of those around them.
 
     What they use already may be caches that are given back: it is not subtracted.
     """
-    swap = _kilobytes(_PROC / "meminfo").get("SwapFree", 0.0)
-    for folder in control_groups("memory"):
-        for name in ("memory.max", "memory.limit_in_bytes"):
-            limit = text_of(folder / name).strip()
-            if limit.isdigit():
-                yield float(limit) + swap
+    texts = (text_of(path).strip() for path in _limit_files(control_groups("memory")))
+    return min((float(text) for text in texts if text.isdigit()), default=float("inf"))
+
+
+@lru_cache
+def _limit_files(groups: tuple[Path, ...]) -> tuple[Path, ...]:
+    """Files of the limits of groups, of versions 2 and 1."""
+    names = "memory.max", "memory.limit_in_bytes"
+    return tuple(path for folder in groups for name in names if (path := folder / name).exists())
 
 
 def _kilobytes(path: Path) -> dict[str, float]:
