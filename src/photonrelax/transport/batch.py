@@ -231,12 +231,12 @@ def trace_batch(context: TraceContext, job: Job) -> TracedBatch:
         if context.sensors:
             store_crossings(context.sensors, paths, found)
         paths.advance(found)
-    deposits, *of_deposits = paths.take_deposits()
+    deposits, rows, coords, density = paths.take_deposits()
     outcomes = energy, ends, paths.n_met_specular, paths.faults.take()
     ledger = BatchLedger(block_region, len(candidates), *outcomes)
     context.release_paths(paths)
     spectra = _spectra(context, region_id, counts, candidates, deposits)
-    return TracedBatch(region_id, counts, deposits, *of_deposits, ledger, *spectra)
+    return TracedBatch(region_id, counts, deposits, rows, coords, density, ledger, *spectra)
 
 
 def trace_batches(context: TraceContext, jobs: Sequence[Job]) -> list[TracedBatch]:
