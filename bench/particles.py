@@ -52,7 +52,7 @@ class Rays(NamedTuple):
 
 
 class Hits(NamedTuple):
-    """What rays meet: where, how far, which surface, its geometric and its shading normals."""
+    """First hits of rays: positions, distances, surfaces, geometric and shading normals."""
 
     position: Floats
     distance: Floats

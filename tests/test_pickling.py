@@ -1,4 +1,4 @@
-"""What other processes are sent is the same there to the bit."""
+"""Objects sent to other processes are the same there to the bit."""
 
 import pickle
 

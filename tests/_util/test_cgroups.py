@@ -1,4 +1,4 @@
-"""What control groups (containers) allow a process."""
+"""Processor time that control groups (containers) allow a process."""
 
 import math
 import os

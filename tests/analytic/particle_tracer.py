@@ -14,7 +14,7 @@ _GOLDEN_RATIO = (1.0 + np.sqrt(5.0)) / 2.0
 
 
 class Shell(NamedTuple):
-    """What a sphere holds up to the next smaller one.
+    """The space of a sphere up to the next smaller one.
 
     Attributes
     ----------

@@ -29,7 +29,7 @@ def test_photons(case, method, path):
 
 @pytest.mark.parametrize("method", OF_PHOTONS)
 def test_photons_at_one_point_have_no_radius(method):
-    """What is asked for is named in place of an estimate."""
+    """An error names the number asked for in place of an estimate."""
     photons = photon_cases.spread(photon_cases.UNIFORM[:1])
     with pytest.raises(ValueError, match="at one point, from which no"):
         pr.irradiance_field(photons, method=method)

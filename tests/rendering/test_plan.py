@@ -15,7 +15,7 @@ LAMP = pr.PointEmitter([0.0, 0.0, 0.5])
 
 
 def reasons(scene, **options):
-    """What is modelled, and why not, by component."""
+    """Components that are modelled, and reasons of those that are not."""
     parts = pr.plan(scene, n_emitted=5000, **options).parts
     return {part.component: part.reason if not part.is_modelled else True for part in parts}
 

@@ -1,4 +1,4 @@
-"""What a render leaves out, as its plan says, follows from the scene."""
+"""A render leaves out, as its plan says, all that the scene does not require."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What is seen of a sky is its mean over the footprint of a sample, not a texel in its middle."""
+"""A sample sees the mean of a sky over its footprint, not the texel in its middle."""
 
 import numpy as np
 import pytest

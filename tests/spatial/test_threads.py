@@ -28,7 +28,7 @@ N_THREADS = 2
 
 
 def policy_shown(**chosen):
-    """What OpenMP says of its settings, and the variables after kernels have been loaded."""
+    """Settings that OpenMP reports, and the variables after kernels have been loaded."""
     environment = {name: value for name, value in os.environ.items() if name not in WAIT_SETTINGS}
     done = subprocess.run(
         [sys.executable, "-c", IMPORT_KERNELS],

@@ -64,7 +64,7 @@ def test_two_balls_far_apart_bring_what_each_brings_alone(name, material):
 @pytest.mark.parametrize("name", APART)
 @pytest.mark.parametrize("x", [1.03, 3.0, 100.0, 1e4])
 def test_no_light_is_sent_between_casters(name, x):
-    """What is sent out for two balls is what is sent out for each, wherever they are."""
+    """Two balls are sent the light that each is sent by itself, wherever they are."""
     emitter = APART[name]
     sent = [
         plan_emission(scene(*meshes, emitters=[emitter]), N).flux

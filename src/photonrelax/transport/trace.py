@@ -120,11 +120,11 @@ def trace_photons(
     scene, n_emitted : Scene, int or sequence of int
         Paths to start, apportioned by what emitters bring to what is stored; or those of each.
     photons, seed, sampler : range, int, {"halton", "random"}, optional
-        Those to trace, by index over all regions in order, by default all. Photon i of a region
-        depends on seed and i alone. Evenly spaced photons (SJ13) or independent ones.
+        Some by index over all regions in order; each depends on seed and index alone. Evenly
+        spaced photons (SJ13) or independent ones.
     paths : {"caustic", "global", "all"}
-        Light to store: that of specular paths (L S+ D), neither that nor direct light, or all; on
-        sensors after specular events alone, after a diffuse one, or all that crosses them.
+        Light to store: of specular paths (L S+ D), neither that nor direct light, or all; on
+        sensors, light after specular events alone, after a diffuse one, or all.
     max_bounces, frequency_share : int, float, optional
         Events after which a path is cut; by default 32 for caustics, else 10,000, the most there
         may be. Share of the photons not yet scattered by diffuse surfaces that get a spectrum.
@@ -134,8 +134,7 @@ def trace_photons(
     batch_size, caster : int, RayCaster, optional
         Paths traced together, rounded up to whole 1024; of the scene: building it takes time.
     sensors : bool
-        Store photons on sensors too; others do not depend on that unless `paths` is "all" and
-        sensors reach beyond the other objects.
+        Store photons on sensors too; only with `paths` "all" others may depend on that.
 
     Returns
     -------
@@ -149,8 +148,8 @@ def trace_photons(
     """
     settings = _checked_settings(paths, max_bounces, frequency_share, sensors=sensors)
     _check_spectra(scene, frequency_share)
-    threads = thread_count(n_threads)
-    numbers, caster = checked_numbers(n_emitted, scene), caster or RayCaster(scene.surfaces)
+    threads, numbers = thread_count(n_threads), checked_numbers(n_emitted, scene)
+    caster = caster or RayCaster(scene.surfaces)
     traced = _checked_photons(photons, int(np.sum(numbers)))
     _check_memory(scene, len(traced), settings, caster, threads)
     plan = allotted_plan(scene, numbers, settings, seed=seed, sampler=sampler, caster=caster)
