@@ -83,7 +83,9 @@ def run(options: argparse.Namespace) -> None:
         options.reference_error,
         options.cpu,
     )
-    print(markdown([swept(name, study) for name in study.scenes], is_cpu=study.is_cpu))
+    sweeps = [swept(name, study) for name in study.scenes]
+    print(markdown(sweeps, is_cpu=study.is_cpu))
+    print(by_scene(sweeps, is_cpu=study.is_cpu))
 
 
 def swept(name: str, study: Study) -> Tradeoff:
@@ -179,17 +181,46 @@ def markdown(sweeps: list[Tradeoff], *, is_cpu: bool = False) -> str:
     )
 
 
-def _rows(found: Tradeoff, is_cpu: bool) -> Iterator[list[str]]:
+def by_scene(sweeps: list[Tradeoff], *, is_cpu: bool = False) -> str:
+    """Table of the sweeps, a row each scene: the same seconds, errors beside one another."""
+    errors = [f"{error:.0%}" for error in front.ERRORS]
+    titles = ["scene", *(f"best, {error}" for error in errors)]
+    titles += [f"{method}, {' / '.join(errors)}" for method in TOLD]
+    rows = []
+    for found in sweeps:
+        seconds = [_seconds(found, error, is_cpu) for error in front.ERRORS]
+        told = ([_text(each.get(m, np.inf)) if each else "" for each in seconds] for m in TOLD)
+        beside = (" / ".join(each).rstrip(" /") for each in told)
+        rows.append([found.about["scene"], *map(_quickest, seconds), *beside])
+    return markdown_table(titles, rows)
+
+
+def _quickest(seconds: dict[str, float]) -> str:
+    """The quickest method and its seconds; a dash if none reaches an error, empty in doubt."""
+    if not seconds:
+        return ""
+    name = min(seconds, key=seconds.__getitem__)
+    return f"{name} {seconds[name]:.2f}" if np.isfinite(seconds[name]) else "–"
+
+
+def _seconds(found: Tradeoff, error: float, is_cpu: bool) -> dict[str, float]:
+    """Seconds of each method to an error; empty if that of the reference is in doubt."""
+    # Unknown doubt is not known to be small.
+    if not found.doubt < _DOUBT_SHARE * error:
+        return {}
     if is_cpu:
         points = [replace(each, seconds={"cpu": each.cpu_seconds}) for each in found.points]
         found = replace(found, points=tuple(points))
-    methods = list(dict.fromkeys(point.choice.method for point in found.points))
+    methods = dict.fromkeys(point.choice.method for point in found.points)
+    return {method: seconds_for(found.of(method), error) for method in methods}
+
+
+def _rows(found: Tradeoff, is_cpu: bool) -> Iterator[list[str]]:
     for error in front.ERRORS:
-        # Unknown doubt is not known to be small.
-        if not found.doubt < _DOUBT_SHARE * error:
+        seconds = _seconds(found, error, is_cpu)
+        if not seconds:
             continue
-        seconds = {method: seconds_for(found.of(method), error) for method in methods}
-        best = min(methods, key=seconds.__getitem__)
+        best = min(seconds, key=seconds.__getitem__)
         told = [_text(seconds.get(method, np.inf)) for method in TOLD]
         name = best if np.isfinite(seconds[best]) else "–"
         scene, doubt = found.about["scene"], f"{found.doubt:.2%}"

@@ -49,6 +49,21 @@ def test_errors_are_told_only_above_three_times_the_doubt(doubt, n):
     assert len(cells(fronts.markdown([sweep(doubt)]))) == n
 
 
+@pytest.mark.parametrize(
+    ("doubt", "cells_of_one"),
+    [
+        (0.001, ["standard 2.00", "envelope 3.00", "parameterised 9.00", "parameterised 9.00"]),
+        (0.01, ["standard 2.00", "envelope 3.00", "", ""]),
+    ],
+)
+def test_errors_of_a_scene_are_beside_one_another(doubt, cells_of_one):
+    (row,) = cells(fronts.by_scene([sweep(doubt)]))
+    assert row[1:5] == cells_of_one
+    n = sum(cell != "" for cell in cells_of_one)
+    assert row[5] == " / ".join(["9.00"] * n)
+    assert row[6] == " / ".join(["2.00", "4.00", "–", "–"][:n])
+
+
 def test_times_may_be_those_of_processors():
     assert cells(fronts.markdown([sweep(0.001)], is_cpu=True))[0][4] == "6.00"
 
