@@ -160,7 +160,9 @@ def _counted(scene: pr.Scene, study: Study, first: int) -> NDArray:
 
 
 def _envelope(scene: pr.Scene, study: Study) -> NDArray | None:
-    """Caustic of a converged envelope; None where much of it is of photons."""
+    """Caustic of a converged envelope; None where much of it is of photons, or all."""
+    if scene.has_dispersion:
+        return None
     settings = pr.EnvelopeSettings(error=study.reference_error)
     trial = replace(settings, error=0.4, n_rays=40_000, n_photons=20_000)
     for each in (trial, settings):
