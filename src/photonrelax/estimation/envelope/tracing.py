@@ -45,6 +45,9 @@ _LEFT = 0.5
 # Sheets are given up if more than these shares of their flux, and of the elements on which they do
 # alone, are torn or jump after some divisions.
 _GIVEN_UP, _ALONE, _DIVISIONS = 0.9, 0.5, 4
+# Where rays are used up, sheets are given up if more than this share of their flux is torn or jumps
+# and no more than a share of the rays of borders would be left without them.
+_MOSTLY, _OTHERS = 0.6, 0.5
 
 
 def trace_envelope(
@@ -190,12 +193,16 @@ def _refine(
     """Divide elements, where most light is misplaced first, up to one of the limits."""
     end = np.inf if settings.seconds is None else started + settings.seconds
     n_passes = 0
-    while perf_counter() < end and _divided(refinements, settings):
+    while perf_counter() < end:
+        if not _divided(refinements, settings):
+            if _is_fine(refinements, settings) or not _drop(followed, refinements, _takes_rays):
+                break
+            continue
         n_passes += 1
         if n_passes == _DIVISIONS:
             _drop(followed, refinements, _is_rough)
     _drop(followed, refinements, _falls_short)
-    if sum(each.score for each in refinements) > _allowed(refinements, settings) > 0.0:
+    if settings.misplaced > 0.0 and not _is_fine(refinements, settings):
         _drop(followed, refinements, _is_worse_than_photons)
 
 
@@ -212,6 +219,11 @@ def _divided(refinements: list[Refinement], settings: EnvelopeSettings) -> bool:
         for each, part in zip(refinements, share, strict=True)
     ]
     return any(divided)
+
+
+def _is_fine(refinements: list[Refinement], settings: EnvelopeSettings) -> bool:
+    """Whether images misplace no more than they may."""
+    return sum(each.score for each in refinements) <= _allowed(refinements, settings)
 
 
 def _allowed(refinements: list[Refinement], settings: EnvelopeSettings) -> float:
@@ -232,17 +244,20 @@ def _drop(
     followed: list[FollowedSheets],
     refinements: list[Refinement],
     is_given_up: Callable[[FollowedSheets, list[Refinement]], NDArray[np.bool_]],
-) -> None:
-    """Give up some sheets of each emitter."""
+) -> bool:
+    """Give up some sheets of each emitter; false if there are none."""
+    is_any = False
     for sheets in followed:
         mine = [each for each in refinements if each.lattice.followed is sheets]
         if not mine:
             continue
         given_up = is_given_up(sheets, mine)
         if given_up.any():
+            is_any = True
             sheets.drop(sheets.sheets[given_up])
             for each in mine:
                 each.drop_unfollowed()
+    return is_any
 
 
 def _is_rough(followed: FollowedSheets, refinements: list[Refinement]) -> NDArray[np.bool_]:
@@ -251,6 +266,15 @@ def _is_rough(followed: FollowedSheets, refinements: list[Refinement]) -> NDArra
     is_rough = rough > _GIVEN_UP * whole
     n, n_alone = np.sum([each.rough_elements(is_rough) for each in refinements], axis=0).T
     return is_rough & (n_alone > _ALONE * n)
+
+
+def _takes_rays(followed: FollowedSheets, refinements: list[Refinement]) -> NDArray[np.bool_]:
+    """Sheets most of which is not smooth, if rays for borders are mostly theirs."""
+    whole, rough = np.sum([each.light_of_sheets for each in refinements], axis=0).T
+    takes: NDArray[np.bool_] = rough > _MOSTLY * whole
+    of_all = sum(each.n_rays_of_borders for each in refinements)
+    of_others = sum(each.rays_of_borders(~takes) for each in refinements)
+    return takes & (of_others < _OTHERS * of_all)
 
 
 def _falls_short(followed: FollowedSheets, refinements: list[Refinement]) -> NDArray[np.bool_]:
