@@ -144,6 +144,8 @@ class Envelope:
         Those used.
     n_rays, n_segments : int
         Rays from emitters, and of all.
+    n_elements : int
+        Images of elements with six nodes each, that the triangles are pieces of.
     seconds : dict
         Time of each stage, s.
     """
@@ -163,6 +165,7 @@ class Envelope:
     settings: EnvelopeSettings
     n_rays: int
     n_segments: int
+    n_elements: int
     seconds: dict[str, float]
 
     __getstate__ = state_without_caches

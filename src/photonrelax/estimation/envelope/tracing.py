@@ -157,6 +157,7 @@ def _laid(
         settings=settings,
         n_rays=tracer.n_rays,
         n_segments=tracer.n_segments,
+        n_elements=sum(len(each.patches) for each in refinements),
         seconds={
             "trace envelope": traced - started,
             "lay": laid_down - traced,
