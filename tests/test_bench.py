@@ -520,9 +520,9 @@ def test_envelopes_of_more_rays_have_more_triangles(monkeypatch):
 
 
 def test_finer_envelopes_are_nearer_and_take_time(monkeypatch):
-    case = envelope_times.Case(0.01, (0.8, 0.1), block=2, fine=0.05)
+    case = envelope_times.Case(0.01, (0.8, 0.02), block=2, fine=0.01)
     monkeypatch.setitem(envelope_times.CASES, "ring", case)
-    coarse, fine = envelope_times.rows(["ring"], 1, 1, envelope_times.Study(texels=20))
+    coarse, fine = envelope_times.rows(["ring"], 1, 1, envelope_times.Study(texels=100))
     assert float(coarse[3].split()[0]) > float(fine[3].split()[0])
     assert float(fine[5]) > 0.0
 

@@ -19,7 +19,6 @@ from ...scene.scene import Scene
 from ...transport.aim import LUMINANCE
 from ...transport.raycast import RayCaster
 from ...transport.splitting import SplittingTracer
-from .borders import joined
 from .charts import Chart, charts_of
 from .elements import first_corners, luminances, six_places
 from .envelope import NOISE, Envelope, EnvelopeLedger, EnvelopeSettings
@@ -339,15 +338,22 @@ def _images(
     numbers = [charts.index(each.lattice.chart) for each in refinements]
     found = [laid(each, left / len(refinements), n_threads) for each in refinements]
     points = [(k, of_chart) for k, (_, of_chart) in zip(numbers, found, strict=True)] + left_out
-    parts = [(k, part) for k, (images, _) in zip(numbers, found, strict=True) for part in images]
-    parts += [(number, squares(each, footprint)) for number, each in points]
-    parts = parts or [(0, squares(Points.none(), footprint))]
-    chart, images = zip(*parts, strict=True)
-    return (
-        joined(Laid, images),
-        np.repeat(np.array(chart, dtype=np.int32), [len(each.flux) for each in images]),
-        np.sum([each.flux.sum(axis=0) for _, each in points] or [np.zeros(3)], axis=0),
-    )
+    of_points = [squares(each, footprint) for _, each in points]
+    parts = [part for images, _ in found for part in images] + of_points
+    chart = np.repeat(numbers, [len(images) for images, _ in found]).tolist()
+    chart += [number for number, _ in points]
+    lengths = [len(each.flux) for each in parts]
+    flux = np.sum([each.flux.sum(axis=0) for _, each in points] or [np.zeros(3)], axis=0)
+    del found
+    images = _joined(parts or [squares(Points.none(), footprint)])
+    return images, np.repeat(np.array(chart, dtype=np.int32), lengths), flux
+
+
+def _joined(parts: list[Laid]) -> Laid:
+    """All parts, which are taken from their list: each of their columns is freed once joined."""
+    columns = list(zip(*parts, strict=True))
+    parts.clear()
+    return Laid(*[np.concatenate(columns.pop(0)) for _ in range(len(columns))])
 
 
 def _extent(lattices: list[Lattice]) -> float:
