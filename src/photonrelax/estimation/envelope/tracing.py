@@ -7,6 +7,7 @@ from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import replace
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,9 @@ _MOST_OF_BORDERS = 200_000
 _MOST_CELLS, _LEAST_CELLS, _OF_RAYS = 32 * 32, 16, 0.25 / 4
 # Branches of less of a node's light are followed as single photons.
 _LEAST_THROUGHPUT = 1e-2
+# Share of a time that rays are traced in: images are laid down in the rest, and photons traced, so
+# many at least.
+_OF_TRACING, _LEAST_PHOTONS = 0.7, 10_000
 # Share of the misplaced light that is left to leaves not divided in a pass.
 _LEFT = 0.5
 # Sheets are given up if more than these shares of their flux, and of the elements on which they do
@@ -115,10 +119,7 @@ def _laid(
 ) -> Envelope:
     """Envelope of a scene, by its tracer; the executor is for photons."""
     started = perf_counter()
-    charts = charts_of(scene)
-    for emitter_id, emitter in enumerate(scene.emitters):
-        if isinstance(emitter, CollimatedEmitter) and emitter.is_extended:
-            charts += sun_charts(scene, emitter_id, tracer, settings)
+    charts = _charts(scene, tracer, settings)
     n_rays = settings.n_rays or _MOST_RAYS
     followed = followed_sheets(charts, tracer, n_rays, settings.expected)
     lattices = _lattices(charts, tracer, followed, n_rays)
@@ -134,25 +135,28 @@ def _laid(
     traced = perf_counter()
     wanted = _photons_wanted(charts, followed, refinements, settings)
     left = _left_out(charts, followed, wanted)
-    images, chart, points = _images(refinements, charts, left, settings, n_threads)
+    of_borders = _rays_for_borders(refinements, settings, started)
+    found = _images(
+        refinements, charts, left, of_borders, footprint=settings.footprint, n_threads=n_threads
+    )
     laid_down = perf_counter()
     rest = rest_photons(
         scene,
         wanted,
         {emitter_id: each.sheets for emitter_id, each in followed.items()},
-        n_photons=settings.n_photons or _MOST_PHOTONS,
+        n_photons=_most_photons(settings, tracer.n_rays, laid_down - started),
         n_threads=n_threads,
         caster=caster,
         executor=executor,
     )
     return Envelope(
-        *images,
-        chart=chart,
+        *found.images,
+        chart=found.chart,
         charts=charts,
         objects={k: v for each in followed.values() for k, v in each.surfaces.items()},
         surface_ids=scene.surface_ids,
         rest=rest.photons,
-        ledger=_ledger(rest, charts, images, points),
+        ledger=_ledger(rest, charts, found),
         settings=settings,
         n_rays=tracer.n_rays,
         n_segments=tracer.n_segments,
@@ -163,6 +167,15 @@ def _laid(
             "trace rest": perf_counter() - laid_down,
         },
     )
+
+
+def _charts(scene: Scene, tracer: SplittingTracer, settings: EnvelopeSettings) -> list[Chart]:
+    """Charts of all emitters, those of the parallel lights in place of suns among them."""
+    charts = charts_of(scene)
+    for emitter_id, emitter in enumerate(scene.emitters):
+        if isinstance(emitter, CollimatedEmitter) and emitter.is_extended:
+            charts += sun_charts(scene, emitter_id, tracer, settings)
+    return charts
 
 
 def _lattices(
@@ -194,7 +207,7 @@ def _refine(
     end = np.inf if settings.seconds is None else started + settings.seconds
     n_passes = 0
     while perf_counter() < end:
-        if not _divided(refinements, settings):
+        if not _divided(refinements, settings, started):
             if _is_fine(refinements, settings) or not _drop(followed, refinements, _takes_rays):
                 break
             continue
@@ -206,11 +219,11 @@ def _refine(
         _drop(followed, refinements, _is_worse_than_photons)
 
 
-def _divided(refinements: list[Refinement], settings: EnvelopeSettings) -> bool:
+def _divided(refinements: list[Refinement], settings: EnvelopeSettings, started: float) -> bool:
     """Divide elements once; false if none are to be."""
     score = np.array([each.score for each in refinements])
     allowed = _allowed(refinements, settings)
-    left = _rays_left(refinements, settings)
+    left = _rays_left(refinements, settings, started)
     if score.sum() <= allowed or left <= 0.0:
         return False
     share = score / score.sum()
@@ -231,13 +244,33 @@ def _allowed(refinements: list[Refinement], settings: EnvelopeSettings) -> float
     return OF_IMAGES * settings.misplaced * sum(each.luminance for each in refinements)
 
 
-def _rays_left(refinements: list[Refinement], settings: EnvelopeSettings) -> int:
+def _rays_left(refinements: list[Refinement], settings: EnvelopeSettings, started: float) -> float:
     """Rays that may still be traced, without those of borders."""
     traced = refinements[0].lattice.n_traced if refinements else 0
-    of_borders = sum(each.n_rays_of_borders for each in refinements)
+    left: float = min(_MOST_RAYS - traced, _MOST_OF_BORDERS)
     if settings.n_rays is not None:
-        return settings.n_rays - traced - of_borders
-    return min(_MOST_RAYS - traced, _MOST_OF_BORDERS) - of_borders
+        left = settings.n_rays - traced
+    if settings.seconds is not None:
+        taken = perf_counter() - started
+        left = min(left, traced * (_OF_TRACING * settings.seconds / taken - 1.0))
+    return left - sum(each.n_rays_of_borders for each in refinements)
+
+
+def _rays_for_borders(
+    refinements: list[Refinement], settings: EnvelopeSettings, started: float
+) -> float:
+    """Rays that cutting borders may take."""
+    left = _rays_left(refinements, settings, started)
+    return left + sum(each.n_rays_of_borders for each in refinements)
+
+
+def _most_photons(settings: EnvelopeSettings, n_rays: int, taken: float) -> int:
+    """Photons to emit, at most: as many a second as rays in the time taken so far."""
+    most = settings.n_photons or _MOST_PHOTONS
+    if settings.seconds is None or n_rays == 0:
+        return most
+    in_time = n_rays * (settings.seconds / taken - 1.0)
+    return min(most, max(int(in_time), _LEAST_PHOTONS))
 
 
 def _drop(
@@ -325,18 +358,30 @@ def _left_out(
     ]
 
 
+class _LaidCharts(NamedTuple):
+    """Triangles (n,), the charts that they are of, and the flux (3,) laid down around points, W."""
+
+    images: Laid
+    chart: NDArray[np.int32]
+    of_points: Floats
+
+
 def _images(
     refinements: list[Refinement],
     charts: list[Chart],
     left_out: list[tuple[int, Points]],
-    settings: EnvelopeSettings,
+    n_rays: float,
+    *,
+    footprint: float | None,
     n_threads: int,
-) -> tuple[Laid, NDArray[np.int32], Floats]:
-    """Triangles of all images, their charts, and the flux (3,) laid down around points."""
-    left = _rays_left(refinements, settings) + sum(each.n_rays_of_borders for each in refinements)
-    footprint = settings.footprint or 1.0
+) -> _LaidCharts:
+    """Triangles of all images.
+
+    Borders are cut by at most so many rays.
+    """
+    footprint = footprint or 1.0
     numbers = [charts.index(each.lattice.chart) for each in refinements]
-    found = [laid(each, left / len(refinements), n_threads) for each in refinements]
+    found = [laid(each, n_rays / len(refinements), n_threads) for each in refinements]
     points = [(k, of_chart) for k, (_, of_chart) in zip(numbers, found, strict=True)] + left_out
     of_points = [squares(each, footprint) for _, each in points]
     parts = [part for images, _ in found for part in images] + of_points
@@ -346,7 +391,7 @@ def _images(
     flux = np.sum([each.flux.sum(axis=0) for _, each in points] or [np.zeros(3)], axis=0)
     del found
     images = _joined(parts or [squares(Points.none(), footprint)])
-    return images, np.repeat(np.array(chart, dtype=np.int32), lengths), flux
+    return _LaidCharts(images, np.repeat(np.array(chart, dtype=np.int32), lengths), flux)
 
 
 def _joined(parts: list[Laid]) -> Laid:
@@ -362,9 +407,9 @@ def _extent(lattices: list[Lattice]) -> float:
     return extent(position, luminances(np.concatenate([each.light for each in lattices])))
 
 
-def _ledger(rest: Rest, charts: list[Chart], images: Laid, points: Floats) -> EnvelopeLedger:
+def _ledger(rest: Rest, charts: list[Chart], found: _LaidCharts) -> EnvelopeLedger:
     emitted = rest.emitted + np.sum([each.emitted for each in charts] or [np.zeros(3)], axis=0)
     photons = np.zeros(3) if rest.photons is None else rest.photons.flux.sum(axis=0)
-    of_images = images.flux.sum(axis=0) - points
-    lost = emitted - of_images - points - photons
-    return EnvelopeLedger(emitted, of_images, points, photons, lost)
+    of_images = found.images.flux.sum(axis=0) - found.of_points
+    lost = emitted - of_images - found.of_points - photons
+    return EnvelopeLedger(emitted, of_images, found.of_points, photons, lost)
