@@ -14,6 +14,7 @@ python -m bench figure9           SJ13's Fig. 9: rings at three numbers of photo
 python -m bench progressive       convergence of progressive photon mapping to analytic irradiance
 python -m bench shapes            SSO08's Fig. 4: shapes in twelve ways, as an image and as figures
 python -m bench envelope          errors of envelopes and of relaxed photons, by time
+python -m bench envelope-times    times of envelopes to an error over texels
 python -m bench envelope-cost     time and memory of envelopes, by rays and triangles
 python -m bench known-maps        errors of envelopes of scenes whose map is known, by rays
 python -m bench equal-error       SSO08's Table 1: photons for the error of diffusion
@@ -58,6 +59,7 @@ from bench.studies import (
     dispersion,
     envelope,
     envelope_cost,
+    envelope_times,
     equal_error,
     error_times,
     extremes,
@@ -113,6 +115,7 @@ _COMMANDS = {
     "resolution": resolution,
     "envelope": envelope,
     "envelope-cost": envelope_cost,
+    "envelope-times": envelope_times,
     "known-maps": known_maps,
     "dispersion": dispersion,
     "slopes": slopes,

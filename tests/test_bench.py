@@ -15,6 +15,7 @@ from bench.studies import (
     dispersion,
     envelope,
     envelope_cost,
+    envelope_times,
     equal_error,
     figure3,
     figure7,
@@ -514,8 +515,16 @@ def test_envelopes_of_more_rays_have_more_triangles(monkeypatch):
     monkeypatch.setattr(envelope_cost, "water", partial(slopes.water, resolution=8))
     monkeypatch.setattr(envelope_cost, "_TEXELS", 20)
     first, second, _ = envelope_cost.rows((2_000, 4_000))
-    assert int(first[1].replace(",", "")) < int(second[1].replace(",", ""))
-    assert 0 < int(second[3]) < int(second[4])
+    assert int(first[2].replace(",", "")) < int(second[2].replace(",", ""))
+    assert 0 < int(second[4]) < int(second[5])
+
+
+def test_finer_envelopes_are_nearer_and_take_time(monkeypatch):
+    case = envelope_times.Case(0.01, (0.8, 0.02), block=2, fine=0.01)
+    monkeypatch.setitem(envelope_times.CASES, "ring", case)
+    coarse, fine = envelope_times.rows(["ring"], 1, 1, envelope_times.Study(texels=100))
+    assert float(coarse[3].split()[0]) > float(fine[3].split()[0])
+    assert float(fine[5]) > 0.0
 
 
 def test_errors_of_resolution_are_small_where_there_is_no_warning():

@@ -1,4 +1,4 @@
-"""Time and memory of envelopes of `water`, by rays and the triangles that are laid down."""
+"""Time and memory of envelopes of `water`, by rays, elements and triangles that are laid down."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _TEXELS, _HALF = 400, 1.0
 
 
 def rows(n_rays: Sequence[int]) -> Iterator[list[str]]:
-    """Yield the rows of the table, and the power of the rays that seconds rise by."""
+    """Yield the rows of the table, and the powers of rays and of elements that seconds rise by."""
     scene = water()
     caster, texel = RayCaster(scene.surfaces), 2.0 * _HALF / _TEXELS
     found = []
@@ -38,14 +38,15 @@ def rows(n_rays: Sequence[int]) -> Iterator[list[str]]:
         pr.irradiance_map(field, corner, *sides, (_TEXELS, _TEXELS))
         seconds = traced - started, process_time() - drawing
         held = sum(each.nbytes for each in vars(envelope).values() if isinstance(each, np.ndarray))
-        found.append((envelope.n_rays, sum(seconds)))
+        found.append((envelope.n_rays, envelope.n_elements, sum(seconds)))
         yield [
-            *(f"{envelope.n_rays:,}", f"{len(envelope):,}"),
+            *(f"{each:,}" for each in (envelope.n_rays, envelope.n_elements, len(envelope))),
             f"{seconds[0]:.2f} + {seconds[1]:.2f}",
             *(f"{each / len(envelope):.0f}" for each in (held, most)),
         ]
-    power, _ = np.polyfit(*np.log(found).T, 1)
-    yield ["power", "", f"{power:.2f}", "", ""]
+    of_rays, of_elements, seconds_taken = np.log(found).T
+    powers = [np.polyfit(each, seconds_taken, 1)[0] for each in (of_rays, of_elements)]
+    yield ["power", *(f"{each:.2f}" for each in powers), *[""] * 3]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,5 +56,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print the table."""
-    titles = ["rays", "triangles", "seconds", "bytes a triangle", "at most"]
+    titles = ["rays", "elements", "triangles", "seconds", "bytes a triangle", "at most"]
     print(markdown_table(titles, rows(options.rays)))

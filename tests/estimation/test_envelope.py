@@ -12,7 +12,9 @@ from photonrelax import gallery
 from photonrelax._ext.estimation import envelope as kernel
 from photonrelax._ext.estimation import envelope_grid, envelope_pieces
 from photonrelax.estimation.envelope import elements, tracing
+from photonrelax.estimation.envelope import field as envelope_field
 from photonrelax.estimation.envelope.grids import Footprints
+from photonrelax.estimation.irradiance_map import texel_grid
 from photonrelax.transport import splitting
 from tests.helpers.tracing_scenes import DOWN, box, floor, slab
 
@@ -75,6 +77,18 @@ def test_texels_part_the_light_between_them(bent):
     fine, coarse = (floor_map(bent, 1.5, n) for n in (60, 20))
     means = fine.reshape(20, 3, 20, 3, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(means, coarse, rtol=1e-9, atol=1e-12 * coarse.max())
+
+
+@pytest.mark.parametrize("per_texel", [0, 1000])
+def test_maps_are_means_over_footprints_that_are_texels(bent, monkeypatch, per_texel):
+    """Of some rows, by going through the triangles and by searching their tree."""
+    monkeypatch.setattr(envelope_field, "_PER_TEXEL", per_texel)
+    grid, rows = texel_grid((-1, -1, 0), (2, 0, 0), (0, 2, 0), (30, 20)), range(7, 12)
+    centres = grid.centres(rows)
+    normals, footprint = np.tile(grid.normal, (150, 1)), np.tile(grid.edges, (150, 1, 1))
+    expected = bent(centres, normals, footprint=footprint)
+    found = bent.over_texels(grid, rows)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * expected.max())
 
 
 def test_error_falls_with_rays_and_is_told():
@@ -282,6 +296,20 @@ def test_sheets_that_stay_rough_are_left_to_photons(monkeypatch):
     photons = pr.trace_photons(scene, 50_000).flux.sum(axis=0)
     np.testing.assert_allclose(ledger.images + ledger.points + ledger.photons, photons, rtol=0.05)
     assert (ledger.photons > ledger.images).all()
+
+
+def test_sheets_that_take_most_rays_of_borders_are_given_up_for_the_others(monkeypatch):
+    """Without that, all light of facets is of photons where rays of borders are used up."""
+    monkeypatch.setattr(tracing, "_MOST_OF_BORDERS", 40_000)
+    scene = gallery.scene("prism", subdivisions=4)
+    given = {"error": 0.1, "footprint": 0.05, "n_photons": 50_000}
+    ledger = pr.trace_envelope(scene, **given).ledger
+    monkeypatch.setattr(tracing, "_OTHERS", 0.0)
+    others = pr.trace_envelope(scene, **given).ledger
+    assert (ledger.photons < 0.5 * ledger.images).all()
+    assert (others.photons > others.images).all()
+    stored = [each.images + each.points + each.photons for each in (ledger, others)]
+    np.testing.assert_allclose(*stored, rtol=0.02)
 
 
 def test_the_final_gather_reads_photons_of_the_envelope():

@@ -24,6 +24,7 @@ from ..relaxation.structure import Structure
 from ..spatial.kdtree import KDTree
 from .footprint import check_footprint
 from .surface import Surface
+from .texels import TexelGrid
 
 Rows = NDArray[np.intp]
 
@@ -134,6 +135,13 @@ class Field(ABC):
             If `values` does not have a row for each element.
         """
         return Densities(self, validation.float_array(values, "values", (len(self.flux), None)))
+
+    def over_texels(self, grid: TexelGrid, rows: range) -> Floats:
+        """Means (n, 3) of the irradiance over the texels of some rows of a grid, row by row."""
+        centres = grid.centres(rows)
+        normals = np.broadcast_to(grid.normal, centres.shape)
+        footprint = np.broadcast_to(grid.edges, (len(centres), 2, 3))
+        return self(centres, normals, footprint=footprint)
 
     @property
     @abstractmethod

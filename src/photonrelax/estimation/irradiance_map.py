@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +11,7 @@ from .._util import validation
 from .._util.validation import Floats
 from .._util.workers import checked_executor, n_workers, worker_map
 from .field import Field
+from .texels import TexelGrid
 
 # Texels estimated together, which bounds the memory of a map beside its result.
 _TEXELS_PER_BAND = 1 << 18
@@ -19,39 +19,6 @@ _TEXELS_PER_BAND = 1 << 18
 _BANDS_PER_WORKER = 4
 # Largest cosine of the angle between the sides of a rectangle.
 _RIGHT_ANGLE = 1e-6
-
-
-class TexelGrid(NamedTuple):
-    """Rectangle in space that is divided into texels.
-
-    Attributes
-    ----------
-    origin, u, v : (3,) float arrays
-        A corner, and the sides from there, m; perpendicular to each other.
-    shape : (int, int)
-        Texels along u and along v.
-    normal : (3,) float array
-        Unit vector, along u × v or against it.
-    """
-
-    origin: Floats
-    u: Floats
-    v: Floats
-    shape: tuple[int, int]
-    normal: Floats
-
-    @property
-    def edges(self) -> Floats:
-        """Edges (2, 3) of a texel, m."""
-        return np.array([self.u / self.shape[0], self.v / self.shape[1]])
-
-    def centres(self, rows: range) -> Floats:
-        """Centres (n, 3) of the texels of some rows, row by row."""
-        (nx, _), (across, along) = self.shape, self.edges
-        columns = (np.arange(nx) + 0.5)[:, np.newaxis] * across
-        row = (np.array(rows) + 0.5)[:, np.newaxis] * along
-        centres: Floats = (self.origin + row[:, np.newaxis] + columns).reshape(-1, 3)
-        return centres
 
 
 def texel_grid(
@@ -167,7 +134,4 @@ def irradiance_map(
 def _means(given: tuple[Field, TexelGrid], rows: range) -> Floats:
     """Means (n, 3) over the texels of some rows."""
     field, grid = given
-    centres = grid.centres(rows)
-    normals = np.broadcast_to(grid.normal, centres.shape)
-    footprint = np.broadcast_to(grid.edges, (len(centres), 2, 3))
-    return field(centres, normals, footprint=footprint)
+    return field.over_texels(grid, rows)

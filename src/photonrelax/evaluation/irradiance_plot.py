@@ -8,7 +8,7 @@ import numpy as np
 
 from .._util.files import whole_file
 from .._util.validation import Floats
-from ..estimation.irradiance_map import TexelGrid
+from ..estimation.texels import TexelGrid
 
 
 def check_installed() -> None:

@@ -20,8 +20,8 @@ from .raycast import RayCaster
 
 Signatures = NDArray[np.uint64]
 
-# Rays traced together.
-_BATCH = 2048
+# Rays traced together, at most and at least.
+_BATCH, _LEAST_BATCH = 2048, 512
 # Events after which a ray ends.
 MAX_BOUNCES = 32
 
@@ -219,13 +219,14 @@ class SplittingTracer:
         """Batches of rays: their origins, directions and keys."""
         media, n = int(self._media[emitter_id]), len(rays[2])
         origin, direction, key = rays
-        parts = (slice(first, first + _BATCH) for first in range(0, max(n, 1), _BATCH))
+        # Two batches at least, if they are worth sending.
+        size = min(max(-(-n // 2), _LEAST_BATCH), _BATCH)
+        parts = (slice(first, first + size) for first in range(0, max(n, 1), size))
         jobs = (
             _Job(origin[part], direction[part], key[part], part.start, media, followed)
             for part in parts
         )
-        # A single batch is not worth sending.
-        executor = self._executor if n > _BATCH else None
+        executor = self._executor if n > size else None
         found = list(worker_map(_traced_batch, self._context, jobs, executor))
         self.n_rays += n
         self.n_segments += sum(part.n_segments for part in found)

@@ -13,7 +13,8 @@ import numpy as np
 from ..common.threads cimport Watch, close_watch, goes_on, open_watch, team_size
 from ..common.vec3 cimport dot
 from .polygon cimport (
-    Box, PlaneFrame, Polygon, area_of, is_line, longest_side, project, set_box, set_frame, split,
+    MOST_CORNERS, Box, PlaneFrame, Polygon, area_of, is_line, longest_side, project, set_box,
+    set_frame, split,
 )
 
 cdef enum:
@@ -22,6 +23,10 @@ cdef enum:
     MOST_BANDS = 128
     # Triangles that are put into bands together.
     BLOCK = 8192
+
+# Shares of texels are sums over the sides of a triangle while they keep twelve digits of it. Sides
+# whose ends are nearer to each other in x are across.
+cdef double MOST_DENSE = 1e2, ACROSS = 1e-15
 
 
 cdef struct Grid:
@@ -288,8 +293,8 @@ cdef void add_to_row(
     const Grid* grid, const Polygon* strip, double density, int row, const double* values,
     double* out,
 ) noexcept nogil:
-    """Add the part of a triangle in a row to its texels, split off one after the other."""
-    cdef Polygon rest = strip[0], left, right
+    """Add the part of a triangle in a row to its texels."""
+    cdef Polygon rest, left, right
     cdef Box box
     cdef int column
     if strip.n < 3:
@@ -297,6 +302,15 @@ cdef void add_to_row(
     set_box(&box, strip)
     if box.high[0] <= 0.0 or box.low[0] >= grid.nx:
         return
+    column = cell(box.low[0], grid.nx)
+    if box.low[0] >= 0.0 and box.high[0] <= column + 1:
+        add_share(grid, density * fabs(area_of(strip)), row, column, values, out)
+        return
+    if density <= MOST_DENSE:
+        add_below_sides(grid, strip, density, row, &box, values, out)
+        return
+    # Split off one after the other.
+    rest = strip[0]
     if box.low[0] < 0.0:
         split(strip, 0, 0.0, &left, &rest)
     for column in range(cell(box.low[0], grid.nx), grid.nx):
@@ -306,6 +320,34 @@ cdef void add_to_row(
         split(&rest, 0, column + 1, &left, &right)
         add_share(grid, density * fabs(area_of(&left)), row, column, values, out)
         rest = right
+
+
+cdef void add_below_sides(
+    const Grid* grid, const Polygon* strip, double density, int row, const Box* box,
+    const double* values, double* out,
+) noexcept nogil:
+    """Add the part of a triangle in a row to its texels, by areas between the row and its sides."""
+    cdef double[MOST_CORNERS] left, right, height, slope
+    cdef double area, enter, leave, turn = 1.0 if area_of(strip) < 0.0 else -1.0
+    cdef int i, j, column, n = 0, first = cell(box.low[0], grid.nx)
+    # From the first column, so that shares keep their digits wherever they are.
+    for i in range(strip.n):
+        j = i + 1 if i + 1 < strip.n else 0
+        enter, leave = strip.corner[i][0] - first, strip.corner[j][0] - first
+        if fabs(leave - enter) < ACROSS or strip.corner[i][1] == row == strip.corner[j][1]:
+            continue
+        slope[n] = (strip.corner[j][1] - strip.corner[i][1]) / (leave - enter)
+        left[n], right[n], height[n] = enter, leave, strip.corner[i][1] - row
+        n += 1
+    for column in range(cell(box.high[0], grid.nx) + 1 - first):
+        area = 0.0
+        for i in range(n):
+            enter = min(max(left[i], column), column + 1.0)
+            leave = min(max(right[i], column), column + 1.0)
+            area += (leave - enter) * (
+                height[i] + slope[i] * (0.5 * (enter + leave) - left[i])
+            )
+        add_share(grid, max(turn * density * area, 0.0), row, first + column, values, out)
 
 
 cdef void add_line(

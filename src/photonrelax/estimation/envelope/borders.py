@@ -15,7 +15,7 @@ from .lattice import Ids, Lattice, Places
 
 # Halvings of a side on which a sheet ends: on average, if all lost as much light; and of one at
 # least and at most.
-STEPS, _LEAST_STEPS, _MOST_STEPS = 5, 2, 8
+STEPS, _LEAST_STEPS, _MOST_STEPS = 5, 0, 8
 
 Columns = TypeVar("Columns", bound=tuple[NDArray, ...])
 

@@ -96,7 +96,9 @@ class Chart:
     @cached_property
     def emitted(self) -> Floats:
         """Flux (3,) through the chart, W, by the midpoint rule."""
-        middles = (np.arange(_MIDDLES) + 0.5) / _MIDDLES
+        # Parallel light is the same everywhere.
+        n = 1 if self.emitter.point is None else _MIDDLES
+        middles = (np.arange(n) + 0.5) / n
         u, v = np.meshgrid(middles, middles)
         mean: Floats = self.rays(np.column_stack([u.ravel(), v.ravel()])).power.mean(axis=0)
         return mean

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +73,7 @@ class Patches:
         none = np.empty(0, np.intp)
         return cls(none, np.empty(0, np.uint64), np.empty((0, 6), np.intp))
 
-    @property
+    @cached_property
     def is_whole(self) -> NDArray[np.bool_]:
         """(p,) true where all nodes are seen."""
         whole: NDArray[np.bool_] = np.all(self.arrival >= 0, axis=1)

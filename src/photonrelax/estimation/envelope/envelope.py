@@ -44,7 +44,8 @@ class EnvelopeSettings:
     error : float, optional
         Share of the light that may be misplaced; 0.01 unless rays or time are limited.
     seconds : float, optional
-        Time for tracing, at most; which elements are divided then depends on the machine.
+        Time, about: rays are traced in seven tenths of it, at the pace so far. Which elements are
+        divided then depends on the machine.
     footprint : float, optional
         Length that images are resolved to, m: the side of a texel, say. By default that of the
         pixels of a render, or 1/400 of the extent of the light.
@@ -144,6 +145,8 @@ class Envelope:
         Those used.
     n_rays, n_segments : int
         Rays from emitters, and of all.
+    n_elements : int
+        Images of elements with six nodes each, that the triangles are pieces of.
     seconds : dict
         Time of each stage, s.
     """
@@ -163,6 +166,7 @@ class Envelope:
     settings: EnvelopeSettings
     n_rays: int
     n_segments: int
+    n_elements: int
     seconds: dict[str, float]
 
     __getstate__ = state_without_caches

@@ -12,6 +12,7 @@ from ..._ext.estimation import envelope_grid
 from ..._util.parallel import thread_count
 from ..._util.validation import Floats
 from ..field import Densities, Field, PhotonField, Points
+from ..texels import TexelGrid
 from .elements import luminances
 from .envelope import NOISE, Envelope
 from .grids import FootprintGrid, Footprints
@@ -105,6 +106,20 @@ class EnvelopeField(Field):
     def has_footprints(self) -> bool:
         return True
 
+    def over_texels(self, grid: TexelGrid, rows: range) -> Floats:
+        """Means (n, 3) over texels, without their footprints where triangles are gone through."""
+        nx, n = grid.shape[0], grid.shape[0] * len(rows)
+        if len(self.envelope) > _PER_TEXEL * n:
+            return super().over_texels(grid, rows)
+        edges = grid.edges
+        origin = grid.origin + rows.start * edges[1]
+        sums = self._sums_of_grid(self.envelope.flux, origin, edges, grid.normal, (nx, len(rows)))
+        means: Floats = sums.reshape(n, -1) / np.linalg.norm(np.cross(*edges))
+        if self.rest is not None:
+            # There are no photons where there is no surface.
+            means += np.nan_to_num(self.rest.over_texels(grid, rows), copy=False)
+        return means
+
     def _lay_out(self, values: Floats, part: int) -> _Values:
         triangles, photons = np.split(values, [len(self.envelope)])
         rest = None if self.rest is None else self.rest.densities(photons)
@@ -158,15 +173,22 @@ class EnvelopeField(Field):
 
     def _means_of_grid(self, values: Floats, grid: FootprintGrid) -> Floats:
         """Means (r, c) over footprints that are the texels of a grid."""
-        sums = np.empty((*grid.shape[::-1], values.shape[1]))
+        sums = self._sums_of_grid(values, grid.origin, grid.edges, grid.normal, grid.shape)
+        means: Floats = sums[grid.row, grid.column] / grid.area
+        return means
+
+    def _sums_of_grid(
+        self, values: Floats, origin: Floats, edges: Floats, normal: Floats, shape: tuple[int, int]
+    ) -> Floats:
+        """Sums (ny, nx, c) over the texels of a grid; see `FootprintGrid`."""
+        sums = np.empty((*shape[::-1], values.shape[1]))
         envelope_grid.sums(
             *(self.envelope.position, self.envelope.normal, values),
-            origin=grid.origin,
-            edges=grid.edges,
-            towards=grid.normal,
+            origin=origin,
+            edges=edges,
+            towards=normal,
             **_LIMITS,
             out=sums,
             n_threads=self._n_threads,
         )
-        means: Floats = sums[grid.row, grid.column] / grid.area
-        return means
+        return sums

@@ -105,6 +105,11 @@ class Refinement:
         torn = self.patches.element[~self.patches.is_whole]
         return _RAYS_OF_BORDER * len(np.unique(torn))
 
+    def rays_of_borders(self, is_cut: NDArray[np.bool_]) -> int:
+        """Rays that cutting those of some of the sheets that are followed (k,) would take."""
+        torn = self.patches.element[~self.patches.is_whole & is_cut[self._numbers]]
+        return _RAYS_OF_BORDER * len(np.unique(torn))
+
     @property
     def light_of_sheets(self) -> Floats:
         """Luminance (k, 2) of each sheet that is followed, all of it and that of rough images, W.

@@ -7,6 +7,7 @@ from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import replace
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,6 @@ from ...scene.scene import Scene
 from ...transport.aim import LUMINANCE
 from ...transport.raycast import RayCaster
 from ...transport.splitting import SplittingTracer
-from .borders import joined
 from .charts import Chart, charts_of
 from .elements import first_corners, luminances, six_places
 from .envelope import NOISE, Envelope, EnvelopeLedger, EnvelopeSettings
@@ -40,11 +40,17 @@ _MOST_OF_BORDERS = 200_000
 _MOST_CELLS, _LEAST_CELLS, _OF_RAYS = 32 * 32, 16, 0.25 / 4
 # Branches of less of a node's light are followed as single photons.
 _LEAST_THROUGHPUT = 1e-2
+# Share of a time that rays are traced in: images are laid down in the rest, and photons traced, so
+# many at least.
+_OF_TRACING, _LEAST_PHOTONS = 0.7, 10_000
 # Share of the misplaced light that is left to leaves not divided in a pass.
 _LEFT = 0.5
 # Sheets are given up if more than these shares of their flux, and of the elements on which they do
 # alone, are torn or jump after some divisions.
 _GIVEN_UP, _ALONE, _DIVISIONS = 0.9, 0.5, 4
+# Where rays are used up, sheets are given up if more than this share of their flux is torn or jumps
+# and no more than a share of the rays of borders would be left without them.
+_MOSTLY, _OTHERS = 0.6, 0.5
 
 
 def trace_envelope(
@@ -113,10 +119,7 @@ def _laid(
 ) -> Envelope:
     """Envelope of a scene, by its tracer; the executor is for photons."""
     started = perf_counter()
-    charts = charts_of(scene)
-    for emitter_id, emitter in enumerate(scene.emitters):
-        if isinstance(emitter, CollimatedEmitter) and emitter.is_extended:
-            charts += sun_charts(scene, emitter_id, tracer, settings)
+    charts = _charts(scene, tracer, settings)
     n_rays = settings.n_rays or _MOST_RAYS
     followed = followed_sheets(charts, tracer, n_rays, settings.expected)
     lattices = _lattices(charts, tracer, followed, n_rays)
@@ -132,34 +135,47 @@ def _laid(
     traced = perf_counter()
     wanted = _photons_wanted(charts, followed, refinements, settings)
     left = _left_out(charts, followed, wanted)
-    images, chart, points = _images(refinements, charts, left, settings, n_threads)
+    of_borders = _rays_for_borders(refinements, settings, started)
+    found = _images(
+        refinements, charts, left, of_borders, footprint=settings.footprint, n_threads=n_threads
+    )
     laid_down = perf_counter()
     rest = rest_photons(
         scene,
         wanted,
         {emitter_id: each.sheets for emitter_id, each in followed.items()},
-        n_photons=settings.n_photons or _MOST_PHOTONS,
+        n_photons=_most_photons(settings, tracer.n_rays, laid_down - started),
         n_threads=n_threads,
         caster=caster,
         executor=executor,
     )
     return Envelope(
-        *images,
-        chart=chart,
+        *found.images,
+        chart=found.chart,
         charts=charts,
         objects={k: v for each in followed.values() for k, v in each.surfaces.items()},
         surface_ids=scene.surface_ids,
         rest=rest.photons,
-        ledger=_ledger(rest, charts, images, points),
+        ledger=_ledger(rest, charts, found),
         settings=settings,
         n_rays=tracer.n_rays,
         n_segments=tracer.n_segments,
+        n_elements=sum(len(each.patches) for each in refinements),
         seconds={
             "trace envelope": traced - started,
             "lay": laid_down - traced,
             "trace rest": perf_counter() - laid_down,
         },
     )
+
+
+def _charts(scene: Scene, tracer: SplittingTracer, settings: EnvelopeSettings) -> list[Chart]:
+    """Charts of all emitters, those of the parallel lights in place of suns among them."""
+    charts = charts_of(scene)
+    for emitter_id, emitter in enumerate(scene.emitters):
+        if isinstance(emitter, CollimatedEmitter) and emitter.is_extended:
+            charts += sun_charts(scene, emitter_id, tracer, settings)
+    return charts
 
 
 def _lattices(
@@ -190,20 +206,24 @@ def _refine(
     """Divide elements, where most light is misplaced first, up to one of the limits."""
     end = np.inf if settings.seconds is None else started + settings.seconds
     n_passes = 0
-    while perf_counter() < end and _divided(refinements, settings):
+    while perf_counter() < end:
+        if not _divided(refinements, settings, started):
+            if _is_fine(refinements, settings) or not _drop(followed, refinements, _takes_rays):
+                break
+            continue
         n_passes += 1
         if n_passes == _DIVISIONS:
             _drop(followed, refinements, _is_rough)
     _drop(followed, refinements, _falls_short)
-    if sum(each.score for each in refinements) > _allowed(refinements, settings) > 0.0:
+    if settings.misplaced > 0.0 and not _is_fine(refinements, settings):
         _drop(followed, refinements, _is_worse_than_photons)
 
 
-def _divided(refinements: list[Refinement], settings: EnvelopeSettings) -> bool:
+def _divided(refinements: list[Refinement], settings: EnvelopeSettings, started: float) -> bool:
     """Divide elements once; false if none are to be."""
     score = np.array([each.score for each in refinements])
     allowed = _allowed(refinements, settings)
-    left = _rays_left(refinements, settings)
+    left = _rays_left(refinements, settings, started)
     if score.sum() <= allowed or left <= 0.0:
         return False
     share = score / score.sum()
@@ -214,35 +234,63 @@ def _divided(refinements: list[Refinement], settings: EnvelopeSettings) -> bool:
     return any(divided)
 
 
+def _is_fine(refinements: list[Refinement], settings: EnvelopeSettings) -> bool:
+    """Whether images misplace no more than they may."""
+    return sum(each.score for each in refinements) <= _allowed(refinements, settings)
+
+
 def _allowed(refinements: list[Refinement], settings: EnvelopeSettings) -> float:
     """Luminance that images may misplace, W."""
     return OF_IMAGES * settings.misplaced * sum(each.luminance for each in refinements)
 
 
-def _rays_left(refinements: list[Refinement], settings: EnvelopeSettings) -> int:
+def _rays_left(refinements: list[Refinement], settings: EnvelopeSettings, started: float) -> float:
     """Rays that may still be traced, without those of borders."""
     traced = refinements[0].lattice.n_traced if refinements else 0
-    of_borders = sum(each.n_rays_of_borders for each in refinements)
+    left: float = min(_MOST_RAYS - traced, _MOST_OF_BORDERS)
     if settings.n_rays is not None:
-        return settings.n_rays - traced - of_borders
-    return min(_MOST_RAYS - traced, _MOST_OF_BORDERS) - of_borders
+        left = settings.n_rays - traced
+    if settings.seconds is not None:
+        taken = perf_counter() - started
+        left = min(left, traced * (_OF_TRACING * settings.seconds / taken - 1.0))
+    return left - sum(each.n_rays_of_borders for each in refinements)
+
+
+def _rays_for_borders(
+    refinements: list[Refinement], settings: EnvelopeSettings, started: float
+) -> float:
+    """Rays that cutting borders may take."""
+    left = _rays_left(refinements, settings, started)
+    return left + sum(each.n_rays_of_borders for each in refinements)
+
+
+def _most_photons(settings: EnvelopeSettings, n_rays: int, taken: float) -> int:
+    """Photons to emit, at most: as many a second as rays in the time taken so far."""
+    most = settings.n_photons or _MOST_PHOTONS
+    if settings.seconds is None or n_rays == 0:
+        return most
+    in_time = n_rays * (settings.seconds / taken - 1.0)
+    return min(most, max(int(in_time), _LEAST_PHOTONS))
 
 
 def _drop(
     followed: list[FollowedSheets],
     refinements: list[Refinement],
     is_given_up: Callable[[FollowedSheets, list[Refinement]], NDArray[np.bool_]],
-) -> None:
-    """Give up some sheets of each emitter."""
+) -> bool:
+    """Give up some sheets of each emitter; false if there are none."""
+    is_any = False
     for sheets in followed:
         mine = [each for each in refinements if each.lattice.followed is sheets]
         if not mine:
             continue
         given_up = is_given_up(sheets, mine)
         if given_up.any():
+            is_any = True
             sheets.drop(sheets.sheets[given_up])
             for each in mine:
                 each.drop_unfollowed()
+    return is_any
 
 
 def _is_rough(followed: FollowedSheets, refinements: list[Refinement]) -> NDArray[np.bool_]:
@@ -251,6 +299,15 @@ def _is_rough(followed: FollowedSheets, refinements: list[Refinement]) -> NDArra
     is_rough = rough > _GIVEN_UP * whole
     n, n_alone = np.sum([each.rough_elements(is_rough) for each in refinements], axis=0).T
     return is_rough & (n_alone > _ALONE * n)
+
+
+def _takes_rays(followed: FollowedSheets, refinements: list[Refinement]) -> NDArray[np.bool_]:
+    """Sheets most of which is not smooth, if rays for borders are mostly theirs."""
+    whole, rough = np.sum([each.light_of_sheets for each in refinements], axis=0).T
+    takes: NDArray[np.bool_] = rough > _MOSTLY * whole
+    of_all = sum(each.n_rays_of_borders for each in refinements)
+    of_others = sum(each.rays_of_borders(~takes) for each in refinements)
+    return takes & (of_others < _OTHERS * of_all)
 
 
 def _falls_short(followed: FollowedSheets, refinements: list[Refinement]) -> NDArray[np.bool_]:
@@ -301,28 +358,47 @@ def _left_out(
     ]
 
 
+class _LaidCharts(NamedTuple):
+    """Triangles (n,), the charts that they are of, and the flux (3,) laid down around points, W."""
+
+    images: Laid
+    chart: NDArray[np.int32]
+    of_points: Floats
+
+
 def _images(
     refinements: list[Refinement],
     charts: list[Chart],
     left_out: list[tuple[int, Points]],
-    settings: EnvelopeSettings,
+    n_rays: float,
+    *,
+    footprint: float | None,
     n_threads: int,
-) -> tuple[Laid, NDArray[np.int32], Floats]:
-    """Triangles of all images, their charts, and the flux (3,) laid down around points."""
-    left = _rays_left(refinements, settings) + sum(each.n_rays_of_borders for each in refinements)
-    footprint = settings.footprint or 1.0
+) -> _LaidCharts:
+    """Triangles of all images.
+
+    Borders are cut by at most so many rays.
+    """
+    footprint = footprint or 1.0
     numbers = [charts.index(each.lattice.chart) for each in refinements]
-    found = [laid(each, left / len(refinements), n_threads) for each in refinements]
+    found = [laid(each, n_rays / len(refinements), n_threads) for each in refinements]
     points = [(k, of_chart) for k, (_, of_chart) in zip(numbers, found, strict=True)] + left_out
-    parts = [(k, part) for k, (images, _) in zip(numbers, found, strict=True) for part in images]
-    parts += [(number, squares(each, footprint)) for number, each in points]
-    parts = parts or [(0, squares(Points.none(), footprint))]
-    chart, images = zip(*parts, strict=True)
-    return (
-        joined(Laid, images),
-        np.repeat(np.array(chart, dtype=np.int32), [len(each.flux) for each in images]),
-        np.sum([each.flux.sum(axis=0) for _, each in points] or [np.zeros(3)], axis=0),
-    )
+    of_points = [squares(each, footprint) for _, each in points]
+    parts = [part for images, _ in found for part in images] + of_points
+    chart = np.repeat(numbers, [len(images) for images, _ in found]).tolist()
+    chart += [number for number, _ in points]
+    lengths = [len(each.flux) for each in parts]
+    flux = np.sum([each.flux.sum(axis=0) for _, each in points] or [np.zeros(3)], axis=0)
+    del found
+    images = _joined(parts or [squares(Points.none(), footprint)])
+    return _LaidCharts(images, np.repeat(np.array(chart, dtype=np.int32), lengths), flux)
+
+
+def _joined(parts: list[Laid]) -> Laid:
+    """All parts, which are taken from their list: each of their columns is freed once joined."""
+    columns = list(zip(*parts, strict=True))
+    parts.clear()
+    return Laid(*[np.concatenate(columns.pop(0)) for _ in range(len(columns))])
 
 
 def _extent(lattices: list[Lattice]) -> float:
@@ -331,9 +407,9 @@ def _extent(lattices: list[Lattice]) -> float:
     return extent(position, luminances(np.concatenate([each.light for each in lattices])))
 
 
-def _ledger(rest: Rest, charts: list[Chart], images: Laid, points: Floats) -> EnvelopeLedger:
+def _ledger(rest: Rest, charts: list[Chart], found: _LaidCharts) -> EnvelopeLedger:
     emitted = rest.emitted + np.sum([each.emitted for each in charts] or [np.zeros(3)], axis=0)
     photons = np.zeros(3) if rest.photons is None else rest.photons.flux.sum(axis=0)
-    of_images = images.flux.sum(axis=0) - points
-    lost = emitted - of_images - points - photons
-    return EnvelopeLedger(emitted, of_images, points, photons, lost)
+    of_images = found.images.flux.sum(axis=0) - found.of_points
+    lost = emitted - of_images - found.of_points - photons
+    return EnvelopeLedger(emitted, of_images, found.of_points, photons, lost)
