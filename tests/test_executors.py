@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import photonrelax as pr
+from photonrelax._util.parcels import Parcel
 from photonrelax._util.workers import WorkerLostError
 from photonrelax.cli import main
 from photonrelax.imaging.image import read_exr
@@ -181,6 +182,19 @@ def test_dask_runs_the_tasks_of_a_killed_worker_again(dask):
     one = pr.trace_photons(three, 40_000, batch_size=1024)
     assert_same_bytes(one, pr.trace_photons(three, 40_000, batch_size=1024, executor=killer))
     dask._client.wait_for_workers(2)
+
+
+def test_dask_scatters_what_workers_find_no_file_of(dask, monkeypatch):
+    monkeypatch.setattr(Parcel, "write", lambda *_: None)
+    sent = []
+    scatter = dask._client.scatter
+    monkeypatch.setattr(
+        dask._client, "scatter", lambda *a, **named: sent.append(a) or scatter(*a, **named)
+    )
+    three = SCENES["tinted glass, mirror, three emitters"]
+    one = pr.trace_photons(three, 9000, seed=5, batch_size=1024)
+    assert_same_bytes(one, pr.trace_photons(three, 9000, seed=5, batch_size=1024, executor=dask))
+    assert len(sent) == 1
 
 
 MPI = """
