@@ -572,8 +572,14 @@ def _contains(ascending: Rows, rows: Rows) -> NDArray[np.bool_]:
 
 def _points(columns: list[tuple[float, NDArray]], rows: Rows) -> Floats:
     """Coordinates (n, axes) of some photons."""
-    some = slice(rows[0], rows[-1] + 1) if rows[-1] - rows[0] == len(rows) - 1 else rows
-    return np.hstack([scale * column[some].reshape(len(rows), -1) for scale, column in columns])
+    if rows[-1] - rows[0] == len(rows) - 1:
+        some = [column[rows[0] : rows[-1] + 1] for _, column in columns]
+    else:
+        some = [np.take(column, rows, axis=0) for _, column in columns]
+    scales = [scale for scale, _ in columns]
+    return np.hstack(
+        [scale * each.reshape(len(rows), -1) for scale, each in zip(scales, some, strict=True)]
+    )
 
 
 def _place(results: Columns, rows: Rows, columns: Columns, n: int) -> None:

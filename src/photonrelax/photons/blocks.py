@@ -289,7 +289,8 @@ def sort_blocks(
         order = morton_order(points, points.shape[1], n_threads)
         order = order[np.argsort(group[order], kind="stable")]
         for name in names:
-            columns.write(name, first, columns.read(name, first, first + n)[order])
+            values = columns.read(name, first, first + n)
+            columns.write(name, first, np.take(values, order, axis=0))
         present, start, counts = np.unique(group[order], return_index=True, return_counts=True)
         found = [first + start, first + start + counts, np.full(len(present), block), present]
         segments.append(np.column_stack(found).astype(np.int64))
