@@ -24,6 +24,9 @@ Rows = NDArray[np.intp]
 # Factor of a radius that was too small by nobody knows how much, which is at least a share of the
 # extent of a group; margin for rounding of one that is known.
 _WIDER, _LEAST, _MARGIN = 4.0, 1e-3, 1e-9
+# Photons that are searched for a halo one by one: those that are left of many are isolated, or of
+# different sheets, and not joined with others.
+_FEW = 1024
 # Distance of rounding, in units of the extent of a group.
 _ROUNDED = 1e-9
 # Radius of layers over one that was too small.
@@ -342,14 +345,12 @@ class BlockSearch:
             if found.merged and left_out.any():
                 left_out[:] = True
             todo, radius = todo[short][left_out], wider[short][left_out]
-            halo, _ = self._halo(todo, radius)
+            halo, _ = self._halo(todo, radius, apart=len(todo) <= _FEW)
         return results
 
     def around(self, rows: Rows, radius: Floats) -> Rows:
         """Photons, ascending, within the radii of isolated ones, whose rows ascend."""
-        radius = np.minimum((1.0 + _MARGIN) * radius, self._extent)
-        centres = self.columns.take(self.axes[0][0], rows)
-        near, _ = self._halo(rows, radius, around=_Around(centres, radius))
+        near, _ = self._halo(rows, np.minimum((1.0 + _MARGIN) * radius, self._extent), apart=True)
         return near
 
     def iterate(self, segment: int, n_iterations: int, compute: Iterate) -> Columns:
@@ -484,11 +485,13 @@ class BlockSearch:
         radius: Floats,
         known: Rows | None = None,
         around: _Around | None = None,
+        *,
+        apart: bool = False,
     ) -> tuple[Rows, NDArray[np.bool_]]:
         """Photons within the radii of some, ascending, and which of these have any.
 
         Photons of `rows`, which are ascending, do not count, nor do those of `known`. Balls
-        `around` are within the radii.
+        `around` are within the radii. `apart` says that photons may be far from one another.
         """
         left_out, has_any = rows if known is None else known, np.zeros(len(rows), dtype=bool)
         is_open, tile = self._open(left_out), self._tiles_of(rows)
@@ -498,11 +501,13 @@ class BlockSearch:
         columns = [(scale, self.columns.mapped(name)) for name, scale in self.axes]
         points, ranges = _points(columns, rows[mine]), self.range_radius[tile[mine]]
         n_metric = self._boxes.n_metric
-        if around is None:
-            queries = joined_balls(points, radius[mine], ranges, tile[mine], n_metric)
-        else:
+        if around is not None:
             points[:, :n_metric] = around.centres[mine]
             queries = balls(points, around.radius[mine], ranges, n_metric)
+        elif apart:
+            queries = balls(points, radius[mine], ranges, n_metric)
+        else:
+            queries = joined_balls(points, radius[mine], ranges, tile[mine], n_metric)
         near, hit_any = [rows[:0]], np.zeros(len(queries.radius), dtype=bool)
         travel = None if self.travel is None else self.columns.mapped(self.travel)
         for hits in near_tiles(
