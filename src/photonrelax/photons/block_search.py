@@ -34,7 +34,7 @@ _GREATER = 1.1
 # Photons that are expected to search so many times as far as the median of a block are isolated.
 # There may be very many photons a little farther from them than those that they find: they get so
 # much more room at first, and so much where it was too little.
-ISOLATED, _SPARE, _MORE_SPARE = 4.0, 0.05, 0.02
+ISOLATED, _SPARE, _MORE_SPARE = 4.0, 0.08, 0.02
 
 
 class GroupTiles:
@@ -416,15 +416,16 @@ class BlockSearch:
         """Widen layers where photons lacked others near them; true if any did."""
         radius = self._radius_of(layers.rows, wider)
         short = (layers.depth > 0) & (found.reached > radius) & (radius < self._extent)
-        reached, widened = np.minimum(_GREATER * found.reached, self._extent), False
+        reached, widened = np.minimum(found.reached, self._extent), False
         lacking = self._lacking(layers, found, short)
         short[layers.isolated] = False
         for depth in np.unique(layers.depth[short]).tolist():
             mine = np.flatnonzero(short & (layers.depth == depth))
             order = mine[np.argsort(layers.rows[mine])]
             rows, needed = layers.rows[order], reached[order]
-            _, missed = self._halo(rows, needed, layers.known(depth - 1))
-            wider.widen(rows[missed], needed[missed])
+            known, apart = layers.known(depth - 1), len(rows) <= _FEW
+            _, missed = self._halo(rows, needed, known, apart=apart)
+            wider.widen(rows[missed], np.minimum(_GREATER * needed[missed], self._extent))
             widened |= bool(missed.any())
         for depth, rows in lacking:
             wider.add(depth, rows)
