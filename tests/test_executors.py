@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import photonrelax as pr
+from photonrelax._util.parcels import Parcel
 from photonrelax._util.workers import WorkerLostError
 from photonrelax.cli import main
 from photonrelax.imaging.image import read_exr
@@ -166,6 +167,18 @@ def test_a_run_whose_worker_is_killed_is_resumed_to_the_same_bytes(scene, tmp_pa
     assert_same_image(pr.render_progressive(scene, **how), resumed)
 
 
+def test_parts_whose_tracing_lost_a_worker_are_resumed_to_the_same_bytes(tmp_path):
+    three = SCENES["tinted glass, mirror, three emitters"]
+    how = {"chunk": 2000}
+    with loky_pool(1) as pool, pytest.raises(WorkerLostError, match="a worker ended"):
+        pr.trace_parts(three, 6000, tmp_path / "parts", executor=Killer(pool, 2), **how)
+    begun = pr.PhotonParts.open(tmp_path / "parts")
+    assert 0 < begun.n_traced < 6000
+    resumed = pr.trace_parts(three, 6000, tmp_path / "parts", executor=shared_pool(), **how)
+    one = pr.trace_parts(three, 6000, tmp_path / "one", **how)
+    assert_same_bytes(one.photon_map(), resumed.photon_map())
+
+
 def test_commands_take_the_address_of_a_scheduler(dask, tmp_path):
     arguments = ["irradiance", "ring", "--on", "floor", "--texels", "8", "--photons", "2000"]
     scheduler = ["--scheduler", dask._client.scheduler.address]
@@ -181,6 +194,19 @@ def test_dask_runs_the_tasks_of_a_killed_worker_again(dask):
     one = pr.trace_photons(three, 40_000, batch_size=1024)
     assert_same_bytes(one, pr.trace_photons(three, 40_000, batch_size=1024, executor=killer))
     dask._client.wait_for_workers(2)
+
+
+def test_dask_scatters_what_workers_find_no_file_of(dask, monkeypatch):
+    monkeypatch.setattr(Parcel, "write", lambda *_: None)
+    sent = []
+    scatter = dask._client.scatter
+    monkeypatch.setattr(
+        dask._client, "scatter", lambda *a, **named: sent.append(a) or scatter(*a, **named)
+    )
+    three = SCENES["tinted glass, mirror, three emitters"]
+    one = pr.trace_photons(three, 9000, seed=5, batch_size=1024)
+    assert_same_bytes(one, pr.trace_photons(three, 9000, seed=5, batch_size=1024, executor=dask))
+    assert len(sent) == 1
 
 
 MPI = """

@@ -6,6 +6,7 @@ import trimesh
 
 import photonrelax as pr
 from photonrelax.estimation.block_field import BlockedField
+from photonrelax.rendering.object_map import blocks_of_surface, photons_of_surface
 from tests.helpers.executors import shared_pool
 from tests.helpers.photon_maps import in_parts, mapped, plane
 
@@ -68,6 +69,28 @@ def test_footprints_of_any_sizes(light):
     whole = pr.irradiance_field(photons, method="standard", gather=gather())
     found = small(blocked)(points, normals, footprint=sides)
     assert_same(found, whole(points, normals, footprint=sides))
+
+
+def test_photons_on_sensors_are_those_of_each_sensor_alone(tmp_path):
+    square = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+    floor, *sensors = (pr.SceneObject(square, each) for each in (pr.Diffuse(), *2 * [pr.Sensor()]))
+    scene = pr.Scene([floor, *sensors], [pr.PointEmitter((0, 0, 9), 1.0)])
+    photons = mapped("linear", 3000, "random")
+    photons = photons.replace(
+        object_id=np.arange(len(photons), dtype=np.int32) % 2, sensor_ids=[1, 2]
+    )
+    one_step = {"method": "parameterised", "relax": pr.RelaxSettings((1, 1))}
+    parts = in_parts(photons, tmp_path / "parts")
+    blocked = pr.relax_parts(parts, tmp_path / "blocks", photons_per_block=900, **one_step)
+    for i in (0, 1):
+        there = photons_of_surface(blocked.photon_map(), scene, i)
+        assert len(there) == 1500
+        found, expected = (
+            pr.irradiance_field(each, method="standard", scene=scene, gather=gather())
+            for each in (blocks_of_surface(blocked, scene, i), there)
+        )
+        assert_same(irradiance(found), irradiance(expected))
+    assert len(blocks_of_surface(blocked, scene, 2)) == 0
 
 
 def test_edges_of_surfaces(light):

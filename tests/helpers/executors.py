@@ -19,9 +19,9 @@ def shared_pool():
     return spawned()
 
 
-def loky_pool():
+def loky_pool(n_workers=N_WORKERS):
     loky = pytest.importorskip("loky")
-    return loky.ProcessPoolExecutor(N_WORKERS)
+    return loky.ProcessPoolExecutor(n_workers)
 
 
 def dask_cluster():

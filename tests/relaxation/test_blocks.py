@@ -8,6 +8,7 @@ import pytest
 import photonrelax as pr
 from photonrelax._util.parallel import thread_count
 from photonrelax.estimation.methods import MethodInput, Settings, relaxed_photons
+from photonrelax.photons import block_search
 from photonrelax.photons.neighbourhoods import neighbour_groups
 from photonrelax.photons.parts import PhotonParts
 from photonrelax.photons.streamed_groups import StreamedGroups
@@ -87,6 +88,21 @@ def test_photons_that_search_or_go_farther_than_is_expected(factor, value, tmp_p
     assert difference(sheets_that_meet(1200), tmp_path, block=600) < CLOSE
     n_blocks, n_stages = 2, 2
     assert len(calls) > n_blocks * n_stages, "stages are done again"
+
+
+@pytest.mark.parametrize("of_typical", [1.2, 0.0])
+def test_isolated_photons_that_go_where_they_were_not_expected_to(
+    of_typical, tmp_path, monkeypatch
+):
+    """Of which there are more where those that search a little farther are isolated, or all."""
+    monkeypatch.setattr(block_search, "ISOLATED", of_typical)
+    monkeypatch.setattr(block_search, "_SPARE", -0.3)
+    monkeypatch.setattr(block_search, "_MORE_SPARE", 0.0)
+    added = []
+    add = block_search._Wider.add
+    monkeypatch.setattr(block_search._Wider, "add", lambda *given: added.append(1) or add(*given))
+    assert difference(sheets_that_meet(1200), tmp_path, block=600) < CLOSE
+    assert added, "layers have more photons than was expected"
 
 
 def test_many_emitters_that_share_trees_and_pools(tmp_path):

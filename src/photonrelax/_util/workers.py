@@ -2,7 +2,8 @@
 
 An executor has `submit` alone, and workers come and go. A task names the value that it needs by its
 digest, and a file of it in a temporary folder (`TMPDIR`); a worker that neither has kept it nor
-sees the file says so, and the task is sent again with the value itself.
+sees the file says so, and the task is sent again with the value itself, or the name under which
+Dask has scattered it to its workers.
 """
 
 from __future__ import annotations
@@ -156,6 +157,8 @@ class _Tasks:
         self._path = folder / parcel.digest
         parcel.write(self._path)
         self._n_threads = n_threads
+        # For workers that do not see the folder, once there are any.
+        self._content: Any = None
         self._pending: deque[_Sent] = deque()
         self._platforms: set[Platform] = set()
 
@@ -181,7 +184,7 @@ class _Tasks:
             for sent in self._pending:
                 sent.future.cancel()
 
-    def _submit(self, payload: bytes, content: bytes | None = None) -> _Sent:
+    def _submit(self, payload: bytes, content: Any = None) -> _Sent:
         where = self._parcel.digest, str(self._path), content
         with _named_death():
             future = self._executor.submit(
@@ -208,10 +211,11 @@ class _Tasks:
 
     def _send_again(self) -> None:
         """Send all tasks that came back for want of their value again, with it."""
-        content = self._parcel.to_bytes()
+        if self._content is None:
+            self._content = _scattered(self._executor, self._parcel.to_bytes())
         for i, sent in enumerate(self._pending):
             if sent.future.done() and self._reply(sent).outcome == "missing":
-                self._pending[i] = self._submit(sent.payload, content)
+                self._pending[i] = self._submit(sent.payload, self._content)
 
     def _check(self, reply: _Reply) -> None:
         if reply.outcome == "refused":
@@ -225,6 +229,16 @@ class _Tasks:
         if reply.outcome == "failed":
             error, trace = reply.value
             raise error from WorkerTraceback(trace)
+
+
+def _scattered(executor: Executor, content: bytes) -> Any:
+    """What to send with tasks: bytes, or the name by which Dask's workers have them already."""
+    client: Any = getattr(executor, "_client", None)
+    if not hasattr(client, "scatter"):
+        return content
+    # To all, so that those of a worker that ends are not lost.
+    with _named_death():
+        return client.scatter(content, broadcast=True, hash=False)
 
 
 def _described(release: tuple[str, int]) -> str:

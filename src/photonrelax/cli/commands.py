@@ -478,14 +478,15 @@ def _field_of_scene(
     They are gathered within a radius unless settings have one.
     """
     from ..estimation.methods import MethodInput, method_named, prepare
-    from ..rendering.object_map import object_named, photons_of_surface
+    from ..rendering.object_map import blocks_of_surface, object_named, photons_of_surface
 
     settings, method = _map_settings(options, radius), method_named(options.method)
     object_id = object_named(scene, options.on)
     given = None if options.photon_map is None else photons_given(options.photon_map, scene)
     if isinstance(given, pr.BlockedPhotons):
+        blocked = blocks_of_surface(given, scene, object_id)
         whole = {"method": options.method, "scene": scene, "n_threads": options.threads}
-        return pr.irradiance_field(given, **whole, **settings.given), given
+        return pr.irradiance_field(blocked, **whole, **settings.given), blocked
     with ProgressBars(options.quiet, interrupts) as bars:
         photons = given or pr.trace_photons(
             scene,

@@ -70,7 +70,7 @@ def photons_given(path: Path, scene: pr.Scene) -> pr.PhotonMap | pr.BlockedPhoto
     Raises
     ------
     ValueError
-        If they are of another scene, or in blocks and some on sensors.
+        If they are of another scene.
     """
     from ..rendering.render import check_scene
 
@@ -80,11 +80,6 @@ def photons_given(path: Path, scene: pr.Scene) -> pr.PhotonMap | pr.BlockedPhoto
         return photons
     blocked = pr.BlockedPhotons.open(path)
     check_scene(blocked.photons(0, 0), scene)
-    if scene.sensors:
-        raise ValueError(
-            f"{path} should be of a scene without sensors to be mapped, as its photons cannot be "
-            "told from those on them: make a map in memory of its photon_map()"
-        )
     return blocked
 
 

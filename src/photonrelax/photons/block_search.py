@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from .._ext.spatial.near_boxes import near_points
 from .._util.validation import Floats
+from ..spatial.kdtree import KDTree
 from .blocks import BlockedPhotons
 from .columns import ColumnFolder
-from .tiles import TILE, Boxes, Tiles, balls, near_tiles
+from .tiles import TILE, Boxes, Tiles, balls, joined_balls, near_tiles
 
 Columns = dict[str, NDArray]
 
@@ -23,10 +24,17 @@ Rows = NDArray[np.intp]
 # Factor of a radius that was too small by nobody knows how much, which is at least a share of the
 # extent of a group; margin for rounding of one that is known.
 _WIDER, _LEAST, _MARGIN = 4.0, 1e-3, 1e-9
+# Photons that are searched for a halo one by one: those that are left of many are isolated, or of
+# different sheets, and not joined with others.
+_FEW = 1024
 # Distance of rounding, in units of the extent of a group.
 _ROUNDED = 1e-9
 # Radius of layers over one that was too small.
 _GREATER = 1.1
+# Photons that are expected to search so many times as far as the median of a block are isolated.
+# There may be very many photons a little farther from them than those that they find: they get so
+# much more room at first, and so much where it was too little.
+ISOLATED, _SPARE, _MORE_SPARE = 4.0, 0.08, 0.02
 
 
 class GroupTiles:
@@ -161,9 +169,12 @@ class Layers(Neighbourhood):
     depth : (n,) intp array
         Iterations after which each photon is where it is in one piece, all of them for own ones:
         in each it depends on the photons around it as they are after the iteration before.
+    isolated : (t,) intp array
+        Places of photons of which all searches are to be told.
     """
 
     depth: NDArray[np.intp]
+    isolated: NDArray[np.intp]
 
     def known(self, depth: int) -> Rows:
         """Photons (m,) of a depth and more, ascending."""
@@ -180,24 +191,40 @@ class Iterated(NamedTuple):
     reached : (n,) float array
         Largest distance from where they started to which photons were searched, in as many
         iterations as they are deep.
+    searches : (t, iterations, 4) float array
+        Of the isolated ones, where they were and the distances that they searched, negative where
+        there was none.
     """
 
     columns: Columns
     reached: Floats
+    searches: Floats
 
 
 Iterate = Callable[[Layers], Iterated]
 
 
 @dataclass
-class _Radii:
-    """Radii of some photons, whose rows ascend, that are wider than is expected."""
+class _Wider:
+    """Photons that layers have beside those that were expected to do.
 
-    rows: Rows
-    radius: Floats
+    Attributes
+    ----------
+    typical : float
+        Median of the distances that the photons of the block are expected to search.
+    rows, radius : (w,) arrays
+        Photons, ascending, and their radii, which are wider.
+    more : dict of int to (m,) intp array
+        By depth, photons near isolated ones.
+    """
+
+    typical: float
+    rows: Rows = field(default_factory=lambda: np.empty(0, np.intp))
+    radius: Floats = field(default_factory=lambda: np.empty(0))
+    more: dict[int, Rows] = field(default_factory=dict)
 
     def widen(self, rows: Rows, radius: Floats) -> None:
-        """Add some."""
+        """Add wider radii of some photons."""
         both = np.concatenate([self.rows, rows]), np.concatenate([self.radius, radius])
         self.rows, place = np.unique(both[0], return_inverse=True)
         self.radius = np.zeros(len(self.rows))
@@ -210,6 +237,28 @@ class _Radii:
         place = np.minimum(np.searchsorted(self.rows, rows), len(self.rows) - 1)
         wider = np.where(self.rows[place] == rows, self.radius[place], 0.0)
         return np.maximum(radius, wider)
+
+    def add(self, depth: int, rows: Rows) -> None:
+        """Add photons of a depth."""
+        self.more[depth] = np.union1d(self.more.get(depth, rows), rows)
+
+    def without(self, depth: int, known: Rows) -> Rows:
+        """Photons that were added of a depth, without those known, which ascend."""
+        rows = self.more.get(depth, known[:0])
+        return rows[~_contains(known, rows)]
+
+
+class _Around(NamedTuple):
+    """Balls to search, in place of those around where photons are first.
+
+    Attributes
+    ----------
+    centres : (n, 3) float array
+    radius : (n,) float array
+    """
+
+    centres: Floats
+    radius: Floats
 
 
 @dataclass(frozen=True)
@@ -296,24 +345,31 @@ class BlockSearch:
             if found.merged and left_out.any():
                 left_out[:] = True
             todo, radius = todo[short][left_out], wider[short][left_out]
-            halo, _ = self._halo(todo, radius)
+            halo, _ = self._halo(todo, radius, apart=len(todo) <= _FEW)
         return results
+
+    def around(self, rows: Rows, radius: Floats) -> Rows:
+        """Photons, ascending, within the radii of isolated ones, whose rows ascend."""
+        near, _ = self._halo(rows, np.minimum((1.0 + _MARGIN) * radius, self._extent), apart=True)
+        return near
 
     def iterate(self, segment: int, n_iterations: int, compute: Iterate) -> Columns:
         """Results of the photons of a segment, with layers as wide as they turn out to need."""
-        own, wider = np.arange(*self.tiles.rows(segment)), _Radii(np.empty(0, np.intp), np.empty(0))
+        own = np.arange(*self.tiles.rows(segment))
+        wider = _Wider(float(np.median(self._expected(own))))
         while True:
             layers = self._layers(own, n_iterations, wider)
             found = compute(layers)
-            if not self._widen(wider, layers, found.reached):
+            if not self._widen(wider, layers, found):
                 return found.columns
 
-    def _layers(self, own: Rows, n_iterations: int, wider: _Radii) -> Layers:
+    def _layers(self, own: Rows, n_iterations: int, wider: _Wider) -> Layers:
         """Photons that others depend on, a layer for each iteration."""
         known = front = own
         rows, depth = own, np.full(len(own), n_iterations)
         for left in range(n_iterations - 1, -1, -1):
             front, _ = self._halo(front, self._radius_of(front, wider), known)
+            front = _merged(front, wider.without(left, _merged(known, front)))
             front = self._with_same_points(front, known)
             known = _merged(known, front)
             rows, depth = np.append(rows, front), np.append(depth, np.full(len(front), left))
@@ -321,7 +377,8 @@ class BlockSearch:
         rows[len(own) :], depth[len(own) :] = rows[order], depth[order]
         more = self._filled(own, rows[len(own) :])[len(rows) - len(own) :]
         rows, depth = np.append(rows, more), np.append(depth, np.zeros(len(more), np.intp))
-        return Layers(self.columns, rows, len(own), depth)
+        isolated = self._expected(rows) > ISOLATED * wider.typical
+        return Layers(self.columns, rows, len(own), depth, np.flatnonzero(isolated & (depth > 0)))
 
     def _with_same_points(self, rows: Rows, known: Rows) -> Rows:
         """Photons, and those at the same points that are not known, if these are of interest."""
@@ -331,12 +388,19 @@ class BlockSearch:
         others, _ = search._halo(rows, np.zeros(len(rows)), _merged(known, rows))
         return _merged(rows, others)
 
-    def _radius_of(self, rows: Rows, wider: _Radii) -> Floats:
-        """Distance (n,), from where some photons are first, in which others are in layers."""
+    def _expected(self, rows: Rows) -> Floats:
+        """Distances (n,) that photons are expected to search."""
         assert self.expected is not None, "iterations follow a search"
         name, factor = self.expected
-        radius = factor * self.columns.take(name, rows) + self._travel_of(rows)
-        return np.minimum(wider.apply(rows, radius), self._extent)
+        distance: Floats = factor * _of_rows(self.columns, name, rows)
+        return distance
+
+    def _radius_of(self, rows: Rows, wider: _Wider) -> Floats:
+        """Distance (n,), from where some photons are first, in which others are in layers."""
+        expected, travel = self._expected(rows), self._travel_of(rows)
+        isolated = expected > ISOLATED * wider.typical
+        travel[isolated] = np.minimum(travel, _SPARE * expected)[isolated]
+        return np.minimum(wider.apply(rows, expected + travel), self._extent)
 
     def _travel_of(self, rows: Rows) -> Floats:
         """Distance (n,) that some photons go at most between iterations."""
@@ -348,19 +412,59 @@ class BlockSearch:
         """Distances that photons go at most, by their values of the column of these."""
         return values + _ROUNDED * self._extent
 
-    def _widen(self, wider: _Radii, layers: Layers, reached: Floats) -> bool:
-        """Widen the radii of photons that others were too near to; true if there are any."""
+    def _widen(self, wider: _Wider, layers: Layers, found: Iterated) -> bool:
+        """Widen layers where photons lacked others near them; true if any did."""
         radius = self._radius_of(layers.rows, wider)
-        short = (layers.depth > 0) & (reached > radius) & (radius < self._extent)
-        reached, found = np.minimum(_GREATER * reached, self._extent), False
+        short = (layers.depth > 0) & (found.reached > radius) & (radius < self._extent)
+        reached, widened = np.minimum(found.reached, self._extent), False
+        lacking = self._lacking(layers, found, short)
+        short[layers.isolated] = False
         for depth in np.unique(layers.depth[short]).tolist():
             mine = np.flatnonzero(short & (layers.depth == depth))
             order = mine[np.argsort(layers.rows[mine])]
             rows, needed = layers.rows[order], reached[order]
-            _, missed = self._halo(rows, needed, layers.known(depth - 1))
-            wider.widen(rows[missed], needed[missed])
-            found |= bool(missed.any())
-        return found
+            known, apart = layers.known(depth - 1), len(rows) <= _FEW
+            _, missed = self._halo(rows, needed, known, apart=apart)
+            wider.widen(rows[missed], np.minimum(_GREATER * needed[missed], self._extent))
+            widened |= bool(missed.any())
+        for depth, rows in lacking:
+            wider.add(depth, rows)
+        return widened or bool(lacking)
+
+    def _lacking(
+        self, layers: Layers, found: Iterated, short: NDArray[np.bool_]
+    ) -> list[tuple[int, Rows]]:
+        """Photons that isolated ones did not find, and the depth that they are needed of."""
+        lacking = []
+        some = np.flatnonzero(short[layers.isolated])
+        for depth in np.unique(layers.depth[layers.isolated[some]]).tolist():
+            mine = some[layers.depth[layers.isolated[some]] == depth]
+            mine = mine[np.argsort(layers.rows[layers.isolated[mine]])]
+            known = layers.known(depth - 1)
+            for searches in found.searches[mine, :depth].transpose(1, 0, 2):
+                there = searches[:, 3] >= 0.0
+                places, searches = layers.isolated[mine[there]], searches[there]
+                farthest = np.minimum(_GREATER * found.reached[places], self._extent)
+                around = _Around(searches[:, :3], np.minimum(searches[:, 3], self._extent))
+                rows = layers.rows[places]
+                _, missed = self._halo(rows, farthest, known, around)
+                if missed.any():
+                    around = _Around(around.centres[missed], around.radius[missed])
+                    around = self._nearer(around, rows[missed], farthest[missed], known)
+                    more, _ = self._halo(rows[missed], farthest[missed], known, around)
+                    lacking.append((depth - 1, more))
+        return lacking
+
+    def _nearer(self, around: _Around, rows: Rows, farthest: Floats, known: Rows) -> _Around:
+        """Balls that have no more than some of the photons that were not known.
+
+        Searches went too far where these are nearer than those that were found.
+        """
+        near, _ = self._halo(rows, farthest, known, around)
+        tree = KDTree(self.columns.take(self.axes[0][0], near), n_threads=1)
+        distance = tree.query(around.centres, min(self.k, len(near)), n_threads=1).distance
+        nearer = (1.0 + _MORE_SPARE) * np.minimum(around.radius, distance[:, -1])
+        return _Around(around.centres, nearer)
 
     def _filled(self, todo: Rows, halo: Rows) -> Rows:
         """A halo with some more photons of the group, if there are fewer than k in all."""
@@ -377,11 +481,18 @@ class BlockSearch:
         return _WIDER * np.maximum(radius, _LEAST * self._extent)
 
     def _halo(
-        self, rows: Rows, radius: Floats, known: Rows | None = None
+        self,
+        rows: Rows,
+        radius: Floats,
+        known: Rows | None = None,
+        around: _Around | None = None,
+        *,
+        apart: bool = False,
     ) -> tuple[Rows, NDArray[np.bool_]]:
         """Photons within the radii of some, ascending, and which of these have any.
 
-        Photons of `rows`, which are ascending, do not count, nor do those of `known`.
+        Photons of `rows`, which are ascending, do not count, nor do those of `known`. Balls
+        `around` are within the radii. `apart` says that photons may be far from one another.
         """
         left_out, has_any = rows if known is None else known, np.zeros(len(rows), dtype=bool)
         is_open, tile = self._open(left_out), self._tiles_of(rows)
@@ -389,10 +500,15 @@ class BlockSearch:
         if not len(mine):
             return rows[:0], has_any
         columns = [(scale, self.columns.mapped(name)) for name, scale in self.axes]
-        queries = balls(
-            *(_points(columns, rows[mine]), radius[mine], self.range_radius[tile[mine]]),
-            *(tile[mine], self._boxes.n_metric),
-        )
+        points, ranges = _points(columns, rows[mine]), self.range_radius[tile[mine]]
+        n_metric = self._boxes.n_metric
+        if around is not None:
+            points[:, :n_metric] = around.centres[mine]
+            queries = balls(points, around.radius[mine], ranges, n_metric)
+        elif apart:
+            queries = balls(points, radius[mine], ranges, n_metric)
+        else:
+            queries = joined_balls(points, radius[mine], ranges, tile[mine], n_metric)
         near, hit_any = [rows[:0]], np.zeros(len(queries.radius), dtype=bool)
         travel = None if self.travel is None else self.columns.mapped(self.travel)
         for hits in near_tiles(
@@ -462,8 +578,14 @@ def _contains(ascending: Rows, rows: Rows) -> NDArray[np.bool_]:
 
 def _points(columns: list[tuple[float, NDArray]], rows: Rows) -> Floats:
     """Coordinates (n, axes) of some photons."""
-    some = slice(rows[0], rows[-1] + 1) if rows[-1] - rows[0] == len(rows) - 1 else rows
-    return np.hstack([scale * column[some].reshape(len(rows), -1) for scale, column in columns])
+    if rows[-1] - rows[0] == len(rows) - 1:
+        some = [column[rows[0] : rows[-1] + 1] for _, column in columns]
+    else:
+        some = [np.take(column, rows, axis=0) for _, column in columns]
+    scales = [scale for scale, _ in columns]
+    return np.hstack(
+        [scale * each.reshape(len(rows), -1) for scale, each in zip(scales, some, strict=True)]
+    )
 
 
 def _place(results: Columns, rows: Rows, columns: Columns, n: int) -> None:

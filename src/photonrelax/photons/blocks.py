@@ -102,7 +102,7 @@ class BlockedPhotons:
         return opened
 
     def __len__(self) -> int:
-        return self.columns.n_rows
+        return int((self.segments.stop - self.segments.first).sum())
 
     def names(self) -> Iterator[str]:
         """Names of the columns of `PhotonMap` that the photons have."""
@@ -125,6 +125,16 @@ class BlockedPhotons:
         """All photons in memory, in the order of the map that they were sorted from."""
         order = np.argsort(self.columns.read(ROW))
         return self.photons().subset(order)
+
+    def on_sensor(self, sensor: int | None) -> BlockedPhotons:
+        """Segments of the photons on a sensor, of None on no sensor: groups have either."""
+        if "object_id" not in self.columns:
+            return self
+        object_id = self.columns.take("object_id", self.segments.first)
+        mine = object_id == sensor
+        if sensor is None:
+            mine = ~np.isin(object_id, self.shared["sensor_ids"] or ())
+        return replace(self, segments=Segments(*(column[mine] for column in self.segments)))
 
     def write_manifest(self) -> None:
         """Write what is not in columns: the folder is whole."""
@@ -279,7 +289,8 @@ def sort_blocks(
         order = morton_order(points, points.shape[1], n_threads)
         order = order[np.argsort(group[order], kind="stable")]
         for name in names:
-            columns.write(name, first, columns.read(name, first, first + n)[order])
+            values = columns.read(name, first, first + n)
+            columns.write(name, first, np.take(values, order, axis=0))
         present, start, counts = np.unique(group[order], return_index=True, return_counts=True)
         found = [first + start, first + start + counts, np.full(len(present), block), present]
         segments.append(np.column_stack(found).astype(np.int64))

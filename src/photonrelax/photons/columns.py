@@ -79,7 +79,8 @@ class ColumnFolder:
 
     def take(self, name: str, rows: NDArray[np.intp]) -> NDArray:
         """Some rows (m,) of a column."""
-        return self.mapped(name)[rows]
+        # Several times as fast as indexing, where rows are of several numbers.
+        return np.take(self.mapped(name), rows, axis=0)
 
     def write(self, name: str, start: int, values: NDArray) -> None:
         """Write rows of a column from one on."""
@@ -147,7 +148,7 @@ class Scatter:
         order = np.argsort(block, kind="stable")
         n_rows = np.bincount(block, minlength=len(self._next))
         for name, column in values.items():
-            rows, first = column[order], 0
+            rows, first = np.take(column, order, axis=0), 0
             for number in np.flatnonzero(n_rows):
                 stop = first + n_rows[number]
                 self._columns.write(name, int(self._next[number]), rows[first:stop])

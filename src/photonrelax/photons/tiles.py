@@ -73,7 +73,12 @@ class Balls(NamedTuple):
         )
 
 
-def balls(
+def balls(points: Floats, radius: Floats, range_radius: Floats, n_metric: int) -> Balls:
+    """Searches around points (n, axes), each on its own."""
+    return Balls(Boxes(points, points, n_metric), radius, range_radius, np.arange(len(points)))
+
+
+def joined_balls(
     points: Floats, radius: Floats, range_radius: Floats, tile: Tiles, n_metric: int
 ) -> Balls:
     """Searches of photons (n, axes) of some tiles (n,), in their order.

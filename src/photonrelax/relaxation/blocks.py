@@ -28,6 +28,7 @@ from .._util.validation import Floats
 from .._util.workers import Workers
 from ..photons.axes import MAX_NORMAL_CHORD
 from ..photons.block_search import (
+    ISOLATED,
     BlockSearch,
     Columns,
     Found,
@@ -60,9 +61,9 @@ _ROUNDING = 1e-15
 _GROWTH = 1.1
 # The same of single iterations, over that again.
 _SINGLE = 2.0
-# Photons that are expected to reach so many times as far as the median of their block are isolated:
-# how far they do reach in space is found among those of their block and some of the others.
-_ISOLATED, _SAMPLE = 4.0, 100_000
+# How far isolated photons reach in space is found among those of their block and so many others,
+# then among all that are as near.
+_SAMPLE = 100_000
 # Emitter density of photons of halos, whose range is next to nothing.
 _DENSEST = 1e300
 # Distance that photons go in an iteration, over that allowed: on surfaces they go round bends, and
@@ -410,12 +411,12 @@ def _in_space(given: _GroupWork, segment: int) -> Columns:
     """Distances to which photons of a segment are expected to reach in space.
 
     Those expected before are of photons in range; around isolated ones they may have most of the
-    map in them.
+    map in them. These have few photons beside them, beyond which there may be many.
     """
     tiles, source = given.search.tiles, given.work.photons.columns
     first, stop = tiles.rows(segment)
     before = source.read("nearest_any", first, stop)
-    wide, typical = _widening(given.n_iterations), _ISOLATED * float(np.median(before))
+    wide, typical = _widening(given.n_iterations), ISOLATED * float(np.median(before))
     nearest, isolated = wide * before, np.flatnonzero(before > typical)
     if len(isolated):
         distance = _distances_in_space(given, segment, isolated)
@@ -425,20 +426,28 @@ def _in_space(given: _GroupWork, segment: int) -> Columns:
 
 
 def _distances_in_space(given: _GroupWork, segment: int, isolated: NDArray[np.intp]) -> Floats:
-    """Distances (m,) to the k-th of the photons around some of a segment, or a little more."""
-    source, (first, stop) = given.work.photons.columns, given.search.tiles.rows(segment)
+    """Distances (m,) to the k-th of the photons around some of a segment."""
+    first, stop = given.search.tiles.rows(segment)
     others = given.search.tiles.sample(_SAMPLE)
     others = others[(others < first) | (others >= stop)]
-    points = np.hstack(
-        [
-            np.concatenate([source.read(name, first, stop), source.take(name, others)])
-            for name in given.now[:2]
-        ]
-    )
+    rows = np.concatenate([np.arange(first, stop), others])
+    # No less than that of all photons.
+    distance = _distances_among(given, rows, isolated)
+    around = given.search.around(first + isolated, np.where(np.isfinite(distance), distance, 0.0))
+    rows = np.concatenate([first + isolated, around])
+    return np.minimum(distance, _distances_among(given, rows, np.arange(len(isolated))))
+
+
+def _distances_among(
+    given: _GroupWork, rows: NDArray[np.intp], queries: NDArray[np.intp]
+) -> Floats:
+    """Distances (m,) to the k-th of some photons around those at m places among them."""
+    source = given.work.photons.columns
+    points = np.hstack([source.take(name, rows) for name in given.now[:2]])
     tree = KDTree(points, n_threads=given.work.n_threads)
     distance: Floats = kth_distance.of_queries(
-        *(tree.kernel, points, isolated),
-        k=min(given.search.k + 1, len(points)),
+        *(tree.kernel, points, queries),
+        k=min(given.work.relax.k + 1, len(points)),
         range_radius=MAX_NORMAL_CHORD,
         n_threads=given.work.n_threads,
     )
@@ -466,7 +475,8 @@ def _stage(given: _GroupWork, segment: int) -> Columns:
         return _at_rest(given, segment)
 
     def compute(some: Layers) -> Iterated:
-        own, paths = slice(0, some.n_own), Paths(some.depth)
+        own = slice(0, some.n_own)
+        paths = Paths(some.depth, some.isolated, given.n_iterations)
         before = some.read(given.now[0]), some.read(given.now[1])
         relaxation = _relaxation(given, some, before)
         position, normal = relaxation.staged(
@@ -485,7 +495,7 @@ def _stage(given: _GroupWork, segment: int) -> Columns:
             columns |= {"normal": normal[own], "at": relaxation.projector.at[own]}
         allowed = given.search.allowed(some.read("travel"))
         columns[_WENT_FARTHER] = np.array([(paths.travelled > allowed).any()])
-        return Iterated(columns, paths.searched)
+        return Iterated(columns, paths.searched, paths.tracks)
 
     return given.search.iterate(segment, given.n_iterations, compute)
 
@@ -496,7 +506,7 @@ def _expected_next(some: Layers, searched: Floats, moved: Floats) -> Floats:
     `searched` and `moved` (n,) are how far they reached and went in the last one.
     """
     searched = np.where(np.isfinite(searched), searched, some.read_own("nearest_any")[: some.n_own])
-    typical = _ISOLATED * float(np.median(searched))
+    typical = ISOLATED * float(np.median(searched))
     return searched + moved + (_SINGLE - 1.0) * np.minimum(searched, typical)
 
 

@@ -176,6 +176,15 @@ def photons_of_surface(photons: PhotonMap, scene: Scene, object_id: int) -> Phot
     return on_surfaces(photons)
 
 
+def blocks_of_surface(
+    photons: BlockedPhotons, scene: Scene, object_id: int
+) -> BlockedPhotons | PhotonMap:
+    """Those of photons in blocks; a map of none if there are none."""
+    is_sensor = scene.objects[object_id].material.is_sensor
+    there = photons.on_sensor(object_id if is_sensor else None)
+    return there if len(there) else photons.photons(0, 0)
+
+
 def object_named(scene: Scene, name: str) -> int:
     """Id of the object of a scene with a name, or else with this number.
 

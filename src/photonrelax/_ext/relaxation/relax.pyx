@@ -158,6 +158,9 @@ cdef class Paths:
     ----------
     last : (m,) intp array
         Last iteration of interest of each photon, by row; those that follow may leave it out.
+    tracked : (t,) intp array
+        Rows of photons of which all searches are kept.
+    n_iterations : int
 
     Attributes
     ----------
@@ -166,17 +169,27 @@ cdef class Paths:
         than k photons were found without a limit.
     travelled : (m,) float64 array
         Largest distance of a photon from where it started, before the last of its iterations.
+    tracks : (t, n_iterations, 4) float64 array
+        Positions of the photons tracked, and the radii of their searches, negative where there was
+        none.
     """
 
-    cdef readonly object searched, travelled
+    cdef readonly object searched, travelled, tracks
     cdef const Py_ssize_t[::1] last
     cdef double[::1] searched_view
     cdef double[::1] travelled_view
+    cdef double[:, :, ::1] tracks_view
+    # By row, the place among those tracked, or -1.
+    cdef Py_ssize_t[::1] track_of
     # In tree order.
     cdef const double[:, ::1] start
     cdef Py_ssize_t iteration
 
-    def __init__(self, const Py_ssize_t[::1] last):
+    def __init__(self, const Py_ssize_t[::1] last, tracked, Py_ssize_t n_iterations):
+        track_of = np.full(last.shape[0], -1, dtype=np.intp)
+        track_of[tracked] = np.arange(len(tracked))
+        self.tracks = np.full((len(tracked), n_iterations, 4), -1.0)
+        self.track_of, self.tracks_view = track_of, self.tracks
         self.last = last
         self.searched, self.travelled = np.zeros((2, last.shape[0]))
         self.searched_view, self.travelled_view = self.searched, self.travelled
@@ -206,6 +219,10 @@ cdef class Paths:
         self.travelled_view[row] = max(self.travelled_view[row], distance)
         if self.needs(row):
             self.searched_view[row] = max(self.searched_view[row], radius + distance)
+            if self.track_of[row] >= 0:
+                for axis in range(3):
+                    self.tracks_view[self.track_of[row], self.iteration - 1, axis] = position[axis]
+                self.tracks_view[self.track_of[row], self.iteration - 1, 3] = radius
 
 
 @final
