@@ -43,6 +43,8 @@ cdef class Rest:
         Largest distance from the start in units of the limit and the present radius of k photons.
     longer : float
         Factor on the steps of photons that are limited.
+    steep : float
+        Relative change of density within the radius of k photons that makes a slope.
     n_threads : int
 
     Raises
@@ -54,6 +56,7 @@ cdef class Rest:
     cdef const double[:, ::1] origin
     cdef const double[:, ::1] start
     cdef double longer
+    cdef double squared_steep
     # In tree order: slopes, squared largest distances from the origin, m², and from the start, in
     # units of the squared present radius.
     cdef double[:, ::1] slope
@@ -63,12 +66,13 @@ cdef class Rest:
     def __init__(
         self, *, const Py_ssize_t[::1] rows, slope, limit, const double[::1] radius,
         double limit_of_slope, origin, start, double share, double longer,
-        int n_threads
+        double steep, int n_threads
     ):
         cdef Py_ssize_t place, axis, n = rows.shape[0]
         cdef const double[:, ::1] slopes = slope
         cdef const double[::1] limits = limit
         self.origin, self.start, self.longer = origin, start, longer
+        self.squared_steep = steep * steep
         if not (
             slopes.shape[0] == limits.shape[0]
             and n == radius.shape[0] == self.origin.shape[0]
@@ -132,6 +136,11 @@ cdef class Rest:
     cdef double lengthened(self, Py_ssize_t place) noexcept nogil:
         """Factor on the steps of a photon."""
         return self.longer if self.farthest[place] < INFINITY else 1.0
+
+    cdef bint is_steep(self, Py_ssize_t place, double squared_radius) noexcept nogil:
+        """True on a slope, by the radius of k photons."""
+        cdef const double* g = &self.slope[place, 0]
+        return dot(g, g) * squared_radius > self.squared_steep
 
 
 cdef inline void put_back(
@@ -275,6 +284,8 @@ cdef class Move(BatchWork):
 
     cdef RelaxInputs inputs
     cdef double step
+    # Share of the step that photons on slopes take.
+    cdef double share_on_slopes
     cdef double[:, ::1] moved
 
     cdef bint skips(self, Py_ssize_t first) noexcept nogil:
@@ -344,6 +355,10 @@ cdef class Move(BatchWork):
                     f, place, query.candidates.count, query.candidates.squared_radius
                 )
                 step *= self.inputs.rest.lengthened(place)
+                if self.share_on_slopes < 1.0 and self.inputs.rest.is_steep(
+                    place, query.candidates.squared_radius
+                ):
+                    step *= self.share_on_slopes
             project(
                 f, &self.inputs.normal[place, 0], &self.inputs.basis[row, 0, 0],
                 self.inputs.constraint[row]
@@ -365,15 +380,16 @@ cdef class Move(BatchWork):
 
 def move(
     Tree tree, Py_ssize_t first, Py_ssize_t end, RelaxInputs inputs, *, Py_ssize_t k, double step,
-    double[:, ::1] moved, int n_threads
+    double[:, ::1] moved, int n_threads, double share_on_slopes=1.0
 ):
     """Write the new positions of the photons at tree positions first … end, whole blocks.
 
-    All positions read are the tree's: photons move simultaneously, in no order.
+    All positions read are the tree's: photons move simultaneously, in no order. Where the density
+    to rest in has a slope, they take a share of the step.
     """
     cdef Move work = Move(tree, k=k, radius=INFINITY, range_radius=-1.0)
     work.inputs = inputs
-    work.step = step
+    work.step, work.share_on_slopes = step, share_on_slopes
     work.moved = moved
     search_points(work, first, end, n_threads)
 
