@@ -286,23 +286,18 @@ class _Stage:
 
     def _rest_inputs(self, rest: RestDensity, start: Floats | None, radius: Floats) -> _relax.Rest:
         """Inputs of a kernel for a density to rest in; `start` is where moves in space start."""
-        n_threads = self._relaxation.n_threads
-        origin, start = (
-            None if each is None else hstack_rows([each], [1.0], self._rows, n_threads)
-            for each in (self._relaxation.photons.position, start)
-        )
         return _relax.Rest(
             rows=self._rows,
             slope=rest.slope,
             limit=rest.limit,
             radius=radius,
             limit_of_slope=_LIMIT_OF_SLOPE,
-            origin=origin,
+            origin=self._relaxation.photons.position,
             start=start,
             share=_SHARE_IN_SPACE,
             longer=_LONGER,
             steep=_STEEP,
-            n_threads=n_threads,
+            n_threads=self._relaxation.n_threads,
         )
 
     def _normals_in_tree_order(self, normal: Floats) -> Floats:
