@@ -24,13 +24,13 @@ def terms(delta):
 
 
 def hexagonal():
-    """The 169 points of a lattice around one of them, with one to a unit of area."""
+    """The 91 points of a lattice around one of them, with one to a unit of area."""
     spacing = np.sqrt(2 / np.sqrt(3))
     rows = [
         (i + j / 2, j * np.sqrt(3) / 2)
-        for j in range(-7, 8)
-        for i in range(-7, 8)
-        if abs(i + j) <= 7
+        for j in range(-5, 6)
+        for i in range(-5, 6)
+        if abs(i + j) <= 5
     ]
     return spacing * np.array(rows)
 
