@@ -72,6 +72,29 @@ def test_one_iteration_adds_the_force_at_rest():
     np.testing.assert_allclose(moved[within], expected[within], rtol=0, atol=1e-12)
 
 
+def test_steps_on_slopes_shorten_after_the_fifth():
+    """The sixth is (5/6)² as long where density changes by a fifth within the radius of 16."""
+    photons = mapped("exponential", 3000, "random")
+    found = pr.detect_structure(photons, pr.StructureSettings(reach_scale=np.inf))
+    free = pr.Structure(**{**vars(found), "constraint": np.zeros(len(photons))})
+    slope = pr.rest_density(photons).slope
+    rest = pr.RestDensity(slope, np.zeros(len(photons)), np.full(len(photons), 1e3))
+
+    def after(n, start):
+        settings = pr.RelaxSettings((0, n), step=0.3, largest_step=np.inf)
+        return pr.relax(photons.replace(position=start), free, settings, rest=rest).position
+
+    fifth, sixth = (after(n, photons.position) for n in (5, 6))
+    step = after(1, fifth) - fifth
+    steepness = np.linalg.norm(slope, axis=1)
+    steep = steepness * nearest(fifth, fifth, 16)[1][:, -1] > 0.2
+    held = np.linalg.norm(fifth + step - photons.position, axis=1) * steepness >= 0.4
+    assert 0.1 < steep.mean() < 0.9
+    assert held.mean() < 0.1
+    expected = fifth + np.where(steep, 25 / 36, 1.0)[:, np.newaxis] * step
+    np.testing.assert_allclose(sixth[~held], expected[~held], rtol=0, atol=1e-12)
+
+
 def test_no_photon_goes_beyond_its_limit():
     photons = mapped("folded", 3000, "random")
     found, rest = pr.detect_structure(photons), pr.rest_density(photons)

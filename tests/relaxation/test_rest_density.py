@@ -24,13 +24,13 @@ def terms(delta):
 
 
 def hexagonal():
-    """The 169 points of a lattice around one of them, with one to a unit of area."""
+    """The 91 points of a lattice around one of them, with one to a unit of area."""
     spacing = np.sqrt(2 / np.sqrt(3))
     rows = [
         (i + j / 2, j * np.sqrt(3) / 2)
-        for j in range(-7, 8)
-        for i in range(-7, 8)
-        if abs(i + j) <= 7
+        for j in range(-5, 6)
+        for i in range(-5, 6)
+        if abs(i + j) <= 5
     ]
     return spacing * np.array(rows)
 
@@ -288,7 +288,7 @@ def test_kernels_refuse_arrays_that_do_not_fit():
             kernel.prescribe(tree, 0, 20, **wrong, **settings, n_threads=1)
     rest = {"slope": three, "limit": one, "origin": three, "start": three}
     rest |= {"rows": np.arange(20), "radius": one}
-    settings = {"limit_of_slope": 0.4, "share": 1.0, "longer": 1.2, "n_threads": 1}
+    settings = {"limit_of_slope": 0.4, "share": 1.0, "longer": 1.2, "steep": 0.2, "n_threads": 1}
     for name, array in rest.items():
         with pytest.raises(ValueError, match="do not fit one another"):
             relax_kernel.Rest(**rest | {name: array[1:].copy()}, **settings)

@@ -34,6 +34,10 @@ _SHARE_IN_SPACE = 0.6
 # Moves of photons with a limit over those of others: longer ones take more noise away, and no more
 # light.
 _LONGER = 1.2
+# Relative change of density within the radius of k photons that makes a slope, and iterations of a
+# stage after which steps there become shorter, as the square: noise is gone, and errors of the
+# slope are left. All that follow are as long as 4.5 of the first.
+_STEEP, _FULL_STEPS_ON_SLOPES = 0.2, 5
 
 
 @dataclass(frozen=True)
@@ -282,22 +286,18 @@ class _Stage:
 
     def _rest_inputs(self, rest: RestDensity, start: Floats | None, radius: Floats) -> _relax.Rest:
         """Inputs of a kernel for a density to rest in; `start` is where moves in space start."""
-        n_threads = self._relaxation.n_threads
-        origin, start = (
-            None if each is None else hstack_rows([each], [1.0], self._rows, n_threads)
-            for each in (self._relaxation.photons.position, start)
-        )
         return _relax.Rest(
             rows=self._rows,
             slope=rest.slope,
             limit=rest.limit,
             radius=radius,
             limit_of_slope=_LIMIT_OF_SLOPE,
-            origin=origin,
+            origin=self._relaxation.photons.position,
             start=start,
             share=_SHARE_IN_SPACE,
             longer=_LONGER,
-            n_threads=n_threads,
+            steep=_STEEP,
+            n_threads=self._relaxation.n_threads,
         )
 
     def _normals_in_tree_order(self, normal: Floats) -> Floats:
@@ -311,7 +311,7 @@ class _Stage:
         for iteration in range(n_iterations):
             if iteration:
                 self._refit()
-            self._move()
+            self._move(min((_FULL_STEPS_ON_SLOPES / (iteration + 1)) ** 2, 1.0))
             if self._relaxation.projector is not None:
                 self._project(self._relaxation.projector)
         if self._n_merged:
@@ -328,7 +328,7 @@ class _Stage:
         if self._distinct is not None:
             self._distinct.repeat(*written)
 
-    def _move(self) -> None:
+    def _move(self, share_on_slopes: float) -> None:
         """Write the positions that photons move to; the tree keeps those before."""
         settings, n_threads = self._relaxation.settings, self._relaxation.n_threads
         if self._paths is not None:
@@ -340,6 +340,7 @@ class _Stage:
                 step=settings.step,
                 moved=self._position,
                 n_threads=n_threads,
+                share_on_slopes=share_on_slopes,
             )
 
     def _project(self, projector: SurfaceProjector) -> None:

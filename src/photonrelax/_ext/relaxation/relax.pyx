@@ -14,9 +14,18 @@ from ..spatial.query_loop cimport BatchWork, search_points
 from ..spatial.simd.kernels cimport BLOCK
 from ..spatial.tree cimport Tree
 
+from ..spatial.tree import aligned
+
 cdef enum:
     # Least number of photons in range that repel one of them.
     MIN_NEIGHBOURS = 4
+    # Columns of a record behind the slope: the origin and the squared largest distance from it, and
+    # the same of the start.
+    ORIGIN = 3
+    FARTHEST = 6
+    SHARE = 7
+    START = 8
+    COLUMNS = 11
 
 
 @final
@@ -35,14 +44,16 @@ cdef class Rest:
         Of k photons before all moves, m, in tree order.
     limit_of_slope : float
         Largest distance from the origin in units of the length over which the density changes.
-    origin : (n, 3) float64 array
-        Positions before all moves, in tree order.
-    start : (n, 3) float64 array or None
-        Positions before the first of these moves, in tree order, if they are limited too.
+    origin : (m, 3) float64 array
+        Positions before all moves, by row.
+    start : (m, 3) float64 array or None
+        Positions before the first of these moves, by row, if they are limited too.
     share : float
         Largest distance from the start in units of the limit and the present radius of k photons.
     longer : float
         Factor on the steps of photons that are limited.
+    steep : float
+        Relative change of density within the radius of k photons that makes a slope.
     n_threads : int
 
     Raises
@@ -51,49 +62,51 @@ cdef class Rest:
         If arrays do not fit one another.
     """
 
-    cdef const double[:, ::1] origin
-    cdef const double[:, ::1] start
+    # In tree order: side by side, as all are read for a photon. The squared largest distance from
+    # the origin is in m², that from the start in units of the squared present radius.
+    cdef double[:, ::1] records
+    cdef bint has_start
     cdef double longer
-    # In tree order: slopes, squared largest distances from the origin, m², and from the start, in
-    # units of the squared present radius.
-    cdef double[:, ::1] slope
-    cdef double[::1] farthest
-    cdef double[::1] share
+    cdef double squared_steep
 
     def __init__(
         self, *, const Py_ssize_t[::1] rows, slope, limit, const double[::1] radius,
         double limit_of_slope, origin, start, double share, double longer,
-        int n_threads
+        double steep, int n_threads
     ):
-        cdef Py_ssize_t place, axis, n = rows.shape[0]
+        cdef Py_ssize_t place, row, axis, n = rows.shape[0]
         cdef const double[:, ::1] slopes = slope
+        cdef const double[:, :] origins = origin, starts = start
         cdef const double[::1] limits = limit
-        self.origin, self.start, self.longer = origin, start, longer
+        self.longer, self.squared_steep = longer, steep * steep
+        self.has_start = start is not None
         if not (
-            slopes.shape[0] == limits.shape[0]
-            and n == radius.shape[0] == self.origin.shape[0]
-            and slopes.shape[1] == self.origin.shape[1] == 3
+            len(slopes) == len(limits) == len(origins)
+            and n == radius.shape[0]
+            and slopes.shape[1] == origins.shape[1] == 3
             and (start is None or np.shape(start) == np.shape(origin))
         ):
             raise ValueError("slopes, origins and limits do not fit one another")
-        self.slope = np.empty((n, 3))
-        self.farthest = np.empty(n)
-        self.share = np.empty(0 if start is None else n)
+        self.records = aligned((n, COLUMNS if self.has_start else START), np.float64)
         for place in prange(
             n, nogil=True, schedule="static", num_threads=team_size(n_threads, n, ELEMENTS)
         ):
+            row = rows[place]
             for axis in range(3):
-                self.slope[place, axis] = slopes[rows[place], axis]
-            self.farthest[place] = self.squared_limit(
-                place, limits[rows[place]] * radius[place], limit_of_slope
+                self.records[place, axis] = slopes[row, axis]
+                self.records[place, ORIGIN + axis] = origins[row, axis]
+            self.records[place, FARTHEST] = self.squared_limit(
+                place, limits[row] * radius[place], limit_of_slope
             )
-            if self.start is not None:
-                self.share[place] = (share * limits[rows[place]]) ** 2
+            self.records[place, SHARE] = (share * limits[row]) ** 2
+            if self.has_start:
+                for axis in range(3):
+                    self.records[place, START + axis] = starts[row, axis]
 
     cdef double squared_limit(
         self, Py_ssize_t place, double limit, double limit_of_slope
     ) noexcept nogil:
-        cdef const double* g = &self.slope[place, 0]
+        cdef const double* g = &self.records[place, 0]
         cdef double squared_slope = dot(g, g), squared = INFINITY
         # Not a number where the limit is infinite and the radius zero.
         if limit < INFINITY:
@@ -112,26 +125,27 @@ cdef class Rest:
         cdef double scale = (count - 0.5) / (12.0 * count) * squared_radius
         cdef Py_ssize_t axis
         for axis in range(3):
-            f[axis] += scale * self.slope[place, axis]
+            f[axis] += scale * self.records[place, axis]
 
     cdef void prefetch(self, Py_ssize_t place) noexcept nogil:
         """Prefetch what a photon of the next moves needs: a search lies between two blocks."""
-        prefetch_row(&self.slope[place, 0], 3 * sizeof(double))
-        prefetch_row(&self.origin[place, 0], 3 * sizeof(double))
-        prefetch_row(&self.farthest[place], sizeof(double))
-        if self.start is not None:
-            prefetch_row(&self.start[place, 0], 3 * sizeof(double))
-            prefetch_row(&self.share[place], sizeof(double))
+        prefetch_row(&self.records[place, 0], self.records.shape[1] * sizeof(double))
 
     cdef void hold(self, double* moved, Py_ssize_t place, double squared_radius) noexcept nogil:
         """Put a photon that went too far back to its limits, that of k photons among them."""
-        if self.start is not None:
-            put_back(moved, &self.start[place, 0], self.share[place] * squared_radius)
-        put_back(moved, &self.origin[place, 0], self.farthest[place])
+        cdef const double* record = &self.records[place, 0]
+        if self.has_start:
+            put_back(moved, record + START, record[SHARE] * squared_radius)
+        put_back(moved, record + ORIGIN, record[FARTHEST])
 
     cdef double lengthened(self, Py_ssize_t place) noexcept nogil:
         """Factor on the steps of a photon."""
-        return self.longer if self.farthest[place] < INFINITY else 1.0
+        return self.longer if self.records[place, FARTHEST] < INFINITY else 1.0
+
+    cdef bint is_steep(self, Py_ssize_t place, double squared_radius) noexcept nogil:
+        """True on a slope, by the radius of k photons."""
+        cdef const double* g = &self.records[place, 0]
+        return dot(g, g) * squared_radius > self.squared_steep
 
 
 cdef inline void put_back(
@@ -292,6 +306,8 @@ cdef class Move(BatchWork):
 
     cdef RelaxInputs inputs
     cdef double step
+    # Share of the step that photons on slopes take.
+    cdef double share_on_slopes
     cdef double[:, ::1] moved
 
     cdef bint skips(self, Py_ssize_t first) noexcept nogil:
@@ -361,6 +377,10 @@ cdef class Move(BatchWork):
                     f, place, query.candidates.count, query.candidates.squared_radius
                 )
                 step *= self.inputs.rest.lengthened(place)
+                if self.share_on_slopes < 1.0 and self.inputs.rest.is_steep(
+                    place, query.candidates.squared_radius
+                ):
+                    step *= self.share_on_slopes
             project(
                 f, &self.inputs.normal[place, 0], &self.inputs.basis[row, 0, 0],
                 self.inputs.constraint[row]
@@ -382,15 +402,16 @@ cdef class Move(BatchWork):
 
 def move(
     Tree tree, Py_ssize_t first, Py_ssize_t end, RelaxInputs inputs, *, Py_ssize_t k, double step,
-    double[:, ::1] moved, int n_threads
+    double[:, ::1] moved, int n_threads, double share_on_slopes=1.0
 ):
     """Write the new positions of the photons at tree positions first … end, whole blocks.
 
-    All positions read are the tree's: photons move simultaneously, in no order.
+    All positions read are the tree's: photons move simultaneously, in no order. Where the density
+    to rest in has a slope, they take a share of the step.
     """
     cdef Move work = Move(tree, k=k, radius=INFINITY, range_radius=-1.0)
     work.inputs = inputs
-    work.step = step
+    work.step, work.share_on_slopes = step, share_on_slopes
     work.moved = moved
     search_points(work, first, end, n_threads)
 

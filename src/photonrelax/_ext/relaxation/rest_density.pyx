@@ -21,7 +21,7 @@ from ..spatial.tree import aligned
 cdef enum:
     TERMS = QUADRATIC_TERMS
     # Rings of a hexagonal lattice around its centre.
-    RINGS = 7
+    RINGS = 5
     # Points of the lattice whose force is taken.
     NEAREST = 32
 

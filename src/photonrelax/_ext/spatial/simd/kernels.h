@@ -134,8 +134,8 @@ enum {
     /* Terms of a quadratic map of a plane: 1, a, b, a^2 / 2, ab, b^2 / 2. */
     QUADRATIC_TERMS = 6,
     /* Points of half a lattice, in whole vectors, and keys of all, in whole chunks. */
-    LATTICE_HALF = 88,
-    LATTICE_KEYS = 192
+    LATTICE_HALF = 48,
+    LATTICE_KEYS = 128
 };
 
 /* Vectors that cross cache lines are slow. */

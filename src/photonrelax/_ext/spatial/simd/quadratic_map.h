@@ -39,7 +39,7 @@ static void normalise(MapSamples *samples, int64_t n, int64_t n_fitted, Quadrati
     f64x8_store(maps->scale, farthest);
 }
 
-/* Terms of a map at sample j; returns its weight. */
+/* Terms of a map at sample j; returns its squared offset. */
 INLINE f64x8 quadratic_terms(const MapSamples *samples, int64_t j, f64x8 *terms)
 {
     const f64x8 half = f64x8_set1(0.5);
@@ -51,12 +51,14 @@ INLINE f64x8 quadratic_terms(const MapSamples *samples, int64_t j, f64x8 *terms)
     terms[3] = f64x8_mul(half, aa);
     terms[4] = f64x8_mul(a, b);
     terms[5] = f64x8_mul(half, bb);
-    return exponential(f64x8_sub(f64x8_set1(0.0), f64x8_add(aa, bb)));
+    return f64x8_add(aa, bb);
 }
 
-/* Normal equations: a symmetric matrix, in its lower triangle, and two right sides. */
+/* Normal equations: a symmetric matrix, in its lower triangle, and two right sides; and the weights
+ * of samples. */
 typedef struct {
     f64x8 matrix[QUADRATIC_TERMS][QUADRATIC_TERMS], u[QUADRATIC_TERMS], v[QUADRATIC_TERMS];
+    f64x8 weight[KEY_CHUNK];
 } NormalEquations;
 
 static void add_samples(const MapSamples *samples, int64_t n, NormalEquations *sums)
@@ -67,8 +69,10 @@ static void add_samples(const MapSamples *samples, int64_t n, NormalEquations *s
     }
     for (int64_t j = 0; j < n; ++j) {
         f64x8 terms[QUADRATIC_TERMS];
-        const f64x8 weight = quadratic_terms(samples, j, terms);
+        const f64x8 squared = quadratic_terms(samples, j, terms);
+        const f64x8 weight = exponential(f64x8_sub(f64x8_set1(0.0), squared));
         const f64x8 u = f64x8_load(samples->u[j]), v = f64x8_load(samples->v[j]);
+        sums->weight[j] = weight;
         for (int i = 0; i < QUADRATIC_TERMS; ++i) {
             const f64x8 own = f64x8_mul(weight, terms[i]);
             sums->u[i] = f64x8_add(sums->u[i], f64x8_mul(own, u));
@@ -114,12 +118,15 @@ static void back_substitute(f64x8 (*factor)[QUADRATIC_TERMS], f64x8 *x)
 }
 
 /* Root mean square, by the weights of the fit, of what maps leave of n samples. */
-static f64x8 residual(const MapSamples *samples, int64_t n, const f64x8 *u, const f64x8 *v)
+static f64x8 residual(const MapSamples *samples, int64_t n, const NormalEquations *solved)
 {
+    const f64x8 *u = solved->u, *v = solved->v;
     f64x8 weights = f64x8_set1(0.0), squares = weights;
     for (int64_t j = 0; j < n; ++j) {
-        f64x8 terms[QUADRATIC_TERMS], weight = quadratic_terms(samples, j, terms);
+        f64x8 terms[QUADRATIC_TERMS];
+        const f64x8 weight = solved->weight[j];
         f64x8 left_u = f64x8_load(samples->u[j]), left_v = f64x8_load(samples->v[j]);
+        (void)quadratic_terms(samples, j, terms);
         for (int i = 0; i < QUADRATIC_TERMS; ++i) {
             left_u = f64x8_sub(left_u, f64x8_mul(u[i], terms[i]));
             left_v = f64x8_sub(left_v, f64x8_mul(v[i], terms[i]));
@@ -160,7 +167,7 @@ static void fit_maps(MapSamples *samples, int64_t n, int64_t n_fitted, Quadratic
         f64x8_store(maps->u[i], sums.u[i]);
         f64x8_store(maps->v[i], sums.v[i]);
     }
-    f64x8_store(maps->residual, residual(samples, n_fitted, sums.u, sums.v));
+    f64x8_store(maps->residual, residual(samples, n_fitted, &sums));
     f64x8_store(maps->unevenness, unevenness(samples, n_fitted));
     for (int64_t j = 0; j < n; ++j) {
         a = f64x8_add(a, f64x8_load(samples->a[j]));
