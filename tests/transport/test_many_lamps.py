@@ -6,6 +6,7 @@ import pytest
 import photonrelax as pr
 from photonrelax.scene.lamps import LampTable
 from photonrelax.transport.direct_light import (
+    Lights,
     LightSamples,
     default_light_samples,
     direct_irradiance,
@@ -202,7 +203,39 @@ def test_few_lamps_are_summed_and_emitters_without_a_record_always(rng):
         np.testing.assert_allclose(light(scene, at, 1), summed(scene, at), rtol=1e-12, atol=1e-15)
         assert default_light_samples(scene, 4) == 1
     assert default_light_samples(lit(points(33, rng)), 4) == 12
-    assert default_light_samples(lit(beams(33, rng)), 4) == 16
+
+
+def test_lamps_in_different_directions_have_more_samples(rng):
+    down = [pr.SpotEmitter(at, (0, 0, -1), 1.0, 20, 40) for at in positions(100, rng)]
+    assert default_light_samples(lit(down), 4) == 16
+    for kind in (beams, spots, cosine_lobes):
+        assert default_light_samples(lit(kind(100, rng)), 4) == 48
+
+
+@pytest.mark.parametrize("kind", [points, beams])
+def test_lamps_that_are_summed_in_place_of_default_samples_have_no_noise(kind, rng):
+    scene, at = lit(kind(60, rng)), places(rng)
+    caster = RayCaster(scene.surfaces)
+    for n_points in (1, 2):
+        samples = LightSamples(default_light_samples(scene, n_points))
+        found = direct_irradiance(scene, caster, *at, samples=samples)
+        if 2 * samples.n >= 60:
+            np.testing.assert_allclose(found, summed(scene, at), rtol=1e-12, atol=1e-15)
+
+
+def test_scattered_narrow_spots_have_noise_below_two_per_cent(rng):
+    """In the mean over points of a floor, over the light of all."""
+    n = 1000
+    at = rng.uniform([-2, -2, 2.4], [2, 2, 2.4], (n, 3))
+    axes, power = rng.normal([0, 0, -1], 0.4, (n, 3)), rng.lognormal(size=n)
+    lamps = [pr.SpotEmitter(*each, 20, 40) for each in zip(at, axes, power, strict=True)]
+    scene = pr.Scene([floor()], lamps)
+    lights, samples = Lights(scene, RayCaster(scene.surfaces)), default_light_samples(scene, 1)
+    place = rng.uniform([-1.9, -1.9, 0], [1.9, 1.9, 0], (40, 3)), np.tile([0.0, 0, 1], (40, 1))
+    exact = lights.irradiance(*place, samples=LightSamples(n))
+    errors = [lights.irradiance(*place, samples=LightSamples(samples, i)) - exact for i in range(8)]
+    noise = np.sqrt(np.square(errors).mean(axis=0)) / exact
+    assert 1e-4 < noise.mean() < 0.02
 
 
 def test_pixels_of_a_room_have_noise_below_two_per_cent(rng):

@@ -24,7 +24,7 @@ from .._ext.transport.materials import Materials
 from .._util.parallel import for_each_slice, thread_count
 from .._util.validation import Floats, float_array, unit_vectors
 from ..scene.emitters import DirectLight, Emitter
-from ..scene.lamps import PARALLEL, SPOT, LampTable
+from ..scene.lamps import PARALLEL, UNIFORM, LampTable
 from ..scene.scene import Scene
 from .hidden import first_hits
 from .light_tree import light_tree
@@ -39,8 +39,11 @@ _CHUNK = 32768
 # Samples of extended emitters are of other random numbers than their photons.
 _STREAM = 1 << 48
 # Shadow rays of a pixel by which its noise in a penumbra is below 2 %: to an extended emitter, and
-# to many lamps together. Spots and parallel light may have little in common with their neighbours.
-_RAYS_OF_PIXEL, _POINTS_OF_PIXEL, _BEAMS_OF_PIXEL = 80, 48, 64
+# to many lamps together: that shine in all directions, that are aimed alike, and aimed
+# in others, of which walls may hide half and of which neighbours have less in common.
+_RAYS_OF_PIXEL, _POINTS_OF_PIXEL, _AIMED_OF_PIXEL, _SCATTERED_OF_PIXEL = 80, 48, 64, 192
+# Length of the mean axis of lamps that are aimed alike.
+_ALIKE = 0.99
 # Lamps up to which all are summed, and lamps for each sample: about as long takes their choice.
 _MOST_SUMMED, _SUMMED_PER_SAMPLE = 32, 2
 
@@ -64,14 +67,23 @@ class LightSamples(NamedTuple):
 
 
 def default_light_samples(scene: Scene, n_points: int) -> int:
-    """Samples of light at each of n points in a pixel; 1 in scenes where none is sampled."""
-    of_pixel = _POINTS_OF_PIXEL
+    """Samples of light at each of n points in a pixel; 1 in scenes where one sums all lamps."""
+    of_pixel = max(_samples_of_pixel(group) for group in _lamp_groups(scene))
     if any(emitter.is_extended for emitter in scene.emitters):
-        of_pixel = _RAYS_OF_PIXEL
-    elif np.isin(scene.lamps.kind, (SPOT, PARALLEL)).any():
-        of_pixel = _BEAMS_OF_PIXEL
-    n = -(-of_pixel // n_points)
-    return n if samples_light(scene, n) else 1
+        of_pixel = max(of_pixel, _RAYS_OF_PIXEL)
+    # All lamps may be summed in place of n samples, but not of one.
+    return -(-of_pixel // n_points) if samples_light(scene, 1) else 1
+
+
+def _samples_of_pixel(lamps: LampTable) -> int:
+    """Samples of a pixel to lamps that are points or parallel light; 1 if all are summed."""
+    if not _are_many(len(lamps), 1):
+        return 1
+    axes = lamps.axis[lamps.kind != UNIFORM]
+    if len(axes) == 0:
+        return _POINTS_OF_PIXEL
+    are_alike = np.linalg.norm(axes.mean(axis=0)) > _ALIKE
+    return _AIMED_OF_PIXEL if are_alike else _SCATTERED_OF_PIXEL
 
 
 def samples_light(scene: Scene, n: int) -> bool:

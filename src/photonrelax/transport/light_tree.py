@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from .._ext.transport.light_tree import MAX_LAMPS_OF_LEAF, LightTree
 from .._util.validation import Floats
-from ..scene.lamps import PARALLEL, LampTable
+from ..scene.lamps import COSINE, PARALLEL, SPOT, LampTable
 
 # Children of a node.
 _FAN = 4
@@ -16,6 +16,14 @@ _FAN = 4
 _AXIS = 0.25
 # Cones are wider than rounding makes them too narrow. Those of half angles closer to π hold all.
 _ROUNDING, _ALL = 1e-6, 0.05
+# Less than the cosine to any axis, for these.
+_EVERYWHERE = -1.0 - 1e-6
+# Intensities in cones are fitted at these places from border to axis and around it, by these powers
+# of the place, the constant one at least this share; of so many lamps of a node.
+_PLACES, _AROUND, _POWERS = (np.arange(8) + 0.5) / 8, 8, np.array([0, 2, 4, 8])
+_LEAST_SHARE, _MOST_OF_NODE = 0.01, 64
+# Updates of the fit; further ones change little. Light that is less is none.
+_UPDATES, _DARK = 100, 1e-9
 
 
 def light_tree(lamps: LampTable, offset: Floats) -> tuple[LightTree, LampTable]:
@@ -103,7 +111,7 @@ def _detours(points: Floats, one: Floats, other: Floats) -> list[float]:
 
 
 def _bounds(lamps: LampTable, starts: NDArray[np.intp]) -> Floats:
-    """Columns (nodes, 13) of `LightTree` of the nodes whose first lamps are given."""
+    """Columns (nodes, 17) of `LightTree` of the nodes whose first lamps are given."""
     sizes = np.diff(starts, append=len(lamps))
     weight = lamps.brightness[:, np.newaxis]
     total = np.add.reduceat(weight, starts)
@@ -114,14 +122,15 @@ def _bounds(lamps: LampTable, starts: NDArray[np.intp]) -> Floats:
     axis, angle = _cones(lamps, np.add.reduceat(weight * lamps.axis, starts), starts)
     # Light of lamps in the sphere is in a cone around it, with an apex farther back.
     back = np.divide(radius, np.sin(angle), out=np.zeros_like(radius), where=angle < np.pi)
-    border = np.where(angle < np.pi, np.cos(angle), -1.0)
-    steepness = np.where(angle < np.pi, 1.0 / (1.0 - border), 1.0)
+    border = np.where(angle < np.pi, np.cos(angle), _EVERYWHERE)
+    steepness = 1.0 / (1.0 - border)
     apex = middle - back[:, np.newaxis] * axis
-    return np.column_stack([middle, radius, apex, axis, border, steepness, total])
+    profile = _profiles(lamps, axis, border, starts)
+    return np.column_stack([middle, radius, apex, axis, border, steepness, profile, total])
 
 
 def _cones(lamps: LampTable, along: Floats, starts: NDArray[np.intp]) -> tuple[Floats, Floats]:
-    """Axes and half angles of cones that the directions of nodes' light are in; π: and no axis."""
+    """Axes and half angles of cones of the light of nodes; zero axes if none is."""
     sizes = np.diff(starts, append=len(lamps))
     length = np.linalg.norm(along, axis=1, keepdims=True)
     axis = np.divide(along, length, out=np.zeros_like(along), where=length > 0.0)
@@ -129,5 +138,75 @@ def _cones(lamps: LampTable, along: Floats, starts: NDArray[np.intp]) -> tuple[F
     reach = np.arccos(1.0 - lamps.outer)
     angle = np.arccos(np.clip(cosine, -1.0, 1.0)) + reach + _ROUNDING
     angle = np.maximum.reduceat(angle, starts)
-    axis[angle > np.pi - _ALL] = 0.0
     return axis, np.where(angle > np.pi - _ALL, np.pi, angle)
+
+
+def _profiles(lamps: LampTable, axis: Floats, border: Floats, starts: NDArray[np.intp]) -> Floats:
+    """Coefficients (nodes, 4) of the intensity in nodes' cones, over that on the axes of lamps.
+
+    It is the root mean square over directions as far from the axis, to which the chance of a node
+    is in proportion where noise is least.
+    """
+    flat = np.tile([1.0, 0.0, 0.0, 0.0], (len(starts), 1))
+    if not np.isin(lamps.kind, (COSINE, SPOT)).any():
+        return flat
+    some, node = _some_of_nodes(lamps, starts)
+    first = np.searchsorted(node, np.arange(len(starts)))
+    weight = some.brightness / np.add.reduceat(some.brightness, first)[node]
+    frame = _frames(axis)
+    squares = np.zeros((len(starts), len(_PLACES)))
+    for k, place in enumerate(_PLACES):
+        cosine = border + place * (1.0 - border)
+        sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
+        for turn in 2.0 * np.pi * np.arange(_AROUND) / _AROUND:
+            local = np.stack([np.cos(turn) * sine, np.sin(turn) * sine, cosine], axis=1)
+            towards = np.einsum("nij,ni->nj", frame, local)[node]
+            light = np.add.reduceat(weight * _intensities(some, towards), first)
+            squares[:, k] += light**2 / _AROUND
+    flat[:, 0] = np.sqrt(squares.mean(axis=1))
+    return np.where(axis.any(axis=1, keepdims=True), _fitted(np.sqrt(squares)), flat)
+
+
+def _some_of_nodes(
+    lamps: LampTable, starts: NDArray[np.intp]
+) -> tuple[LampTable, NDArray[np.intp]]:
+    """Lamps of each node, evenly in their order if they are many, and the nodes of these."""
+    sizes = np.diff(starts, append=len(lamps))
+    n = np.minimum(sizes, _MOST_OF_NODE)
+    node = np.repeat(np.arange(len(starts)), n)
+    number = np.arange(len(node)) - (np.cumsum(n) - n)[node]
+    return lamps[starts[node] + number * sizes[node] // n[node]], node
+
+
+def _frames(axis: Floats) -> Floats:
+    """Orthonormal vectors (n, 3, 3) of which the last are unit vectors (n, 3), or of zeros any."""
+    axis = np.where(axis.any(axis=1, keepdims=True), axis, (0.0, 0.0, 1.0))
+    across = np.cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return np.stack([across, np.cross(axis, across), axis], axis=1)
+
+
+def _intensities(lamps: LampTable, towards: Floats) -> Floats:
+    """Intensity (n,) of each lamp along a unit vector, over that on its axis."""
+    cosine = (lamps.axis * towards).sum(axis=1)
+    is_spot = lamps.kind == SPOT
+    width = np.where(is_spot, lamps.outer - lamps.inner, 1.0)
+    spot = np.clip((lamps.outer - 1.0 + cosine) / width, 0.0, 1.0) ** 2
+    lobe = np.where(lamps.kind == COSINE, np.maximum(cosine, 0.0), 1.0)
+    return np.where(is_spot, spot, lobe)
+
+
+def _fitted(values: Floats) -> Floats:
+    """Positive coefficients (n, powers) of least squares to values (n, places).
+
+    By multiplicative updates (Lee & Seung 2001, *Algorithms for Non-negative Matrix
+    Factorization*).
+    """
+    basis = _PLACES ** _POWERS[:, np.newaxis]
+    values = np.maximum(values, _DARK)
+    coefficients = np.repeat(values.mean(axis=1, keepdims=True), len(_POWERS), axis=1)
+    for _ in range(_UPDATES):
+        coefficients *= (values @ basis.T) / (coefficients @ (basis @ basis.T))
+    least = _LEAST_SHARE * coefficients.sum(axis=1)
+    coefficients[:, 0] = np.maximum(coefficients[:, 0], least)
+    return coefficients

@@ -34,8 +34,9 @@ cdef enum:
 MAX_LAMPS_OF_LEAF = MAX_LEAF
 
 # Columns of a node, for each of its children: the sphere around its lamps; the cone that all their
-# light is in, as its apex, axis, cos of its half angle and 1 / (1 - cos); their brightness.
-# Spheres of parallel light are around the ends of axes.
+# light is in, as its apex, axis, cos of its half angle and 1 / (1 - cos); coefficients of the
+# intensity in it, of even powers of the place from border to axis; the brightness of its
+# lamps. Spheres of parallel light are around the ends of axes.
 cdef enum:
     MIDDLE = 0
     RADIUS = 3
@@ -43,8 +44,9 @@ cdef enum:
     AXIS = 7
     BORDER = 10
     STEEPNESS = 11
-    BRIGHTNESS = 12
-    N_COLUMNS = 13
+    PROFILE = 12
+    BRIGHTNESS = 16
+    N_COLUMNS = 17
 
 # Least squared distance to lamps of a node over that from their middle to the farthest. Weight of
 # the largest cosine that one of them may have on the surface, to that of their middle. The least
@@ -76,7 +78,7 @@ cdef class LightTree:
         In the order of the leaves.
     offset : (n,) float64
         Distances from the lamps within which they bring no light, m.
-    nodes : (k, 13, 4) float64
+    nodes : (k, 17, 4) float64
         The columns above of the children of each node.
     child : (k + l,) int32
         First of the four children, which follow one another, of nodes, and then -1 of l leaves.
@@ -201,8 +203,8 @@ cdef void point_lights(
 
 
 cdef void inside_cones(const double* row, const double* p, double* out) noexcept nogil:
-    """Multiply the light of a node's children by how far a point is inside of their cones."""
-    cdef double x, y, z, along
+    """Multiply the light of a node's children by their intensity towards a point."""
+    cdef double x, y, z, along, square, profile
     cdef int j
     for j in range(FAN):
         x = p[0] - row[APEX * FAN + j]
@@ -212,8 +214,15 @@ cdef void inside_cones(const double* row, const double* p, double* out) noexcept
             x * row[AXIS * FAN + j] + y * row[(AXIS + 1) * FAN + j]
             + z * row[(AXIS + 2) * FAN + j]
         ) / sqrt(x * x + y * y + z * z + TINY)
-        along = max((along - row[BORDER * FAN + j]) * row[STEEPNESS * FAN + j], 0.0)
-        out[j] *= along if along < 1.0 else 1.0
+        along = (along - row[BORDER * FAN + j]) * row[STEEPNESS * FAN + j]
+        along = along if along < 1.0 else 1.0
+        square = along * along
+        profile = row[PROFILE * FAN + j] + square * (
+            row[(PROFILE + 1) * FAN + j] + square * (
+                row[(PROFILE + 2) * FAN + j] + square * square * row[(PROFILE + 3) * FAN + j]
+            )
+        )
+        out[j] *= profile if along > 0.0 else 0.0
 
 
 cdef struct Rays:
