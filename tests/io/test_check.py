@@ -81,7 +81,9 @@ def test_glass_that_is_not_sound_is_an_error_that_can_be_repaired(
     assert code == 1
     assert f"error: {text}" in printed
     repaired = tmp_path / "repaired.glb"
-    assert check(path, capsys, "--repair", str(repaired))[0] == 0
+    code, printed = check(path, capsys, "--repair", str(repaired))
+    assert code == 0
+    assert printed.endswith(f"\nwrote {repaired}, in which there are\nno findings\n")
     assert check(repaired, capsys) == (0, "no findings\n")
     ball = pr.load_scene(repaired).objects[0]
     assert ball.edge_defects == (0, 0)
@@ -155,10 +157,36 @@ def test_glass_in_glass_is_no_finding():
     assert texts([FLOOR, glass((0, 0, 2)), pr.SceneObject(bubble, pr.Dielectric(1.0))]) == []
 
 
-def test_a_hole_that_is_too_large_is_an_error(file_of, capsys):
-    code, printed = check(file_of(holed(4)), capsys)
+def test_a_hole_that_is_too_large_is_an_error_which_repair_leaves(file_of, tmp_path, capsys):
+    path = file_of(holed(4))
+    code, printed = check(path, capsys)
     assert code == 1
-    assert "error: 'thing' is of glass, and has 6 open edges, too many to fill" in printed
+    text = "error: 'thing' is of glass, and has 6 open edges, too many to fill"
+    assert text in printed
+    code, printed = check(path, capsys, "--repair", str(tmp_path / "b.glb"))
+    assert code == 1
+    assert text in printed.split("b.glb, in which there are\n")[1]
+
+
+def test_what_repair_leaves_is_found_in_the_file_that_it_wrote(tmp_path, capsys):
+    script = tmp_path / "balls.py"
+    script.write_text(
+        "import trimesh\nimport photonrelax as pr\n"
+        "def scene():\n"
+        "    ball = trimesh.creation.icosphere(2, 0.5)\n"
+        "    floor = trimesh.creation.box((9, 9, 1))\n"
+        "    objects = [pr.SceneObject(floor, pr.Diffuse(), 'floor')]\n"
+        "    for z in (2.0, 2.6):\n"
+        "        mesh = ball.copy()\n"
+        "        mesh.apply_translation((0.0, 0.0, z))\n"
+        "        objects.append(pr.SceneObject(mesh, pr.Dielectric(1.5), f'ball {z}'))\n"
+        "    return pr.Scene(objects, [pr.CollimatedEmitter((0, 0, -1))])\n"
+    )
+    code, printed = check(script, capsys, "--repair", str(tmp_path / "b.glb"))
+    before, left = printed.split("b.glb, in which there are\n")
+    assert code == 1
+    for part in (before, left):
+        assert "both transparent, interpenetrate" in part
 
 
 def test_glass_in_the_same_place_is_an_error():

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from ..estimation.methods import Settings
     from ..evaluation import ComparisonRequest
     from ..evaluation.reference import ReferenceSettings
+    from ..io.objects import Finding
     from ..rendering.object_map import ObjectMap
 
 _MAGIC_EXR, _MAGIC_NPZ = b"v/1\x01", b"PK\x03\x04"
@@ -519,17 +520,23 @@ def _map_settings(options: argparse.Namespace, radius: float | None) -> Settings
 
 
 def _check(options: argparse.Namespace, interrupts: Interrupts) -> int:
+    from ..io.check import findings_left
     from .scenes import findings_of
 
     repaired = None if options.repair is None else output_path(options.repair, ".glb")
     findings, scene = findings_of(options.scene, options)
-    lines = [f"{'error' if each.spoils else 'note'}: {each.text}" for each in findings]
+    write_lines(*_told(findings))
     if repaired is not None and scene is not None:
         pr.save_scene(scene, repaired)
-        lines.append(f"wrote {repaired}")
-    write_lines(*(lines or ["no findings"]))
-    is_mended = repaired is not None and scene is not None
-    return int(any(each.spoils and not (is_mended and each.mended) for each in findings))
+        findings = findings_left(findings, repaired)
+        write_lines(f"wrote {repaired}, in which there are", *_told(findings))
+    return int(any(each.spoils for each in findings))
+
+
+def _told(findings: Sequence[Finding]) -> list[str]:
+    """A line for each finding."""
+    lines = [f"{'error' if each.spoils else 'note'}: {each.text}" for each in findings]
+    return lines or ["no findings"]
 
 
 def _list(options: argparse.Namespace, interrupts: Interrupts) -> None:

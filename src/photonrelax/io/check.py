@@ -17,7 +17,7 @@ from ..scene.winding import signed_crossings
 from ..transport.raycast import RayCaster
 from .load import load_with
 from .objects import Finding, MendingMaker
-from .options import LoadOptions
+from .options import LIGHT_UNITS, LoadOptions
 
 # Bytes of a pixel in the layers of an image, at least.
 _PIXEL_BYTES = 100.0
@@ -54,6 +54,12 @@ def check_scene(
     mended = {each.text for each in maker.findings}
     notes = [note for note in notes if not (note.spoils and mended)]
     return [*maker.findings, *notes, *scene_findings(scene)], scene
+
+
+def findings_left(found: list[Finding], written: str | os.PathLike[str]) -> tuple[Finding, ...]:
+    """Findings about the file that a mended scene was written to, whose own were found before."""
+    there = check_scene(written, LoadOptions(None, LIGHT_UNITS[0], False, {}))[0]
+    return (*(each for each in found if each.stays), *there)
 
 
 def scene_findings(scene: Scene) -> Iterator[Finding]:

@@ -35,13 +35,13 @@ class Finding:
         The object, the count, and what to do.
     spoils : bool
         Images would be wrong, or there would be none.
-    mended : bool
-        It is gone in the mended scene.
+    stays : bool
+        It spoils images of the mended scene too, in which nothing is found of it.
     """
 
     text: str
     spoils: bool = True
-    mended: bool = False
+    stays: bool = False
 
 
 class ObjectMaker:
@@ -91,10 +91,8 @@ class MendingMaker(ObjectMaker):
         if defects == _WHOLE and not inverted:
             return SceneObject(mesh, material, name, smooth)
         mended = mended_mesh(mesh)
-        left, still_inverted = _defects(mended)
-        is_mended = left == _WHOLE and not still_inverted
-        self.findings.append(Finding(_text(name, defects, inverted), mended=is_mended))
-        if still_inverted:
+        self.findings.append(Finding(_text(name, defects, inverted)))
+        if _defects(mended)[1]:
             mended.invert()
         return SceneObject(mended, material, name, _CREASE if smooth else False)
 
@@ -110,7 +108,7 @@ class MendingMaker(ObjectMaker):
         n_open = _defects(mesh)[0].open
         if n_open < _BORDER_SHARE * 1.5 * len(mesh.faces):
             text = f"{name!r} is of glass, and has {n_open} open edges, too many to fill: close it"
-            self.findings.append(Finding(text))
+            self.findings.append(Finding(text, stays=True))
         return False
 
 
