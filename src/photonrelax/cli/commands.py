@@ -528,7 +528,7 @@ def _check(options: argparse.Namespace, interrupts: Interrupts) -> int:
     write_lines(*_told(findings))
     if repaired is not None and scene is not None:
         pr.save_scene(scene, repaired)
-        findings = findings_left(findings, repaired)
+        findings = list(findings_left(findings, repaired))
         write_lines(f"wrote {repaired}, in which there are", *_told(findings))
     return int(any(each.spoils for each in findings))
 
