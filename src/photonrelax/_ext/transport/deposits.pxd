@@ -18,8 +18,10 @@ cdef struct Deposit:
 
 
 cdef class Deposits:
-    cdef Py_ssize_t n, n_paths
-    cdef Deposit[::1] rows
+    cdef Py_ssize_t n, n_paths, capacity
+    # Bytes: buffers of structured arrays take long to describe.
+    cdef unsigned char[::1] memory
+    cdef Deposit* rows
     cdef double[:, ::1] coords
     cdef double[::1] density
     # Of the next deposit of each path, in the order of the paths.

@@ -2,6 +2,7 @@
 
 cimport cython
 from libc.stdint cimport int32_t, int64_t
+from libc.string cimport memcpy
 
 import numpy as np
 
@@ -57,35 +58,40 @@ cdef class Columns:
             raise ValueError("columns do not fit one another")
 
     def write(
-        self, const Deposit[::1] deposits, const int32_t[::1] rows, const double[:, ::1] coords,
+        self, deposits, const int32_t[::1] rows, const double[:, ::1] coords,
         const double[::1] density, *, Py_ssize_t first, const double[:, ::1] flux,
         const int32_t[::1] emitter_id,
     ):
-        """Fill the rows from `first` with photons, each its own of `rows` from there.
+        """Fill the rows from `first` with deposits (n,), each its own of `rows` from there.
 
         `coords` and `density` have a row for each deposit, `flux` and `emitter_id` for each block.
         """
-        cdef Py_ssize_t i, n = deposits.shape[0]
-        cdef int32_t block
+        cdef Py_ssize_t i, n = len(deposits)
+        cdef const unsigned char[::1] memory
+        cdef const Deposit* deposit
         cdef bint fits = True
         if first < 0 or self.position.shape[0] < first + n:
             raise ValueError(f"columns should have rows {first} to {first + n}")
         if not (
-            n == rows.shape[0] == coords.shape[0] == density.shape[0]
+            deposits.dtype == DEPOSIT and n == rows.shape[0] == coords.shape[0] == density.shape[0]
             and flux.shape[0] == emitter_id.shape[0] and flux.shape[1] == 3
             and coords.shape[1] >= self.emitter_coords.shape[1]
         ):
-            raise ValueError("rows, coords, density and flux do not fit the columns")
+            raise ValueError("deposits, rows, coords, density and flux do not fit the columns")
+        if n == 0:
+            return
+        memory = np.ascontiguousarray(deposits).view(np.uint8)
+        deposit = <const Deposit*> &memory[0]
         with nogil:
             for i in range(n):
-                block = deposits[i].block
-                if not (0 <= rows[i] < n and 0 <= block < flux.shape[0]):
+                if not (0 <= rows[i] < n and 0 <= deposit.block < flux.shape[0]):
                     fits = False
                     break
                 self.fill(
-                    first + rows[i], &deposits[i], &coords[i, 0], density[i], &flux[block, 0]
+                    first + rows[i], deposit, &coords[i, 0], density[i], &flux[deposit.block, 0]
                 )
-                self.emitter_id[first + rows[i]] = emitter_id[block]
+                self.emitter_id[first + rows[i]] = emitter_id[deposit.block]
+                deposit += 1
         if not fits:
             raise ValueError("rows and blocks of deposits should be below their numbers")
 
@@ -122,16 +128,18 @@ cdef class Deposits:
 
     cdef void clear(self, Py_ssize_t n_paths):
         """Start anew, with deposits of so many paths to come."""
-        self.n, self.n_paths = 0, n_paths
-        self.rows = np.empty(0, DEPOSIT)
+        self.n, self.n_paths, self.capacity = 0, n_paths, 0
 
     cdef void reserve(self, Py_ssize_t n):
         """Make room for n more deposits."""
-        cdef Deposit[::1] larger
-        if self.n + n > self.rows.shape[0]:
-            larger = np.empty(max(self.n + n, 3 * self.rows.shape[0] // 2), DEPOSIT)
-            larger[: self.n] = self.rows[: self.n]
-            self.rows = larger
+        cdef Py_ssize_t capacity = max(self.n + n, 3 * self.capacity // 2)
+        cdef unsigned char[::1] larger
+        if self.n + n > self.capacity:
+            larger = np.empty(capacity * sizeof(Deposit), np.uint8)
+            if self.n:
+                memcpy(&larger[0], self.rows, self.n * sizeof(Deposit))
+            self.memory, self.capacity = larger, capacity
+            self.rows = <Deposit*> &larger[0]
 
     cdef Deposit* add(self) noexcept nogil:
         """Return a row to be filled."""
@@ -152,7 +160,9 @@ cdef class Deposits:
         cdef int32_t[::1] rows = np.empty(self.n, np.int32)
         cdef double[:, ::1] coords = np.empty((self.n, 3))
         cdef double[::1] density = np.empty(self.n)
-        deposits = self.rows.base[: self.n]
+        deposits = np.empty(0, DEPOSIT)
+        if self.n:
+            deposits = self.memory.base[: self.n * sizeof(Deposit)].view(DEPOSIT)
         with nogil:
             self.find_rows()
             for i in range(self.n):
