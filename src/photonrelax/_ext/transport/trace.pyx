@@ -439,9 +439,12 @@ cdef class Paths(LiveRays):
         cdef Ray* ray = &self.ray[row]
         cdef Event event
         cdef double[3] out
-        if not self.triangles.refine_hit(found, row, ray.origin, ray.direction, &event.hit):
-            return self.terminate(ray, ESCAPED)
+        # Rays that miss first: a call each is a good part of what they take.
         event.triangle = found.triangle[row]
+        if event.triangle < 0 or not self.triangles.refine_hit(
+            found, row, ray.origin, ray.direction, &event.hit
+        ):
+            return self.terminate(ray, ESCAPED)
         event.u, event.v = found.u[row], found.v[row]
         event.ray = ray
         event.counter = event_counter(ray)
