@@ -232,7 +232,7 @@ class _Tasks:
 
 
 def _scattered(executor: Executor, content: bytes) -> Any:
-    """What to send with tasks: bytes, or the name by which Dask's workers have them already."""
+    """Content of tasks: bytes, or the name by which Dask's workers have them already."""
     client: Any = getattr(executor, "_client", None)
     if not hasattr(client, "scatter"):
         return content
