@@ -69,12 +69,8 @@ def float_array(
         raise TypeError(f"{name} should be an array of real numbers: {error}") from None
     if shape is not None:
         _check_shape(array.shape, name, shape)
-    if finite and not _all_finite(array):
-        bad = int(np.flatnonzero(~np.isfinite(array).ravel())[0])
-        raise ValueError(
-            f"{name} should be finite, but flat element {bad} of shape {array.shape} "
-            f"is {array.ravel()[bad]}"
-        )
+    if finite:
+        _check_finite(array, name)
     return array
 
 
@@ -87,9 +83,14 @@ def not_negative(value: ArrayLike, name: str, shape: Shape) -> Floats:
         As `float_array`, and if a value is negative.
     """
     array = float_array(value, name, shape)
+    check_not_negative(array, name)
+    return array
+
+
+def check_not_negative(array: Floats, name: str) -> None:
+    """Raise ValueError if a number is negative."""
     if array.min(initial=0.0) < 0.0:
         raise ValueError(f"{name} should not be negative, but its least value is {array.min()}")
-    return array
 
 
 def distances(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Floats:
@@ -118,11 +119,15 @@ def check_magnitude(array: Floats, name: str) -> Floats:
     Raises
     ------
     ValueError
-        If a number, or its negative, is more than 1e150.
+        If one is NaN or infinite, or it, or its negative, is more than 1e150.
     """
-    largest = max(array.max(initial=0.0), -array.min(initial=0.0))
-    if largest > RADII[1]:
-        raise ValueError(f"{name} should be at most {RADII[1]:g} in size, but one is {largest:g}")
+    high, low = array.max(initial=0.0), array.min(initial=0.0)
+    # False for NaN, which both are if one is.
+    if not (high <= RADII[1] and low >= -RADII[1]):
+        _check_finite(array, name)
+        raise ValueError(
+            f"{name} should be at most {RADII[1]:g} in size, but one is {max(high, -low):g}"
+        )
     return array
 
 
@@ -284,10 +289,14 @@ def check_choice(value: str, name: str, choices: Iterable[str]) -> None:
         raise ValueError(f"{name} should be one of {', '.join(choices)}, but is {value!r}")
 
 
-def _all_finite(array: Floats) -> bool:
-    """True if all values are finite; a mask of the whole array is never made."""
+def _check_finite(array: Floats, name: str) -> None:
+    """Raise ValueError if a value is NaN or infinite; a mask of all is made only then."""
     flat = array.reshape(-1)
-    return all(np.isfinite(flat[i : i + _CHUNK]).all() for i in range(0, len(flat), _CHUNK))
+    if not all(np.isfinite(flat[i : i + _CHUNK]).all() for i in range(0, len(flat), _CHUNK)):
+        bad = int(np.flatnonzero(~np.isfinite(flat))[0])
+        raise ValueError(
+            f"{name} should be finite, but flat element {bad} of shape {array.shape} is {flat[bad]}"
+        )
 
 
 def _check_shape(actual: tuple[int, ...], name: str, required: Shape) -> None:

@@ -20,6 +20,7 @@ from .._util.validation import (
     Floats,
     are_unit,
     check_magnitude,
+    check_not_negative,
     check_seed,
     count,
     float_array,
@@ -155,7 +156,7 @@ class PhotonMap:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        position = float_array(self.position, "position", (None, 3))
+        position = float_array(self.position, "position", (None, 3), finite=False)
         check_magnitude(position, "position")
         n = len(position)
         set_field(self, "position", frozen(position))
@@ -417,13 +418,13 @@ def _flux(value: ArrayLike, wavelength: Floats | None, n: int) -> Floats:
     array = np.asarray(value)
     if array.ndim == 1:
         array = np.repeat(array[:, np.newaxis], 3, axis=1)
-    flux = float_array(array, "flux", (n, 3))
-    not_negative(flux if wavelength is None else flux[wavelength == 0.0], "flux", (None, 3))
-    return frozen(check_magnitude(flux, "flux"))
+    flux = check_magnitude(float_array(array, "flux", (n, 3), finite=False), "flux")
+    check_not_negative(flux if wavelength is None else flux[wavelength == 0.0], "flux")
+    return frozen(flux)
 
 
 def _emitter_coords(value: ArrayLike, n: int) -> Floats:
-    array = float_array(value, "emitter_coords", (n, None))
+    array = float_array(value, "emitter_coords", (n, None), finite=False)
     if array.shape[1] not in (2, 3):
         raise ValueError(f"emitter_coords should have 2 or 3 columns, but has {array.shape[1]}")
     return frozen(check_magnitude(array, "emitter_coords"))

@@ -10,11 +10,14 @@ cdef inline uint64_t mix(uint64_t z) noexcept nogil:
     return z ^ (z >> 31)
 
 
+cdef inline uint64_t hash_next(uint64_t key, uint64_t number) noexcept nogil:
+    """The key of one more number, after those of a key."""
+    return mix(key + number + <uint64_t>0x9E3779B97F4A7C15)
+
+
 cdef inline uint64_t hash_key(uint64_t seed, uint64_t stream, uint64_t index) noexcept nogil:
     """A key that depends on all three; the same wherever and whenever it is computed."""
-    cdef uint64_t z = mix(seed + <uint64_t>0x9E3779B97F4A7C15)
-    z = mix(z + stream + <uint64_t>0x9E3779B97F4A7C15)
-    return mix(z + index + <uint64_t>0x9E3779B97F4A7C15)
+    return hash_next(hash_next(hash_next(0, seed), stream), index)
 
 
 cdef inline double uniform(uint64_t key, uint64_t counter) noexcept nogil:

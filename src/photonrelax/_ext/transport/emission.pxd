@@ -46,7 +46,8 @@ cdef class EmissionRegion:
 
 cdef class Emission:
     cdef EmissionRegion region
-    cdef uint64_t seed, stream
+    # Hash of seed and stream.
+    cdef uint64_t stream_key
     cdef bint halton
     # Numbers of a photon's ray, and their shifts.
     cdef int n_numbers

@@ -5,7 +5,7 @@ from cython.parallel cimport prange
 from libc.math cimport M_PI, cbrt, cos, fabs, sin, sqrt
 from libc.stdint cimport int64_t, uint8_t, uint64_t
 
-from ..common.rng cimport hash_key, uniform
+from ..common.rng cimport hash_next, uniform
 from ..common.threads cimport ELEMENTS, Watch, close_watch, goes_on, open_watch, team_size
 from ..common.vec3 cimport copy, cross, dot, normalise, orthonormal_frame
 from .sampling cimport (
@@ -151,7 +151,7 @@ cdef class EmissionRegion:
     cdef double from_point(self, double* direction, double u, double v) noexcept nogil:
         """Write a direction from a point and return its density."""
         cdef double[2] disk
-        cdef double[3] local
+        cdef double[3] local, world
         cdef double relative = 1.0
         if self.kind == SPHERE:
             sphere_direction(local, u, v)
@@ -163,8 +163,9 @@ cdef class EmissionRegion:
                 cap_direction(local, disk, self.shape[0])
             else:
                 relative = ellipse_direction(local, disk, &self.shape[0])
-        self.to_world(direction, local)
-        normalise(direction)
+        self.to_world(world, local)
+        normalise(world)
+        copy(direction, world)
         return self.density * relative
 
     cdef double from_plane(
@@ -339,13 +340,12 @@ cdef class Emission:
         if outlines.shape[1] != 4:
             raise ValueError(f"outlines should have 4 columns, but have {outlines.shape[1]}")
         self.region = region
-        self.seed = seed
-        self.stream = stream
+        self.stream_key = hash_next(hash_next(0, seed), stream)
         self.outlines = outlines
         self.is_coloured = region.sky is not None
         self.n_numbers = 4 if region.kind == SUN or region.kind == AREA else 2
         self.halton = shift.shape[0] > 0
-        self.turned = uniform(hash_key(seed, stream, 0), OF_TURN)
+        self.turned = uniform(hash_next(self.stream_key, 0), OF_TURN)
         if self.halton and shift.shape[0] < self.n_numbers:
             raise ValueError(f"shift should have {self.n_numbers} numbers")
         for i in range(self.n_numbers if self.halton else 0):
@@ -399,7 +399,7 @@ cdef class Emission:
 
     cdef uint64_t key(self, uint64_t index) noexcept nogil:
         """Return the key of the random numbers of a photon."""
-        return hash_key(self.seed, self.stream, index)
+        return hash_next(self.stream_key, index)
 
     def spectrum_photons(self, const int64_t[::1] candidates, double share):
         """Mask (n,) of a share of the photons, each by its index among the candidates alone."""

@@ -420,7 +420,10 @@ cdef class Paths(LiveRays):
             for i in range(self.n_live):
                 self.triangles.prefetch(found, i)
                 # Row `live` is never beyond row i, so the rays pack in place.
-                live += self.intersect(found, i, live)
+                if found.triangle[i] >= 0:
+                    live += self.intersect(found, i, live)
+                else:
+                    self.terminate(&self.ray[i], ESCAPED)
             self.settle()
         self.n_live = live
         self.check_finite()
@@ -439,13 +442,9 @@ cdef class Paths(LiveRays):
         cdef Ray* ray = &self.ray[row]
         cdef Event event
         cdef double[3] out
-        # Rays that miss first: a call each is a good part of what they take.
-        event.triangle = found.triangle[row]
-        if event.triangle < 0 or not self.triangles.refine_hit(
-            found, row, ray.origin, ray.direction, &event.hit
-        ):
+        if not self.triangles.refine_hit(found, row, ray.origin, ray.direction, &event.hit):
             return self.terminate(ray, ESCAPED)
-        event.u, event.v = found.u[row], found.v[row]
+        event.triangle, event.u, event.v = found.triangle[row], found.u[row], found.v[row]
         event.ray = ray
         event.counter = event_counter(ray)
         orient(&event)
