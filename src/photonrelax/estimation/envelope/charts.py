@@ -18,7 +18,7 @@ from ..._util.validation import Floats
 from ...scene.emission_region import axis_frame
 from ...scene.emitters import CollimatedEmitter, Emitter
 from ...scene.materials import Dielectric, Mirror
-from ...scene.scene import Scene, SceneObject
+from ...scene.scene import Scene
 from ...transport.aim import LUMINANCE
 
 # Share of its sides by which a chart is larger than its casters.
@@ -142,21 +142,12 @@ def charts_of(scene: Scene) -> list[Chart]:
 
 
 def _casters(scene: Scene) -> list[Floats]:
-    """Vertices of each object that may cast a caustic, m."""
+    """Vertices of each object that may cast a caustic and that are of any face, m."""
     return [
-        _used_vertices(item)
+        np.asarray(item.mesh.vertices)[item.mesh.referenced_vertices]
         for item in scene.objects
         if isinstance(item.material, Dielectric | Mirror)
     ]
-
-
-def _used_vertices(item: SceneObject) -> Floats:
-    """Vertices of an object that are of any face, m."""
-    vertices = np.asarray(item.mesh.vertices)
-    is_used = np.zeros(len(vertices), dtype=bool)
-    is_used[item.mesh.faces] = True
-    used: Floats = vertices[is_used]
-    return used
 
 
 def parallel_charts(scene: Scene, emitter: CollimatedEmitter, emitter_id: int) -> list[Chart]:
