@@ -67,26 +67,54 @@ class Particles(NamedTuple):
 def irradiance(room, n, n_batches, seed):
     """Irradiance (n_batches, 3, 6, 3) of the walls by component, W/m²: n particles of each lamp."""
     rng = np.random.default_rng(seed)
-    return np.array([_batch(room, n // n_batches, rng) for _ in range(n_batches)])
+    return np.array([_batch(room, n // n_batches, _emitted, rng) for _ in range(n_batches)])
 
 
-def _batch(room, n, rng):
+def caustics(room, n, n_batches, seed):
+    """Irradiance (n_batches, 6, 3) of the walls by light of the ball alone: n aimed particles."""
+    rng = np.random.default_rng(seed)
+    black = room._replace(albedos=np.zeros((6, 3)))
+    batches = [_batch(black, n // n_batches, _aimed, rng) for _ in range(n_batches)]
+    return np.array(batches)[:, COMPONENTS.index("caustic")]
+
+
+def _batch(room, n, emitted, rng):
     tally = np.zeros((3, 6, 3))
     for position, power in room.lamps:
-        live = _emitted(position, np.asarray(power) / n, n, rng)
+        live = emitted(room, position, power, n, rng)
         while len(live.at):
             live = _advanced(room, live, tally, rng)
     return tally / 4.0
 
 
-def _emitted(position, flux, n, rng):
-    """Particles in all directions, evenly: on a spiral around a sphere, shifted at random."""
-    z = 2.0 * (np.arange(n) + rng.random(n)) / n - 1.0
+def _emitted(room, position, power, n, rng):
+    """Particles in all directions, evenly."""
+    return _from_lamp(position, np.asarray(power), _spiral(n, 2.0, rng))
+
+
+def _aimed(room, position, power, n, rng):
+    """Particles in the directions of the ball, evenly."""
+    axis = np.subtract(room.centre, position)
+    distance = np.sqrt(axis @ axis)
+    drop = 1.0 - np.sqrt(1.0 - (room.shells[0].radius / distance) ** 2)
+    axis /= distance
+    u = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    u /= np.sqrt(u @ u)
+    way = _spiral(n, drop, rng) @ [u, np.cross(axis, u), axis]
+    return _from_lamp(position, 0.5 * drop * np.asarray(power), way)
+
+
+def _spiral(n, drop, rng):
+    """Directions (n, 3) less than `drop` below the top of a sphere, on a spiral, shifted."""
+    z = 1.0 - drop * (np.arange(n) + rng.random(n)) / n
     azimuth = 2.0 * np.pi * ((np.arange(n) / _GOLDEN_RATIO + rng.random()) % 1.0)
     aside = np.sqrt(1.0 - z * z)
-    way = np.column_stack([aside * np.cos(azimuth), aside * np.sin(azimuth), z])
-    none = np.zeros(n, dtype=int)
-    return Particles(np.tile(position, (n, 1)), way, np.tile(flux, (n, 1)), none, none, none)
+    return np.column_stack([aside * np.cos(azimuth), aside * np.sin(azimuth), z])
+
+
+def _from_lamp(position, power, way):
+    n, none = len(way), np.zeros(len(way), dtype=int)
+    return Particles(np.tile(position, (n, 1)), way, np.tile(power / n, (n, 1)), none, none, none)
 
 
 def _advanced(room, live, tally, rng):

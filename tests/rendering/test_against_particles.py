@@ -8,7 +8,7 @@ import photonrelax as pr
 from photonrelax.estimation.indirect import IndirectField
 from photonrelax.transport.direct_light import direct_irradiance
 from photonrelax.transport.raycast import RayCaster
-from tests.analytic.particle_tracer import COMPONENTS, Room, Shell, irradiance
+from tests.analytic.particle_tracer import COMPONENTS, Room, Shell, caustics, irradiance
 from tests.helpers.tracing_scenes import ball, coloured_walls
 
 FLOOR = 4
@@ -93,12 +93,24 @@ def test_direct_light(scene, counted):
 
 
 def test_caustics_on_the_floor(scene, counted, sides):
-    """Too little light of the ball is on other walls to be counted well."""
     exact, doubt = counted["caustic"]
     photons = pr.trace_photons(scene, 60_000)
     found = pr.irradiance_field(photons, scene=scene)(*points_of_wall(FLOOR), footprint=sides)
     assert doubt[FLOOR].max() <= 0.007
     np.testing.assert_allclose(found.mean(axis=0), exact[FLOOR], rtol=0.02)
+
+
+def test_caustics_on_all_walls(room, scene, sides):
+    """Each but the floor gets some fiftieth of the light of the ball, so that many are counted."""
+    batches = caustics(room[0], 2_000_000, 20, seed=1)
+    exact = batches.mean(axis=0)
+    doubt = batches.std(axis=0, ddof=1) / np.sqrt(len(batches)) / exact
+    photons = pr.trace_photons(scene, 1_000_000)
+    field = pr.irradiance_field(photons, method="standard", scene=scene)
+    assert doubt.max() <= 0.007
+    for wall in range(6):
+        found = field(*points_of_wall(wall), footprint=sides)
+        np.testing.assert_allclose(found.mean(axis=0), exact[wall], rtol=0.02)
 
 
 def test_indirect_light(scene, counted, sides):

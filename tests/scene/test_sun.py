@@ -30,12 +30,12 @@ def direct(scene, position, n, **samples):
 def test_a_plate_that_faces_the_sun_gets_its_irradiance(angle):
     plate = pr.SceneObject(sheet(5.0), pr.Diffuse(0.0))
     scene = pr.Scene([plate], [sun(angle)])
-    photons = pr.trace_photons(scene, 200_000, paths="all")
+    photons = pr.trace_photons(scene, 600_000, paths="all")
     # The flux that crosses the sphere of the target, of which the plate is a great circle.
     around = np.pi * scene.bounding_sphere().radius ** 2 * 2 / (1 + np.cos(np.radians(angle)))
     np.testing.assert_allclose(photons.ledger.emitted[0], around * IRRADIANCE, rtol=1e-9)
     inside = (np.abs(photons.position[:, :2]) < 2.5).all(axis=1)
-    np.testing.assert_allclose(photons.flux[inside].sum(axis=0) / 25.0, IRRADIANCE, rtol=6e-3)
+    np.testing.assert_allclose(photons.flux[inside].sum(axis=0) / 25.0, IRRADIANCE, rtol=3e-3)
     np.testing.assert_allclose(direct(scene, np.zeros((1, 3)), 4096)[0], IRRADIANCE, rtol=1e-3)
 
 
