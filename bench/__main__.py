@@ -35,6 +35,7 @@ python -m bench presets           presets from the fronts of `photonrelax tradeo
 python -m bench settings          errors over pixels by iterations, k and step of relaxation
 python -m bench tessellation      changes of the caustic of `cognac` with twice the facets
 python -m bench dispersion        noise of colour behind plates, by how light is dispersed
+python -m bench emitters          light of two emitters whose photons push one another, or do not
 python -m bench slopes            light relaxed to the density its map prescribes, and to even one
 """
 
@@ -57,6 +58,7 @@ from bench.speed import (
 )
 from bench.studies import (
     dispersion,
+    emitters,
     envelope,
     envelope_cost,
     envelope_times,
@@ -118,6 +120,7 @@ _COMMANDS = {
     "envelope-times": envelope_times,
     "known-maps": known_maps,
     "dispersion": dispersion,
+    "emitters": emitters,
     "slopes": slopes,
     "tessellation": tessellation,
     "extremes": extremes,

@@ -104,8 +104,12 @@ class Subject:
 
     @classmethod
     def of(cls, study: Study, name: str) -> Subject:
-        """The scene of a name, with its reference from the cache if it is there."""
-        scene = water() if name == "water" else gallery.scene(name)
+        """The scene of a name, with its reference."""
+        return cls.of_scene(study, water() if name == "water" else gallery.scene(name), name)
+
+    @classmethod
+    def of_scene(cls, study: Study, scene: pr.Scene, name: str) -> Subject:
+        """A scene with its reference, from the cache if it is there under a name."""
         caster = RayCaster(scene.objects)
         first = pr.trace_photons(scene, 100_000, caster=caster, n_threads=study.n_threads)
         floor_map = FloorMap.of(first, study.texels)
