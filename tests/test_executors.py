@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from concurrent.futures import Executor, ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -222,7 +223,8 @@ with MPICommExecutor(MPI.COMM_WORLD, root=0) as executor:
 
 def test_photons_traced_by_mpi(tmp_path):
     pytest.importorskip("mpi4py")
-    mpiexec = shutil.which("mpiexec")
+    folders = [str(Path(sys.executable).parent), os.environ["PATH"]]
+    mpiexec = shutil.which("mpiexec", path=os.pathsep.join(folders))
     if mpiexec is None:
         pytest.skip("there is no mpiexec")
     (tmp_path / "job.py").write_text(MPI)

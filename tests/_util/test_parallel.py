@@ -5,6 +5,7 @@ from multiprocessing import get_context
 from typing import ClassVar
 
 import pytest
+from photonrelax._ext.common.threads import team_limit
 
 from photonrelax._util import parallel
 from photonrelax._util.parallel import for_each_slice, ordered_map, thread_count, thread_executor
@@ -32,6 +33,15 @@ def test_one_thread_needs_no_executor():
         assert executor is None
         names = set(ordered_map(lambda _: threading.current_thread().name, range(3), executor))
     assert names == {threading.current_thread().name}
+
+
+def test_threads_may_have_loops_of_few_threads():
+    before = team_limit()
+    with thread_executor(2, n_each=3) as executor:
+        assert executor.submit(team_limit).result() == 3
+        # Executors within theirs are not larger.
+        assert executor.submit(lambda: thread_executor(8).__enter__()._max_workers).result() == 3
+    assert team_limit() == before > 3
 
 
 def test_few_jobs_are_taken_ahead_of_the_results():

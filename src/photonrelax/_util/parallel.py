@@ -10,7 +10,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
 
-from .._ext.common.threads import team_limit
+from .._ext.common.threads import limit_teams_here, team_limit
 from .cgroups import cpu_quota
 from .validation import count
 
@@ -47,13 +47,17 @@ def _n_cores() -> int:
 
 
 @contextmanager
-def thread_executor(n_threads: int) -> Iterator[Executor | None]:
-    """Yield an executor of so many threads, None for one; it ends with the running calls."""
+def thread_executor(n_threads: int, *, n_each: int | None = None) -> Iterator[Executor | None]:
+    """Yield an executor of so many threads, None for one; it ends with the running calls.
+
+    Loops in kernels that a thread starts have `n_each` threads at most, if that is given.
+    """
     n_threads = min(n_threads, team_limit())
     if n_threads <= 1:
         yield None
         return
-    executor = ThreadPoolExecutor(n_threads)
+    start = (limit_teams_here, (n_each,)) if n_each else (None, ())
+    executor = ThreadPoolExecutor(n_threads, "", *start)
     try:
         yield executor
     finally:

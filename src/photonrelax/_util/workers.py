@@ -25,7 +25,7 @@ from uuid import uuid4
 
 from .._ext.common.threads import limit_teams
 from .._version import SEED_LAYOUT, __version__
-from .parallel import ordered_map, thread_count
+from .parallel import ordered_map, thread_count, thread_executor
 from .parcels import Parcel, is_kept, kept, unpack, unpack_file
 from .platforms import Platform, platform_of_process, warn_of_mixture
 
@@ -105,6 +105,15 @@ class Workers(NamedTuple):
     def n_tasks(self) -> int:
         """Tasks that work is best divided into, at least, so that all workers end together."""
         return 1 if self.executor is None else _TASKS_PER_WORKER * n_workers(self.executor)
+
+    @contextmanager
+    def or_threads(self, n: int) -> Iterator[Workers]:
+        """Yield these workers; without an executor so many threads, whose loops have one."""
+        if self.executor is not None:
+            yield self
+            return
+        with thread_executor(n, n_each=1) as executor:
+            yield self._replace(executor=executor)
 
     def map(
         self, work: Callable[[Value, Job], Result], value: Value, jobs: Iterable[Job]

@@ -31,6 +31,7 @@ from ..imaging.image import Image
 from ..photons.photon_map import NothingStoredError, PhotonMap
 from ..scene.digest import light_digest
 from ..scene.scene import Scene
+from ..transport.direct_light import samples_light
 from ..transport.emission import PATHS, SAMPLERS, EmissionPlan, plan_emission
 from ..transport.trace import trace_photons
 from .bands import BandRenderer
@@ -500,15 +501,24 @@ class _Stages:
         models = self._plan.models("direct"), self._plan.models("emission")
         renderer = BandRenderer(view, *models, self._caustic, self._gather or self._indirect)
         parts, n_hit_points = [], 0
-        rows = view.row_ranges(self._workers.n_tasks)
-        for band, found in zip(
-            rows, self._workers.map(BandRenderer.layers, renderer, rows), strict=True
-        ):
-            parts.append(found.layers)
-            n_hit_points += found.n_hit_points
-            report.advance(len(band))
+        at_once = self._bands_at_once()
+        with self._workers.or_threads(at_once) as workers:
+            rows = view.row_ranges(workers.n_tasks, at_once)
+            for band in workers.map(BandRenderer.layers, renderer, rows):
+                parts.append(band.layers)
+                n_hit_points += band.n_hit_points
+                report.advance(len(band.layers["albedo"]))
         self._record("render", perf_counter() - started, hit_points=n_hit_points)
         return concatenate_bands(parts)
+
+    def _bands_at_once(self) -> int:
+        """Bands that threads render in turn; one that all render where it may take long.
+
+        An interrupt waits for those under way.
+        """
+        view = self._view
+        is_long = self._gather is not None or samples_light(view.scene, view.light_samples)
+        return 1 if is_long or self._workers.executor is not None else view.n_threads
 
     def _metadata(self, method: str) -> dict[str, str]:
         used = {} if self._caustic is None else self._caustic.used

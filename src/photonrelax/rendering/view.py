@@ -377,10 +377,14 @@ class View:
         for rows in self.row_ranges():
             yield self.band(rows, offset, number, direct=direct)
 
-    def row_ranges(self, n_bands: int = 1) -> list[range]:
-        """Rows of bands from the top down, at least so many bands if there are so many rows."""
+    def row_ranges(self, n_bands: int = 1, at_once: int = 1) -> list[range]:
+        """Rows of bands from the top down, at least so many bands if there are so many rows.
+
+        Bands are smaller where several are traced at once.
+        """
         height, width = self.shape
-        rows_per_band = max(_RAYS_PER_BAND // (width * self.supersampling**2), 1)
+        rays = _RAYS_PER_BAND // at_once
+        rows_per_band = max(rays // (width * self.supersampling**2), 1)
         rows_per_band = min(rows_per_band, -(-height // n_bands))
         return [self.rows[i : i + rows_per_band] for i in range(0, height, rows_per_band)]
 

@@ -4,6 +4,13 @@ from cython.parallel cimport threadid
 from libc.limits cimport INT_MAX
 from posix.unistd cimport getpid
 
+cdef extern from *:
+    """
+    static __thread int limit_here = INT_MAX;
+    """
+    # The most threads of any loop that the calling thread starts.
+    int limit_here
+
 cdef extern from "Python.h":
     # Its exception stays set, for `close_watch` to raise: not declared as raising.
     int PyErr_CheckSignals() noexcept
@@ -28,7 +35,7 @@ cdef int team_size(int n_threads, Py_ssize_t n_items, Py_ssize_t grain) noexcept
     """
     if getpid() != home:
         return 1
-    return <int> max(1, min(<Py_ssize_t> min(n_threads, limit), n_items // grain))
+    return <int> max(1, min(<Py_ssize_t> min(n_threads, limit, limit_here), n_items // grain))
 
 
 def limit_teams(int n_threads):
@@ -37,9 +44,15 @@ def limit_teams(int n_threads):
     limit = n_threads
 
 
+def limit_teams_here(int n_threads):
+    """Hold all loops that the calling thread starts to a number of threads."""
+    global limit_here
+    limit_here = n_threads
+
+
 def team_limit():
-    """The most threads of any loop of this process."""
-    return limit
+    """The most threads of any loop that the calling thread starts."""
+    return min(limit, limit_here)
 
 
 cdef Watch open_watch() noexcept nogil:
