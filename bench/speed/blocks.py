@@ -26,7 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--photons", type=float, default=2e6, help="emitted; default 2e6")
     parser.add_argument("--block", type=numbers, default=[300_000, 1_000_000])
     parser.add_argument("--rounds", type=int, default=3, help="default 3")
-    parser.add_argument("--folder", type=Path, help="of the parts and blocks; a temporary one")
+    parser.add_argument(
+        "--folder", type=Path, help="that is there, for the parts and blocks; a temporary one"
+    )
 
 
 def run(options: argparse.Namespace) -> None:

@@ -193,16 +193,23 @@ def by_scene(sweeps: list[Tradeoff], *, is_cpu: bool = False) -> str:
         seconds = [_seconds(found, error, is_cpu) for error in front.ERRORS]
         told = ([_text(each.get(m, np.inf)) if each else "" for each in seconds] for m in TOLD)
         beside = (" / ".join(each).rstrip(" /") for each in told)
-        rows.append([found.about["scene"], *map(_quickest, seconds), *beside])
+        rows.append([found.about["scene"], *map(_best, seconds), *beside])
     return markdown_table(titles, rows)
 
 
-def _quickest(seconds: dict[str, float]) -> str:
+def _best(seconds: dict[str, float]) -> str:
     """The quickest method and its seconds; a dash if none reaches an error, empty in doubt."""
     if not seconds:
         return ""
+    name, text = _quickest(seconds)
+    return f"{name} {text}" if name != "–" else name
+
+
+def _quickest(seconds: dict[str, float]) -> tuple[str, str]:
+    """The quickest method and its seconds; dashes if none reaches an error."""
     name = min(seconds, key=seconds.__getitem__)
-    return f"{name} {seconds[name]:.2f}" if np.isfinite(seconds[name]) else "–"
+    text = _text(seconds[name])
+    return (name, text) if text != "–" else (text, text)
 
 
 def _seconds(found: Tradeoff, error: float, is_cpu: bool) -> dict[str, float]:
@@ -222,11 +229,9 @@ def _rows(found: Tradeoff, is_cpu: bool) -> Iterator[list[str]]:
         seconds = _seconds(found, error, is_cpu)
         if not seconds:
             continue
-        best = min(seconds, key=seconds.__getitem__)
         told = [_text(seconds.get(method, np.inf)) for method in TOLD]
-        name = best if np.isfinite(seconds[best]) else "–"
         scene, doubt = found.about["scene"], f"{found.doubt:.2%}"
-        yield [scene, f"{error:.0%}", doubt, name, _text(seconds[best]), *told]
+        yield [scene, f"{error:.0%}", doubt, *_quickest(seconds), *told]
 
 
 def _text(seconds: float) -> str:
