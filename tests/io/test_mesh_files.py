@@ -1,10 +1,13 @@
 """STL, PLY and OBJ files, and others that trimesh reads."""
 
+import struct
+
 import numpy as np
 import pytest
 import trimesh
 
 import photonrelax as pr
+from photonrelax import cli
 from tests.helpers.stl import stl_bytes
 
 BALL = trimesh.creation.icosphere(2, 0.5)
@@ -84,6 +87,17 @@ def test_normals_of_ply_files_are_kept_and_turned(tmp_path):
     (ball, _) = loaded(path, rotate=(90, 0, 0)).objects
     turned = leaning[:, [0, 2, 1]] * [1, -1, 1]
     np.testing.assert_allclose(ball.shading_normals.normal, turned, atol=1e-6)
+
+
+def test_a_binary_ply_file_of_quads_and_triangles_says_what_to_do(tmp_path, capsys):
+    head = b"ply\nformat binary_little_endian 1.0\nelement vertex 5\nproperty float x\n"
+    head += b"property float y\nproperty float z\nelement face 2\n"
+    head += b"property list uchar int vertex_indices\nend_header\n"
+    faces = struct.pack("<B4i", 4, 0, 1, 2, 3) + struct.pack("<B3i", 3, 0, 1, 4)
+    path = tmp_path / "a.ply"
+    path.write_bytes(head + np.eye(5, 3, dtype="<f4").tobytes() + faces)
+    assert cli.main(["check", str(path)]) == 1
+    assert "unlike numbers of corners" in capsys.readouterr().out
 
 
 @pytest.fixture

@@ -21,6 +21,11 @@ _STL_TYPE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("other"
 _REFUSED = {"zip", "7z", "tar.gz", "tar.bz2", "json", "dict", "dict64", "xyz", "svg", "dxf", "path"}
 # Of a count that Python converts, which is more than any file holds.
 _MAX_DIGITS = 20
+# What to do about errors of trimesh, which reads lists of one length in binary files.
+_HINTS = {
+    "PLY is unexpected length!": " It is cut off, or its faces are of unlike numbers of corners, "
+    "which text files alone may have: export triangles"
+}
 _PLY_COUNT = re.compile(rb"^element\s+(\S+)\s+(\S+)", re.MULTILINE)
 
 
@@ -96,6 +101,7 @@ def _read_with_trimesh(path: Path, content: bytes) -> list[Part]:
     except Exception as error:
         # Libraries raise anything at damaged files.
         reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
+        reason += _HINTS.get(reason, "")
         raise ValueError(f"{path} cannot be read as {kind.upper()}: {reason}") from None
     return [
         _part(path, mesh.vertices, mesh.faces, _given_normals(mesh), _given_uv(mesh))

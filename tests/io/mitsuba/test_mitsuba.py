@@ -150,8 +150,58 @@ def test_conductors_are_mirrors():
     by_index = material_of({"type": "conductor", "eta": 0.2, "k": 3.0})
     np.testing.assert_allclose(by_index.reflectance, (0.64 + 9) / (1.44 + 9))
     assert by_index.schlick
-    copper = material_of({"type": "conductor"})
+    copper = material_of({"type": "conductor", "material": "Cu"})
     assert copper.reflectance[0] > copper.reflectance[2]
+
+
+@pytest.mark.parametrize("kind", ["conductor", "roughconductor"])
+@pytest.mark.filterwarnings("ignore:.*what a scene cannot")
+def test_a_conductor_without_a_material_reflects_all_light(kind):
+    mirror = material_of({"type": kind})
+    np.testing.assert_array_equal(mirror.reflectance, 1.0)
+    assert not mirror.schlick
+
+
+def test_dictionaries_refer_to_what_is_before():
+    white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.8, 0.7, 0.6]}}
+    wall = {"type": "rectangle", "material": {"type": "ref", "id": "white"}}
+    scene = scene_of(integrator={"type": "path"}, white=white, wall=wall)
+    np.testing.assert_allclose(scene.objects[-1].material.albedo, [0.8, 0.7, 0.6])
+    with pytest.raises(ValueError, match="an id before it, but is of 'white'"):
+        scene_of(wall=wall, white=white)
+
+
+@pytest.mark.parametrize(
+    ("spectrum", "expected"),
+    [
+        ({"type": "uniform", "value": 0.3}, [0.3, 0.3, 0.3]),
+        ({"type": "srgb", "color": [0.1, 0.2, 0.3]}, [0.1, 0.2, 0.3]),
+        ({"type": "d65"}, [1.0, 1.0, 1.0]),
+    ],
+)
+def test_spectra_of_one_colour(spectrum, expected):
+    light = scene_of(light={"type": "constant", "radiance": spectrum}).emitters[0]
+    np.testing.assert_allclose(light.radiance, expected)
+
+
+@pytest.mark.parametrize("kind", ["blackbody", "checkerboard"])
+def test_what_is_no_colour_is_an_error(kind):
+    with pytest.raises(ValueError, match=f"'light': radiance should be a colour.*{kind}"):
+        scene_of(light={"type": "constant", "radiance": {"type": kind}})
+
+
+@pytest.mark.parametrize(
+    ("radiance", "message"),
+    [
+        ('<spectrum type="blackbody" name="radiance"/>', "should be a colour.*'blackbody'"),
+        ('<spectrum name="radiance" filename="lamp.spd"/>', "or three, but is 'lamp.spd'"),
+        ('<spectrum name="radiance" value="400:1, 700:2"/>', "or three, but is '400:1, 700:2'"),
+    ],
+)
+def test_spectra_over_wavelengths_are_errors(xml, radiance, message):
+    xml.write_text(XML.replace('<rgb name="radiance" value="3 2 1"/>', radiance))
+    with pytest.raises(ValueError, match=message):
+        pr.load_scene(xml)
 
 
 @pytest.mark.parametrize(

@@ -119,10 +119,11 @@ def _ior(bsdf: Plugin, name: str, default: str) -> float:
 
 def _conductor(bsdf: Plugin, substitutions: Substitutions) -> Mirror:
     factor = bsdf.colour("specular_reflectance", 1.0)
-    metal = bsdf.text("material", "Cu")
-    if metal == "none":
+    metal = bsdf.text("material", "none")
+    by_index = bool({"eta", "k"} & bsdf.values.keys())
+    if metal == "none" and not by_index:
         return Mirror(factor)
-    if {"eta", "k"} & bsdf.values.keys():
+    if by_index:
         reflectance, held = _reflectance(bsdf.colour("eta", 0.0), bsdf.colour("k", 1.0)), "eta, k"
     elif metal in _METALS:
         reflectance, held = np.array(_METALS[metal]), f"metal {metal}"

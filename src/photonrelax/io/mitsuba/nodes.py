@@ -16,6 +16,8 @@ _VALUES = ("float", "integer", "boolean", "string", "rgb", "spectrum", "vector",
 _IGNORED = ("default", "path")
 _UNREAD = ("include", "alias")
 _MAX_DEPTH = 50
+# Types of spectra that are a colour, by the name of what is in them, and its default.
+_SPECTRA = {"uniform": ("value", 1.0), "srgb": ("color", 0.0), "d65": ("scale", 1.0)}
 
 
 @dataclass
@@ -44,7 +46,9 @@ class Plugin:
             raise self._error(name, "a number") from None
 
     def colour(self, name: str, default: float) -> Floats:
-        """A colour (3,): of one number, of three, or as #rrggbb."""
+        """A colour (3,): of one number, of three, or as #rrggbb; of a material's texture, none."""
+        if name in self.children:
+            return self._colour_of(self.children[name], name, default)
         value = self.values.get(name, default)
         try:
             array = _hexadecimal(value) if isinstance(value, str) else np.asarray(value, float)
@@ -78,6 +82,14 @@ class Plugin:
     def first_of(self, tag: str) -> Plugin | None:
         """The first child with a tag, None if there is none."""
         return next(iter(self.all_of(tag)), None)
+
+    def _colour_of(self, child: Plugin, name: str, default: float) -> Floats:
+        """Colour of a plugin in place of one; the default of a texture, which is told elsewhere."""
+        if child.kind in _SPECTRA:
+            return child.colour(*_SPECTRA[child.kind])
+        if child.tag == "texture" and self.tag == "bsdf":
+            return np.full(3, default)
+        raise ValueError(f"{self.label}: {name} should be a colour, but is of type {child.kind!r}")
 
     def _error(self, name: str, expected: str) -> ValueError:
         return ValueError(
@@ -127,12 +139,12 @@ class _XmlReader:
         made = Plugin(element.tag, self._text(element, "type"), self._text(element, "id"))
         for i, child in enumerate(element):
             name = self._text(child, "name")
-            if child.tag in _VALUES:
+            if child.tag in _VALUES and "type" not in child.attrib:
                 made.values[name] = self._value(child)
             elif child.tag == "transform":
                 made.values[name] = self._transform(child)
             elif child.tag == "ref":
-                made.children[name or f"ref {i}"] = self._referred(self._text(child, "id"))
+                made.children[name or f"ref {i}"] = referred(self._known, self._text(child, "id"))
             elif child.tag in _UNREAD:
                 raise ValueError(f"{child.tag} is not read: put all into one file")
             elif child.tag not in _IGNORED:
@@ -140,11 +152,6 @@ class _XmlReader:
         if made.identifier:
             self._known[made.identifier] = made
         return made
-
-    def _referred(self, identifier: str) -> Plugin:
-        if identifier not in self._known:
-            raise ValueError(f"ref should be of an id before it, but is of {identifier!r}")
-        return self._known[identifier]
 
     def _text(self, element: ET.Element, attribute: str) -> str:
         text = element.attrib.get(attribute, "")
@@ -157,8 +164,9 @@ class _XmlReader:
         if element.tag in ("vector", "point"):
             return self._vector(element, 0.0)
         if element.tag in ("rgb", "spectrum") and not text.startswith("#"):
-            if ":" in text:
-                raise ValueError(f"spectrum should be one value, but is {text[:40]!r}")
+            if ":" in text or not text:
+                held = text[:40] or element.attrib.get("filename", "")
+                raise ValueError(f"{element.tag} should be of one value or three, but is {held!r}")
             return _numbers(text)
         return text
 
@@ -199,27 +207,53 @@ class _XmlReader:
         return matrix
 
 
-def parse_dict(value: Mapping[str, Any], name: str = "", depth: int = 0) -> Plugin:
-    """The plugin of a dictionary as Mitsuba's ``load_dict`` takes it.
+def parse_dict(value: Mapping[str, Any]) -> Plugin:
+    """The scene of a dictionary as Mitsuba's ``load_dict`` takes it.
 
     Raises
     ------
     ValueError
-        If it has no type, or is nested too deeply.
+        If it has no type, is nested too deeply, or refers to what is not before it.
     """
-    kind = value.get("type")
-    if not isinstance(kind, str) or depth > _MAX_DEPTH:
-        raise ValueError(f"{name or 'the scene'} should be a dictionary with a type")
-    made = Plugin(_tag_of(kind), kind, str(value.get("id", name)))
-    for key, member in value.items():
-        if not isinstance(member, Mapping):
-            matrix = getattr(member, "matrix", None)
-            made.values[key] = member if matrix is None else np.array(matrix, float).reshape(4, 4)
-        elif member.get("type") in ("rgb", "spectrum"):
-            made.values[key] = member.get("value")
-        else:
-            made.children[key] = parse_dict(member, key, depth + 1)
-    return made
+    return _DictReader().plugin(value, "", 0)
+
+
+class _DictReader:
+    """Reads dictionaries; plugins can be referred to, by key or id, by those that follow."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, Plugin] = {}
+
+    def plugin(self, value: Mapping[str, Any], name: str, depth: int) -> Plugin:
+        """A plugin with all that is in it."""
+        kind = value.get("type")
+        if not isinstance(kind, str) or depth > _MAX_DEPTH:
+            raise ValueError(f"{name or 'the scene'} should be a dictionary with a type")
+        if kind == "ref":
+            return referred(self._known, str(value.get("id", "")))
+        made = Plugin(_tag_of(kind), kind, str(value.get("id", name)))
+        for key, member in value.items():
+            if not isinstance(member, Mapping):
+                made.values[key] = _dict_value(member)
+            elif member.get("type") in ("rgb", "spectrum") and "value" in member:
+                made.values[key] = member["value"]
+            else:
+                made.children[key] = self.plugin(member, key, depth + 1)
+        self._known |= {each: made for each in (name, made.identifier) if each}
+        return made
+
+
+def _dict_value(member: Any) -> Any:
+    """The value of a member, a matrix (4, 4) of a transform."""
+    matrix = getattr(member, "matrix", None)
+    return member if matrix is None else np.array(matrix, float).reshape(4, 4)
+
+
+def referred(known: Mapping[str, Plugin], identifier: str) -> Plugin:
+    """The plugin with an id, of those so far; raises ValueError if there is none."""
+    if identifier not in known:
+        raise ValueError(f"ref should be of an id before it, but is of {identifier!r}")
+    return known[identifier]
 
 
 def look_at(origin: Floats, target: Floats, up: Floats) -> Floats:
@@ -256,6 +290,8 @@ KINDS = {
     "sensor": ("perspective", "thinlens", "orthographic"),
     "texture": ("bitmap", "checkerboard", "mesh_attribute", "volume"),
     "film": ("hdrfilm", "specfilm"),
+    "spectrum": ("spectrum", "rgb", "blackbody", "irregular", "regular", *_SPECTRA),
+    "integrator": ("path", "direct", "volpath", "volpathmis", "ptracer", "aov", "prb"),
 }
 
 
