@@ -90,6 +90,39 @@ def test_a_mesh_under_many_nodes_is_read_once(tmp_path, monkeypatch):
     assert len(calls) == 1
 
 
+def instanced(**attributes):
+    """A turned and mirrored node whose mesh has instances, by arrays of their attributes."""
+    parts = GltfParts()
+    cube = parts.mesh(trimesh.creation.box((2, 2, 2)), material={})
+    numbers = {name: parts.accessor(np.array(rows, float)) for name, rows in attributes.items()}
+    extensions = {"EXT_mesh_gpu_instancing": {"attributes": numbers}}
+    parts.node(mesh=cube, name="cube", scale=[-1, 1, 1], extensions=extensions)
+    parts.json["extensionsRequired"] = ["EXT_mesh_gpu_instancing"]
+    parts.lights(SUN)
+    return parts
+
+
+@pytest.mark.filterwarnings("ignore:.*what a scene cannot")
+def test_instances_of_a_node_are_objects(tmp_path):
+    quarter = [0, np.sqrt(0.5), 0, np.sqrt(0.5)]
+    parts = instanced(
+        TRANSLATION=[[5, 0, 0], [0, 7, 0]],
+        ROTATION=[[0, 0, 0, 1], quarter],
+        SCALE=[[1] * 3, [3, 1, 1]],
+    )
+    first, second = loaded(parts, tmp_path).objects
+    np.testing.assert_allclose(first.mesh.bounds, [[-6, -1, -1], [-4, 1, 1]], atol=1e-6)
+    # Thrice as long along x, then turned about y, which is up: along -y of the scene.
+    np.testing.assert_allclose(second.mesh.bounds, [[-1, -3, 6], [1, 3, 8]], atol=1e-6)
+    assert min(first.mesh.volume, second.mesh.volume) > 0.0
+
+
+def test_attributes_of_instances_are_equally_many(tmp_path):
+    parts = instanced(TRANSLATION=[[5, 0, 0], [0, 7, 0]], SCALE=[[1, 1, 1]])
+    with pytest.raises(ValueError, match=r"EXT_mesh_gpu_instancing.*equally many, .* \[1, 2\]"):
+        loaded(parts, tmp_path)
+
+
 @pytest.mark.parametrize("cycle", [[0], [1]])
 def test_a_node_below_itself_is_an_error(tmp_path, cycle):
     parts = GltfParts()

@@ -13,12 +13,12 @@ from .file import GltfFile
 from .lights import EXTENSION as LIGHTS
 from .lights import emitters_of
 from .materials import MATERIAL_EXTENSIONS, MaterialReader
-from .nodes import placed_nodes
+from .nodes import INSTANCES, placed_nodes
 from .objects import ObjectBuilder
 from .textures import TRANSFORM, WEBP, TextureReader
 
 # Extensions that a file may require.
-_KNOWN = {LIGHTS, TRANSFORM, WEBP, "KHR_mesh_quantization", *MATERIAL_EXTENSIONS}
+_KNOWN = {LIGHTS, TRANSFORM, WEBP, INSTANCES, "KHR_mesh_quantization", *MATERIAL_EXTENSIONS}
 
 
 def load_gltf(path: Path, options: LoadOptions) -> Scene:

@@ -13,6 +13,9 @@ from .file import GltfFile
 # From glTF's axes, y up, to z up: (x, y, z) becomes (x, -z, y).
 _Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 _IDENTITY = tuple(np.eye(4).ravel())
+INSTANCES = "EXT_mesh_gpu_instancing"
+# Attributes of instances: the member of a node that each stands for, and its width.
+_PLACES = {"TRANSLATION": ("translation", 3), "ROTATION": ("rotation", 4), "SCALE": ("scale", 3)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,10 +81,34 @@ def placed_nodes(file: GltfFile) -> list[PlacedNode]:
         to_world = to_parent @ _local(nodes[i])
         if not np.isfinite(to_world).all():
             raise ValueError(f"{nodes[i].where} should have a finite transform, but has not")
-        found.append(PlacedNode(nodes[i], nodes[i].text("name", f"node {i}"), to_world))
+        name = nodes[i].text("name", f"node {i}")
+        found += [
+            PlacedNode(nodes[i], name, to_world @ each) for each in _instances(file, nodes[i])
+        ]
         children = nodes[i].indices("children", len(nodes))
         waiting += [(child, to_world) for child in reversed(children)]
     return found
+
+
+def _instances(file: GltfFile, node: JsonEntry) -> list[Floats]:
+    """Transforms (4, 4) of the instances of a node's mesh to the node; of others that of itself."""
+    extension = node.entry("extensions").entry(INSTANCES)
+    given = extension.entry("attributes")
+    n_accessors = len(file.entries("accessors"))
+    places = {}
+    for attribute, (member, width) in _PLACES.items():
+        index = given.index(attribute, n_accessors)
+        if index is not None:
+            places[member] = file.floats(index, width)
+    counts = {len(each) for each in places.values()}
+    if len(counts) > 1:
+        raise ValueError(f"{given.where} should be equally many, but are {sorted(counts)}")
+    if "mesh" not in node or not counts:
+        return [np.eye(4)]
+    return [
+        _local(JsonEntry({key: rows[i].tolist() for key, rows in places.items()}, given.where))
+        for i in range(counts.pop())
+    ]
 
 
 def _local(node: JsonEntry) -> Floats:
