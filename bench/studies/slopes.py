@@ -1,4 +1,7 @@
-"""Means over texels of light that is relaxed to the density its map prescribes, and to even one."""
+"""Means over texels of light that is relaxed to the density its map prescribes, and to even one.
+
+With ``--cost`` times of both.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from time import perf_counter, process_time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +17,7 @@ from numpy.typing import NDArray
 import photonrelax as pr
 from bench.arguments import numbers
 from bench.markdown import markdown_table
+from bench.speed import machine
 from bench.studies import pixel_means
 from bench.studies.pixel_means import Errors, FloorMap, reference, texel_means
 from photonrelax import gallery
@@ -23,6 +28,8 @@ PLAIN = ((2, 2), (3, 3), (3, 7), (7, 7))
 MAPPED = ((5, 5), (14, 14))
 # Waves of the water: their number, shortest and longest, m, and the rms of the slope of all.
 _N_WAVES, _LENGTHS, _SLOPE = 24, (0.15, 0.7), 0.15
+# Pairs whose times are measured.
+_ROUNDS = 7
 
 
 @dataclass(frozen=True)
@@ -209,6 +216,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--photons-per-pass", type=int, default=default.photons_per_pass)
     parser.add_argument("--threads", type=int, help="all by default")
     parser.add_argument("--cache", type=Path, help="folder that references are kept in")
+    parser.add_argument("--cost", action="store_true", help="times in place of errors")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -223,7 +231,43 @@ def run(options: argparse.Namespace) -> None:
         n_threads=options.threads,
         cache=options.cache,
     )
-    print(markdown(study))
+    print(cost(study) if options.cost else markdown(study))
+
+
+def cost(study: Study) -> str:
+    """Table of the times of structure and relaxation, plain and mapped."""
+    found = []
+    for name in study.scenes:
+        scene = water() if name == "water" else gallery.scene(name)
+        for n in study.photons:
+            photons = pr.trace_photons(scene, n, n_threads=study.n_threads)
+            times = np.array([_pair(study, scene, photons) for _ in range(_ROUNDS)])
+            plain, mapped = np.median(times, axis=0)
+            wall, cpu = np.median(times[:, 1] / times[:, 0], axis=0)
+            seconds = f"{plain[1]:.2f}", f"{mapped[1]:.2f}"
+            found.append(
+                [name, f"{n:,}", f"{len(photons):,}", *seconds, f"{cpu:.2f}", f"{wall:.2f}"]
+            )
+    titles = ["scene", "emitted", "stored", "parameterised, CPU s", "mapped, CPU s"]
+    return (
+        f"{markdown_table([*titles, 'ratio, CPU', 'ratio, wall'], found)}\n\nStructure, rest density "
+        f"and {MAPPED[0]} of mapped over structure and {PLAIN[-1]} of parameterised; medians of "
+        f"{_ROUNDS} interleaved pairs. {machine.description()}.\n"
+    )
+
+
+def _pair(study: Study, scene: pr.Scene, photons: pr.PhotonMap) -> list[tuple[float, float]]:
+    """Wall and CPU seconds of plain and of mapped relaxation, structure included."""
+    threads = {"n_threads": study.n_threads}
+    taken = []
+    for iterations, step in ((PLAIN[-1], 1.0), (MAPPED[0], 2.0)):
+        started = perf_counter(), process_time()
+        structure = pr.detect_structure(photons, **threads)
+        rest = pr.rest_density(photons, **threads) if iterations in MAPPED else None
+        settings = pr.RelaxSettings(iterations, step=step)
+        pr.relax(photons, structure, settings, rest=rest, scene=scene, **threads)
+        taken.append((perf_counter() - started[0], process_time() - started[1]))
+    return taken
 
 
 def markdown(study: Study) -> str:
