@@ -244,15 +244,14 @@ def cost(study: Study) -> str:
             times = np.array([_pair(study, scene, photons) for _ in range(_ROUNDS)])
             plain, mapped = np.median(times, axis=0)
             wall, cpu = np.median(times[:, 1] / times[:, 0], axis=0)
-            seconds = f"{plain[1]:.2f}", f"{mapped[1]:.2f}"
-            found.append(
-                [name, f"{n:,}", f"{len(photons):,}", *seconds, f"{cpu:.2f}", f"{wall:.2f}"]
-            )
+            seconds = (f"{each:.2f}" for each in (plain[1], mapped[1], cpu, wall))
+            found.append([name, f"{n:,}", f"{len(photons):,}", *seconds])
     titles = ["scene", "emitted", "stored", "parameterised, CPU s", "mapped, CPU s"]
+    titles += ["ratio, CPU", "ratio, wall"]
     return (
-        f"{markdown_table([*titles, 'ratio, CPU', 'ratio, wall'], found)}\n\nStructure, rest density "
-        f"and {MAPPED[0]} of mapped over structure and {PLAIN[-1]} of parameterised; medians of "
-        f"{_ROUNDS} interleaved pairs. {machine.description()}.\n"
+        f"{markdown_table(titles, found)}\n\nStructure, rest density and {MAPPED[0]} of mapped over "
+        f"structure and {PLAIN[-1]} of parameterised; medians of {_ROUNDS} interleaved pairs. "
+        f"{machine.description()}.\n"
     )
 
 
