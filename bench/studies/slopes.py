@@ -249,8 +249,8 @@ def cost(study: Study) -> str:
     titles = ["scene", "emitted", "stored", "parameterised, CPU s", "mapped, CPU s"]
     titles += ["ratio, CPU", "ratio, wall"]
     return (
-        f"{markdown_table(titles, found)}\n\nStructure, rest density and {MAPPED[0]} of mapped over "
-        f"structure and {PLAIN[-1]} of parameterised; medians of {_ROUNDS} interleaved pairs. "
+        f"{markdown_table(titles, found)}\n\nStructure, rest density and {MAPPED[0]} of mapped "
+        f"over structure and {PLAIN[-1]} of parameterised; medians of {_ROUNDS} interleaved pairs. "
         f"{machine.description()}.\n"
     )
 
