@@ -36,6 +36,7 @@ python -m bench settings          errors over pixels by iterations, k and step o
 python -m bench tessellation      changes of the caustic of `cognac` with twice the facets
 python -m bench dispersion        noise of colour behind plates, by how light is dispersed
 python -m bench emitters          light of two emitters whose photons push one another, or do not
+python -m bench even-light        noise of even light, relaxed to the density its map prescribes
 python -m bench slopes            light relaxed to the density its map prescribes, and to even one
 """
 
@@ -64,6 +65,7 @@ from bench.studies import (
     envelope_times,
     equal_error,
     error_times,
+    even_light,
     extremes,
     figure3,
     figure7,
@@ -121,6 +123,7 @@ _COMMANDS = {
     "known-maps": known_maps,
     "dispersion": dispersion,
     "emitters": emitters,
+    "even-light": even_light,
     "slopes": slopes,
     "tessellation": tessellation,
     "extremes": extremes,
